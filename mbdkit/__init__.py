@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
     from mbdkit.gradients.gradient import Gradient, gradient
+    from mbdkit.inverse_dynamics.inverse_gradient import inverse_gradient
     from mbdkit.inverse_dynamics.inverse_run import inverse
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
@@ -82,6 +83,7 @@ __all__ = [
     "gradient",
     "hookimpl",
     "inverse",
+    "inverse_gradient",
     "kinematics",
     "linearize",
     "load",
@@ -135,6 +137,7 @@ _HOME = {
     "gradient": "mbdkit.gradients.gradient",
     "hookimpl": "mbdkit.registry.hookspecs",
     "inverse": "mbdkit.inverse_dynamics.inverse_run",
+    "inverse_gradient": "mbdkit.inverse_dynamics.inverse_gradient",
     "kinematics": "mbdkit.mechanics.kinematics",
     "linearize": "mbdkit.mechanics.modes",
     "load": "mbdkit.archive.reader",

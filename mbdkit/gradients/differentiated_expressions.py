@@ -10,7 +10,9 @@ import numpy as np
 from mbdkit.errors import SpecError
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.time_expression import Program
-from mbdkit.spec import RunSpec
+from mbdkit.spec import InverseSpec, RunSpec
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.stepping.dual_run import Seeds
 
 Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
 """One expression, several, or expressions by name, as in the section `measures` of a spec."""
@@ -21,7 +23,7 @@ Definitions = Mapping[str, tuple[str, str]]
 NO_MEASURES: Definitions = MappingProxyType({})
 
 
-def definitions_of(spec: RunSpec, measures: Measures) -> Definitions:
+def definitions_of(spec: RunSpec | InverseSpec, measures: Measures) -> Definitions:
     """Return the definitions of measures, which may be names of those of a spec; raise SpecError if there are none."""
     known = {one.name: one for one in spec.defined_measures()}
     if isinstance(measures, str):
@@ -40,16 +42,19 @@ def definitions_of(spec: RunSpec, measures: Measures) -> Definitions:
     return found
 
 
-def expressions_of(spec: RunSpec, definitions: Definitions) -> dict[str, MeasureExpression]:
+def expressions_of(spec: ModelSpec, definitions: Definitions) -> dict[str, MeasureExpression]:
     """Return the expressions of measures with the named parameters of a spec; raise SpecError if one is not valid."""
     return {name: MeasureExpression.parse(text, spec, unit) for name, (text, unit) in definitions.items()}
 
 
-def numbers_of(spec: RunSpec, definitions: Definitions) -> dict[str, np.ndarray]:
-    """Return the numbers of the instructions of all measures and events, by `of_measure` and `of_event`."""
-    measures = {of_measure(name): one.program for name, one in expressions_of(spec, definitions).items()}
-    events = {of_event(name): one.program for name, one in spec.watched().items()}
-    return {name: _numbers(program) for name, program in (measures | events).items()}
+def numbers_of(spec: ModelSpec, definitions: Definitions) -> dict[str, np.ndarray]:
+    """Return the numbers of the instructions of all measures, by `of_measure`."""
+    return {of_measure(name): _numbers(one.program) for name, one in expressions_of(spec, definitions).items()}
+
+
+def numbers_of_events(spec: RunSpec) -> dict[str, np.ndarray]:
+    """Return the numbers of the instructions of all events, by `of_event`."""
+    return {of_event(name): _numbers(one.program) for name, one in spec.watched().items()}
 
 
 def of_measure(name: str) -> str:
@@ -62,10 +67,10 @@ def of_event(name: str) -> str:
     return f"events.{name}"
 
 
-def slopes_of(program: Program, seeds: Mapping[str, np.ndarray], name: str, count: int) -> np.ndarray:
-    """Return the derivatives (I, K) of the numbers of a program by `count` parameters, from arrays by name."""
+def slopes_of(program: Program, seeds: Seeds, name: str) -> np.ndarray:
+    """Return the derivatives (I, K) of the numbers of a program by K parameters, from the array of this name."""
     found = seeds.get(name)
-    return np.zeros((len(program), count)) if found is None else found
+    return np.zeros((len(program), seeds.count)) if found is None else found
 
 
 def _numbers(program: Program) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit.gradients.differentiated_states import States, series_of
-from mbdkit.gradients.prepared_derivatives import CENTRAL, weights
+from mbdkit.gradients.parameter_differences import CENTRAL, weights
 from mbdkit.methods.kinds import Method
 from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
-from mbdkit.stepping.dual_run import Seeds, constants, dual_states
+from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants, dual_states
 from mbdkit.stepping.interface import Stretch, joined
 from mbdkit.stepping.start import require_derivatives, start_differentiated, start_method
 
@@ -58,30 +58,35 @@ class DifferentiatedRun:
     rows
         Recorded states; the last one moves with the end of the run.
     nodes
-        Stages of the steps, as nodes of integrals over time.
+        Stages of the steps, as nodes of integrals over time; None: integrals are those of the rows.
     end
         (K,) derivatives of the time at which the run ends; not zero if an event ends it.
     crossings
         Events in order of time.
+    sizes
+        Sizes of the steps [s]; None of fixed steps.
     """
 
     rows: States
-    nodes: States
+    nodes: States | None
     end: np.ndarray
     crossings: tuple[Crossing, ...]
+    sizes: Sequence[float] | None
 
 
-def differentiated_run(spec: RunSpec, seeds: Seeds, count: int, *, with_nodes: bool) -> DifferentiatedRun:
+def differentiated_run(
+    spec: RunSpec, seeds: Seeds, *, with_nodes: bool, sizes: Sequence[float] | None = None
+) -> DifferentiatedRun:
     """Run a spec, and differentiate it by parameters.
 
     Parameters
     ----------
     seeds
         Derivatives of the prepared run by the parameters.
-    count
-        Number of parameters.
     with_nodes
         Whether the stages of the steps are kept as nodes of integrals.
+    sizes
+        Sizes of steps [s] to take in place of those that step-size control would choose.
 
     Raises
     ------
@@ -91,21 +96,20 @@ def differentiated_run(spec: RunSpec, seeds: Seeds, count: int, *, with_nodes: b
         If the run stops early.
     """
     refuse(spec, make_method(spec))
-    parts = []
-    for first in range(0, max(count, 1), DIRECTIONS):
-        some = slice(first, first + DIRECTIONS)
-        parts.append(
-            _pass(spec, {name: x[..., some] for name, x in seeds.items()}, min(DIRECTIONS, count - first), with_nodes)
-        )
+    firsts = range(0, max(seeds.count, 1), DIRECTIONS)
+    parts = [_pass(spec, seeds.only(slice(first, first + DIRECTIONS)), with_nodes, sizes) for first in firsts]
     if len(parts) == 1:
         return parts[0]
     crossings = (
         Crossing(same[0].name, same[0].time, np.concatenate([one.slope for one in same]))
         for same in zip(*(one.crossings for one in parts), strict=True)
     )
-    end = np.concatenate([one.end for one in parts])
     return DifferentiatedRun(
-        _joined([one.rows for one in parts]), _joined([one.nodes for one in parts]), end, tuple(crossings)
+        joined_states([one.rows for one in parts]),
+        joined_states([one.nodes for one in parts if one.nodes is not None]) if parts[0].nodes is not None else None,
+        np.concatenate([one.end for one in parts]),
+        tuple(crossings),
+        parts[0].sizes,
     )
 
 
@@ -131,8 +135,8 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
         raise RunError("a recorded state has no unique accelerations")
     energy = np.stack([rows.work, rows.dissipated], axis=-1)
     q, v, energy, *values = (x[..., None] for x in (q, v, energy, *observed))
-    states = States(workspace, rows.time, None, q, v, energy, Observed(*values))
-    return DifferentiatedRun(states, replace(states, weight=np.zeros(len(rows.time))), np.zeros(0), ())
+    states = States(workspace, rows.time, None, q, v, energy, Observed(*values), np.zeros_like(energy))
+    return DifferentiatedRun(states, None, np.zeros(0), (), None)
 
 
 def refuse(spec: RunSpec, method: Method) -> None:
@@ -151,21 +155,21 @@ def refuse(spec: RunSpec, method: Method) -> None:
         )
 
 
-def _pass(spec: RunSpec, seeds: Seeds, count: int, with_nodes: bool) -> DifferentiatedRun:
+def _pass(spec: RunSpec, seeds: Seeds, with_nodes: bool, sizes: Sequence[float] | None) -> DifferentiatedRun:
     """Run a spec with the derivatives by up to `DIRECTIONS` parameters."""
     method = make_method(spec)
     workspace, _ = build(spec)
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    events = events_of(spec) if spec.events else []
+    events = events_of(spec, sizes) if spec.events else []
     try:
-        stepper = start_differentiated(method, workspace, table, seeds, with_nodes=with_nodes)
+        stepper = start_differentiated(method, workspace, table, seeds, with_nodes=with_nodes, sizes=sizes)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
     try:
-        return _Pass(spec, stepper, seeds, 1 + count).run(events)
+        return _Pass(spec, stepper, seeds).run(events)
     except StepError as error:
         raise RunError(str(error)) from None
 
@@ -177,13 +181,11 @@ class _Pass:
     ----------
     stepper
         The run at its start.
-    width
-        Number of derivatives, plus 1.
     """
 
-    def __init__(self, spec: RunSpec, stepper: DifferentiatedStepper, seeds: Seeds, width: int):
+    def __init__(self, spec: RunSpec, stepper: DifferentiatedStepper, seeds: Seeds):
         assert stepper.steps is not None
-        self.spec, self.stepper, self.seeds, self.width = spec, stepper, seeds, width
+        self.spec, self.stepper, self.seeds, self.width = spec, stepper, seeds, 1 + seeds.count
         self.workspace, self.steps = stepper.workspace, stepper.steps
 
     def run(self, events: Sequence[Event]) -> DifferentiatedRun:
@@ -215,7 +217,7 @@ class _Pass:
         events: Sequence[Event],
         at_events: Sequence[tuple[np.ndarray, np.ndarray]],
     ) -> DifferentiatedRun:
-        """Return recorded states, nodes and states at events, with what is computed from them."""
+        """Return recorded states, nodes if they are kept, and states at events, with what is computed from them."""
         workspace = self.workspace
         q0, v0 = (constants(x, self.seeds.get(name))[None] for name, x in (("q", workspace.q0), ("v", workspace.v0)))
         q, v, energy = self.steps.recorded(len(time) - 1)
@@ -227,28 +229,30 @@ class _Pass:
         if last is not None:  # the end moves with the parameters
             moved = crossings[-1].slope
             time = np.append(time, last[0])
-            energy = np.concatenate([energy, last[3][None]])
-            ends = self._moving_end(last, moved)
-            q, v = np.concatenate([q, ends[0][None]]), np.concatenate([v, ends[1][None]])
+            q, v, energy = (
+                np.concatenate([x, end[None]])
+                for x, end in zip((q, v, energy), self._moving_end(last, moved), strict=True)
+            )
         rows = self.evaluated(time, None, q, v, energy)
-        return DifferentiatedRun(rows, self.evaluated(*self.steps.nodes(), None), moved, tuple(crossings))
+        nodes = self.evaluated(*self.steps.nodes(), None) if self.steps.run.nodes[0] else None
+        sizes = self.stepper.sizes_taken if self.stepper.controlled else None
+        return DifferentiatedRun(rows, nodes, moved, tuple(crossings), sizes)
 
     def _moving_end(
         self, last: tuple[float, np.ndarray, np.ndarray, np.ndarray], moved: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the last state with the derivatives along a change of its time."""
-        t, q, v, _ = last
+    ) -> tuple[np.ndarray, ...]:
+        """Return positions, velocities and energies of the last state with derivatives along a change of its time."""
+        t, q, v, energy = last
         state = self.evaluated(np.array([t]), None, q[None], v[None], None)
-        q, v = q.copy(), v.copy()
-        some = slice(1, self.width)
-        q[:, some] += np.outer(v[:, 0], moved)
-        v[:, some] += np.outer(state.observed.acc[0, :, 0], moved)
-        return q, v
+        ends = q.copy(), v.copy(), energy.copy()
+        for end, rate in zip(ends, (v[:, 0], state.observed.acc[0, :, 0], state.power[0, :, 0]), strict=True):
+            end[:, 1 : self.width] += np.outer(rate, moved)
+        return ends
 
     def _crossing(self, event: Event, q: np.ndarray, v: np.ndarray) -> Crossing:
         """Return the time of an event and its derivatives, ``-g_p / g_t`` for the expression g that crosses zero."""
         here = self.evaluated(np.array([event.time]), None, q[None], v[None], None)
-        slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name), self.width - 1)
+        slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))
         value = series_of(event.expression, here, slopes)
         acc = here.observed.acc[0, :, 0]
         unit = self.spec.time.step or 1e-3
@@ -272,7 +276,7 @@ class _Pass:
             part = slice(done, None)
             rest = states._replace(
                 solver=self.steps.run.solver, time=states.time[part], q=states.q[part], v=states.v[part],
-                observed=states.observed.rows(part),
+                observed=states.observed.rows(part), power=states.power[part],
             )  # fmt: skip
             pinned = PinnedBundle(rest)
             status, row = observe_duals(pinned.address)
@@ -284,7 +288,7 @@ class _Pass:
         observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
         return States(
             self.workspace, time, weight, np.asarray(q[..., some]), np.asarray(v[..., some]),
-            None if energy is None else np.asarray(energy[..., some]), observed,
+            None if energy is None else np.asarray(energy[..., some]), observed, np.asarray(states.power[..., some]),
         )  # fmt: skip
 
     def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
@@ -298,15 +302,27 @@ class _Pass:
         self.steps.take_up_solver()
 
 
-def events_of(spec: RunSpec) -> list[Event]:
-    """Run a spec, and return its events in order of time; raise RunError if the run stops early."""
+def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
+    """Run a spec, in steps of given `sizes` if any, and return its events in order of time.
+
+    Raises
+    ------
+    RunError
+        If the run stops early.
+    """
     workspace, _ = build(spec)
+    method = make_method(spec)
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     watched = [
         Watched(name, expression, spec.events[name].direction, spec.events[name].action)
         for name, expression in spec.watched().items()
     ]
-    watch = Watch(start_method(make_method(spec), workspace, table), workspace, watched)
+    stepper = (
+        start_method(method, workspace, table)
+        if sizes is None
+        else start_differentiated(method, workspace, table, NO_SEEDS, with_nodes=False, sizes=sizes)
+    )
+    watch = Watch(stepper, workspace, watched)
     crossings: list[Found] = []
     while not (watch.finished or watch.failure):
         watch.advance()
@@ -318,7 +334,7 @@ def events_of(spec: RunSpec) -> list[Event]:
     return [Event(one.name, one.time, expressions[one.name], end) for one, end in zip(crossings, stops, strict=True)]
 
 
-def _joined(parts: Sequence[States]) -> States:
+def joined_states(parts: Sequence[States]) -> States:
     """Return the same states with the derivatives of several passes."""
 
     def together(arrays: Sequence[np.ndarray]) -> np.ndarray:
@@ -330,4 +346,6 @@ def _joined(parts: Sequence[States]) -> States:
         first.workspace, first.time, first.weight,
         together([one.q for one in parts]), together([one.v for one in parts]), energy,
         Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True))),
+        together([one.power for one in parts]),
+        {name: together([one.actuators[name] for one in parts]) for name in first.actuators},
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -37,6 +37,10 @@ class States:
         (T, 2, 1 + K) work and dissipated energy [J]; None where they are not known.
     observed
         Accelerations, reactions, forces, markers and energies.
+    power
+        (T, 2, 1 + K) power of loads, drivers and active laws, and the dissipated power [W].
+    actuators
+        (T, 2, 1 + K) value and power of each actuator of inverse dynamics, by name.
     """
 
     workspace: Workspace
@@ -46,6 +50,8 @@ class States:
     v: np.ndarray
     energy: np.ndarray | None
     observed: Observed
+    power: np.ndarray
+    actuators: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @cached_property
     def reactions(self) -> np.ndarray:
@@ -114,6 +120,9 @@ def _columns(states: States, quantity: Quantity) -> Mapping[str, Callable[[], np
             "position": lambda: observed.markers[:, k, :2],
             "velocity": lambda: observed.markers[:, k, 2:],
         }
+    if quantity.kind == "actuators":
+        own = states.actuators[quantity.name]
+        return {"value": lambda: own[:, 0], "power": lambda: own[:, 1]}
     return _energies(states)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,12 @@ from mbdkit.gradients.differentiated_expressions import (
     of_measure,
     slopes_of,
 )
-from mbdkit.gradients.differentiated_run import differentiated_run, plain_run, refuse
+from mbdkit.gradients.differentiated_run import DifferentiatedRun, differentiated_run, plain_run, refuse
 from mbdkit.gradients.differentiated_states import require_derivative
-from mbdkit.gradients.gradient_check import Direction, GradientCheck, check_gradient
+from mbdkit.gradients.gradient_check import Direction, GradientCheck, Measured, Settings, check_gradient
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, uses_nodes
+from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
@@ -31,6 +32,8 @@ from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.plain_data import path_text
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.run_source import RunSource
+from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.stepping.dual_run import NO_SEEDS
 
 
 @dataclass(frozen=True)
@@ -159,9 +162,9 @@ def gradient(
     chosen = resolved(spec, [parameters] if isinstance(parameters, str) else list(parameters))
     definitions = definitions_of(spec, measures)
     for expression in expressions_of(spec, definitions).values():
-        _require_derivatives(expression)
+        require_derivatives(expression)
     with one_thread_of_linear_algebra():
-        return _gradient(spec, definitions, chosen, check=check)
+        return gradient_of_run_spec(spec, definitions, chosen, check=check)
 
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
@@ -179,7 +182,7 @@ def check_gradients(spec: RunSpec, method: Method) -> None:
         resolved(spec, spec.gradients)
         for name, one in expressions_of(spec, definitions_of(spec, list(spec.measures))).items():
             try:
-                _require_derivatives(one)
+                require_derivatives(one)
             except SpecError as error:
                 raise SpecError(error.message, key=path_text(("measures", name))) from None
         refuse(spec, method)
@@ -187,7 +190,8 @@ def check_gradients(spec: RunSpec, method: Method) -> None:
         raise spec.placed(error) from None
 
 
-def _require_derivatives(expression: MeasureExpression) -> None:
+def require_derivatives(expression: MeasureExpression) -> None:
+    """Raise SpecError if a quantity in an expression has no derivative, whatever the mechanism."""
     for quantity in expression.quantities:
         require_derivative(quantity)
 
@@ -197,7 +201,7 @@ def gradients_json(spec: RunSpec) -> str:
     try:
         with one_thread_of_linear_algebra():
             definitions = definitions_of(spec, list(spec.measures))
-            found = _gradient(spec, definitions, resolved(spec, spec.gradients), check=True)
+            found = gradient_of_run_spec(spec, definitions, resolved(spec, spec.gradients), check=True)
     except (RunError, SpecError) as error:
         text = {name: {"reason": str(error)} for name in spec.measures}
     else:
@@ -205,39 +209,75 @@ def gradients_json(spec: RunSpec) -> str:
     return json.dumps(text, ensure_ascii=False, allow_nan=False)
 
 
-def _gradient(spec: RunSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool) -> Gradient:
+def gradient_of_run_spec(
+    spec: RunSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool, by_rows: bool = False
+) -> Gradient:
+    """Return the gradient of measures of a run; see `gradient`.
+
+    Parameters
+    ----------
+    by_rows
+        Whether integrals over time are those of the recorded rows, as in the measures of a run.
+    """
     prepared = prepared_derivatives(spec, parameters, definitions)
-    expressions, count = expressions_of(spec, definitions), len(parameters)
-    with_nodes = any(map(uses_nodes, expressions.values()))
-    measure = MeasureOfRun(differentiated_run(spec, prepared.seeds, count, with_nodes=with_nodes))
-    values, slopes, doubts, sizes = [], [], [], []
+    expressions = expressions_of(spec, definitions)
+    with_nodes = not by_rows and any(map(uses_nodes, expressions.values()))
+    run = differentiated_run(spec, prepared.seeds, with_nodes=with_nodes)
+    specs = VariedSpecs(spec.canonical_json())
+
+    def measured(settings: Settings) -> list[float]:
+        return _values(specs.spec(settings), definitions, with_nodes, run.sizes)
+
+    return gradient_of_run(run, expressions, parameters, prepared, measured if check else None)
+
+
+def gradient_of_run(
+    run: DifferentiatedRun,
+    expressions: Mapping[str, MeasureExpression],
+    parameters: Sequence[Parameter],
+    prepared: PreparedDerivatives,
+    measured: Measured | None,
+) -> Gradient:
+    """Return the gradient of measures of a differentiated run.
+
+    Parameters
+    ----------
+    run
+        The run, with derivatives by the parameters.
+    expressions
+        The measures by name.
+    parameters, prepared
+        The parameters, and the derivatives of the preparation.
+    measured
+        Returns the measures for other values of the parameters, for the check; None: the gradient is not checked.
+    """
+    values, slopes, doubts, sizes = [], [], [], {}
+    measure = MeasureOfRun(run)
     for name, one in expressions.items():
-        value, slope = measure.of(one, slopes_of(one.program, prepared.seeds, of_measure(name), count))
-        values.append(value)
+        found, slope = measure.of(one, slopes_of(one.program, prepared.seeds, of_measure(name)))
+        values.append(found)
         slopes.append(slope)
-        sizes.append(max(abs(value), measure.size))
+        sizes[name] = max(abs(found), measure.size)
         doubts += measure.doubts
-    gradient = Gradient(
+    value, jacobian = np.array(values), np.array(slopes).reshape(len(values), len(parameters))
+    check = None
+    if measured is not None:
+        check = check_gradient(Direction.random(parameters, prepared), measured, sizes, value, jacobian)
+    return Gradient(
         tuple(expressions), tuple(one.unit.text for one in expressions.values()), tuple(one.name for one in parameters),
-        np.array(values), np.array(slopes).reshape(len(values), count), prepared.error, tuple(doubts), None,
+        value, jacobian, prepared.error, tuple(doubts), check,
     )  # fmt: skip
-    if not check:
-        return gradient
-
-    def measured(specs: Sequence[RunSpec]) -> np.ndarray:
-        return np.array([_values(one, definitions, with_nodes=with_nodes) for one in specs])
-
-    direction = Direction.random(spec, parameters, prepared)
-    named = dict(zip(expressions, sizes, strict=True))
-    return replace(gradient, check=check_gradient(direction, measured, named, gradient.value, gradient.jacobian))
 
 
-def _values(spec: RunSpec, definitions: Definitions, *, with_nodes: bool) -> list[float]:
-    """Return the measures of a run; nan if it stops early."""
+def _values(spec: RunSpec, definitions: Definitions, with_nodes: bool, sizes: Sequence[float] | None) -> list[float]:
+    """Return the measures of a run, whose steps have given `sizes` if its method controls them; nan if it stops early.
+
+    A step size that depended on the parameters would add a multiple of the tolerance to their differences.
+    """
     try:
-        needs_more = with_nodes or spec.events
+        needs_more = with_nodes or spec.events or sizes is not None
         measure = MeasureOfRun(
-            differentiated_run(spec, {}, 0, with_nodes=with_nodes) if needs_more else plain_run(spec)
+            differentiated_run(spec, NO_SEEDS, with_nodes=with_nodes, sizes=sizes) if needs_more else plain_run(spec)
         )
     except RunError:
         return [np.nan] * len(definitions)

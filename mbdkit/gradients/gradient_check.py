@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.gradients.gradient_parameters import Parameter
-from mbdkit.gradients.prepared_derivatives import PreparedDerivatives
-from mbdkit.spec import RunSpec
-from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.gradients.parameter_differences import PreparedDerivatives
+from mbdkit.plain_data import Path
 
 STEPS = (1e-4, 2e-4)
 """Distances of the runs from the parameters, as shares of these."""
@@ -27,6 +26,12 @@ ALLOWED = 10.0
 
 SMALLEST = 1e-7
 """A deviation below this share of the sum of the terms of the derivative is always allowed."""
+
+Settings = Sequence[tuple[Path, float]]
+"""Key paths and their values."""
+
+Measured = Callable[[Settings], Sequence[float]]
+"""Returns the measures of a run with these values, nan if it stops early."""
 
 
 @dataclass(frozen=True)
@@ -68,19 +73,25 @@ class GradientCheck:
         """Whether all measures agree."""
         return bool(np.all(self.agrees))
 
+    @property
+    def disagreements(self) -> tuple[str, ...]:
+        """What disagrees, one sentence for each measure."""
+        return tuple(self._told(m) for m in range(len(self.names)) if not self.agrees[m])
+
     def __str__(self) -> str:
-        lines = []
-        for m, name in enumerate(self.names):
-            if np.isnan(self.derivative[m]):
-                lines.append(f"{name}: there is no derivative to check")
-                continue
-            verb = "agrees with" if self.agrees[m] else "DISAGREES with"
-            lines.append(
-                f"{name}: the derivative in a random direction, {self.derivative[m]:.10g}, {verb} differences of runs, "
-                f"{self.extrapolated[m]:.10g} (estimated error {self.error[m]:.1g}; at the two distances "
-                f"{self.differences[0, m]:.10g} and {self.differences[1, m]:.10g})"
-            )
-        return "\n".join(lines)
+        return "\n".join(map(self._told, range(len(self.names))))
+
+    def _told(self, m: int) -> str:
+        """Return the check of one measure as text."""
+        name = self.names[m]
+        if np.isnan(self.derivative[m]):
+            return f"{name}: there is no derivative to check"
+        verb = "agrees with" if self.agrees[m] else "DISAGREES with"
+        return (
+            f"{name}: the derivative in a random direction, {self.derivative[m]:.10g}, {verb} differences of runs, "
+            f"{self.extrapolated[m]:.10g} (estimated error {self.error[m]:.1g}; at the two distances "
+            f"{self.differences[0, m]:.10g} and {self.differences[1, m]:.10g})"
+        )
 
 
 @dataclass(frozen=True)
@@ -89,51 +100,43 @@ class Direction:
 
     Attributes
     ----------
-    spec, parameters
-        The spec and its K parameters.
+    parameters
+        The K parameters.
     change
         (K,) change of each parameter: its size with a random sign, or the sign that keeps the spec valid.
     is_one_sided
         Whether the spec is valid for changes in this direction only, but not in the opposite one.
     """
 
-    spec: RunSpec
     parameters: Sequence[Parameter]
     change: np.ndarray
     is_one_sided: bool
 
     @classmethod
-    def random(cls, spec: RunSpec, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> Direction:
+    def random(cls, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> Direction:
         """Return a random direction, the same one in every call."""
         signs = np.random.default_rng(18).choice([-1.0, 1.0], size=len(parameters))
         signs = np.where(prepared.side != 0, prepared.side, signs)
-        return cls(spec, parameters, signs * prepared.scale, bool(np.any(prepared.side)))
+        return cls(parameters, signs * prepared.seeds.scale, bool(np.any(prepared.side)))
 
-    def differences(self, measured: Callable[[Sequence[RunSpec]], np.ndarray], value: np.ndarray) -> np.ndarray:
+    def differences(self, measured: Measured, value: np.ndarray) -> np.ndarray:
         """Return differences (2, M) of second order, at both `STEPS`; `value` (M,) is that of the spec itself."""
-        specs = VariedSpecs(self.spec.canonical_json())
         places = (1, 2) if self.is_one_sided else (-1, 1)
-        runs = measured(
-            [
-                specs.spec(
-                    [
-                        (one.path, one.value + place * step * change)
-                        for one, change in zip(self.parameters, self.change, strict=True)
-                    ]
-                )
-                for step in STEPS
-                for place in places
-            ]
-        )
+        runs = np.array([measured(self._settings(place * step)) for step in STEPS for place in places])
         first, second, steps = runs[::2], runs[1::2], np.array(STEPS)[:, None]
         if self.is_one_sided:
             return np.asarray((4.0 * (first - value) - (second - value)) / (2.0 * steps))
         return np.asarray((second - first) / (2.0 * steps))
 
+    def _settings(self, share: float) -> Settings:
+        return [
+            (one.path, one.value + share * change) for one, change in zip(self.parameters, self.change, strict=True)
+        ]
+
 
 def check_gradient(
     direction: Direction,
-    measured: Callable[[Sequence[RunSpec]], np.ndarray],
+    measured: Measured,
     sizes: Mapping[str, float],
     value: np.ndarray,
     jacobian: np.ndarray,
@@ -143,7 +146,7 @@ def check_gradient(
     Parameters
     ----------
     measured
-        Returns the measures (N, M) of N runs.
+        Returns the measures for other values of the parameters.
     sizes
         Sizes of the numbers that each measure is computed from, by its name.
     value, jacobian

@@ -9,7 +9,7 @@ from typing import Any
 
 from mbdkit.errors import SpecError
 from mbdkit.plain_data import Path, found, path_text
-from mbdkit.spec import RunSpec
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.text import did_you_mean, listed
 
@@ -36,7 +36,7 @@ class Parameter:
     value: float
 
 
-def resolved(spec: RunSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
+def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     """Return the parameters with these names: keys of `parameters`, or key paths that begin with ``model.``.
 
     Raises
@@ -56,7 +56,7 @@ def resolved(spec: RunSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     return tuple(_resolved(spec, data, name) for name in names)
 
 
-def _resolved(spec: RunSpec, data: dict[str, Any], name: str) -> Parameter:
+def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     if name in spec.parameters:
         value = spec.parameters[name]
         if isinstance(value, str):
@@ -89,7 +89,7 @@ def _resolved(spec: RunSpec, data: dict[str, Any], name: str) -> Parameter:
     return Parameter(name, path, float(holder))
 
 
-def _unknown(spec: RunSpec, name: str) -> Parameter:
+def _unknown(spec: ModelSpec, name: str) -> Parameter:
     known = list(spec.parameters)
     told = f"; parameters: {listed(known)}" if known else "; the spec has no `parameters`"
     hint = did_you_mean(name, known) or told

@@ -85,15 +85,16 @@ class MeasureOfRun:
         if operation == "t":
             rows = Value.constant(self.run.rows.time, self.count)
             rows.slope[:, -1] = self.run.end
-            stack.append(_Operand(rows, Value.constant(self.run.nodes.time, self.count)))
+            nodes = self.run.nodes
+            stack.append(_Operand(rows, None if nodes is None else Value.constant(nodes.time, self.count)))
         elif operation == "get":
             quantity = expression.quantities[int(number)]
             if quantity.kind == "events":
                 stack.append(_same(self._of_event(quantity)))
                 return
-            known = quantity.attribute not in ("work", "dissipated", "balance")
-            nodes_of = quantity_of(self.run.nodes, quantity) if known else None
-            stack.append(_Operand(quantity_of(self.run.rows, quantity), nodes_of))
+            rows, nodes = quantity_of(self.run.rows, quantity), self.run.nodes
+            known = nodes is not None and quantity.attribute not in ("work", "dissipated", "balance")
+            stack.append(_Operand(rows, quantity_of(nodes, quantity) if known else None))  # type: ignore[arg-type]
         elif operation == REDUCE + "at":
             time, operand = stack.pop().rows, stack.pop().rows
             stack.append(_same(self._at(time, operand)))
@@ -145,10 +146,9 @@ class MeasureOfRun:
         if name in ("max", "min"):
             return self._extremum(name, rows, expression)
         square = name == "rms"
-        if operand.nodes is not None:
+        weight = None if self.run.nodes is None else self.run.nodes.weight
+        if operand.nodes is not None and weight is not None:
             values = of_two("mul", operand.nodes, operand.nodes) if square else operand.nodes
-            weight = self.run.nodes.weight
-            assert weight is not None
             total = Value((values.value @ weight)[..., None], (values.slope @ weight)[..., None])
             last = of_two("mul", rows, rows)[-1:].value if square else rows[-1:].value
             total = Value(total.value, total.slope + np.multiply.outer(self.run.end, last))

@@ -180,13 +180,18 @@ def compute(problem: InverseProblem) -> Inverse:
 
 
 def _of_fitted(problem: InverseProblem, fitted: Fitted) -> Inverse:
+    independent, motion = motion_of(problem, fitted)
+    return forces_of(problem, fitted, independent, motion)
+
+
+def motion_of(problem: InverseProblem, fitted: Fitted) -> tuple[Independent | None, Motion]:
+    """Return the motion of a fitted mechanism, and its independent coordinates unless derivatives were given."""
     fitter, measured = problem.fitter, fitted.measured
     if measured.derivatives is not None:
-        return forces_of(problem, fitted, None, motion_of_derivatives(fitter.manifold, measured, fitted.q))
+        return None, motion_of_derivatives(fitter.manifold, measured, fitted.q)
     independent = independent_coordinates(fitter, measured, fitted.q, problem.names.candidates())
     series = smoothed(measured.time, independent.quantities.values(fitted.q), problem.spec.motion.smooth)
-    motion = motion_of_series(fitter, independent, measured.time, fitted.q, series)
-    return forces_of(problem, fitted, independent, motion)
+    return independent, motion_of_series(fitter, independent, measured.time, fitted.q, series)
 
 
 def forces_of(problem: InverseProblem, fitted: Fitted, independent: Independent | None, motion: Motion) -> Inverse:

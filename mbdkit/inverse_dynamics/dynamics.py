@@ -17,7 +17,7 @@ import numpy as np
 from mbdkit.errors import RunError, SpecError
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads
-from mbdkit.inverse_dynamics.manifold import Directions
+from mbdkit.inverse_dynamics.manifold import Directions, Manifold
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.spec.named_actuators import NamedActuator
@@ -69,25 +69,73 @@ def solve_dynamics(
     """
     manifold = fitter.manifold
     frames = manifold.frames(motion.time, motion.q, motion.v, forces=True)
-    directions = manifold.directions(frames.jacobian)
-    _require_regular(directions, motion)
-    needed = manifold.mass * motion.a - frames.force - loads.generalized
-    columns = np.swapaxes(Quantities([one.quantity for one in actuators]).jacobian(motion.q), 1, 2)  # (T, n, U)
-    free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)  # (T, f, n)
-    weight = np.array([one.weight / (manifold.length if one.unit == "N m" else 1.0) for one in actuators])
-    effect = (free @ columns) / weight
-    rank = _rank(fitter, directions, effect, motion, report)
-    right = (free @ needed[..., None])[..., 0]
-    inverse = np.linalg.pinv(effect, rcond=WEAK)
-    scaled = (inverse @ right[..., None])[..., 0]
-    scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]  # rounding errors
-    value = scaled / weight
-    pushed = (columns @ value[..., None])[..., 0]
-    left = right - (effect @ scaled[..., None])[..., 0]
-    unbalanced = (directions.free @ left[..., None])[..., 0] / np.where(manifold.scale > 0, manifold.scale, 1.0)
-    lam = directions.multipliers(pushed - needed)
-    power = value * (np.swapaxes(columns, 1, 2) @ motion.v[..., None])[..., 0]
+    balance = Balance(manifold, motion, actuators, manifold.directions(frames.jacobian))
+    rank = _rank(fitter, balance.directions, balance.effect, motion, report)
+    value, lam, unbalanced = balance.solved(manifold.mass * motion.a - frames.force - loads.generalized)
+    power = value * (np.swapaxes(balance.columns, 1, 2) @ motion.v[..., None])[..., 0]
     return Dynamics(value, power, lam, unbalanced, len(actuators) - rank)
+
+
+class Balance:
+    """Solves for actuators and multipliers of a motion in T frames.
+
+    Parameters
+    ----------
+    manifold
+        The constraints of the mechanism.
+    motion
+        The motion.
+    actuators
+        The U actuators.
+    directions
+        Free directions of the motion.
+
+    Attributes
+    ----------
+    columns
+        (T, n, U) generalized forces of unit actuators.
+    effect
+        (T, f, U) their effect on the free directions, by the weights of the actuators.
+
+    Raises
+    ------
+    RunError
+        If the mechanism passes a singular position, where reactions are not determined.
+    """
+
+    def __init__(self, manifold: Manifold, motion: Motion, actuators: Sequence[NamedActuator], directions: Directions):
+        _require_regular(directions, motion)
+        self.directions, self._scale = directions, manifold.scale
+        self.columns = columns_of(motion.q, actuators)
+        self._free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)  # (T, f, n)
+        self._weight = weights_of(manifold, actuators)
+        self.effect = (self._free @ self.columns) / self._weight
+        self._inverse: np.ndarray | None = None
+
+    def solved(self, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return values (T, U), multipliers (T, m) and unbalanced forces (T, n) for needed forces (T, n)."""
+        if self._inverse is None:
+            self._inverse = np.linalg.pinv(self.effect, rcond=WEAK)
+        inverse, effect = self._inverse, self.effect
+        right = (self._free @ needed[..., None])[..., 0]
+        scaled = (inverse @ right[..., None])[..., 0]
+        scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]  # rounding errors
+        value = scaled / self._weight
+        pushed = (self.columns @ value[..., None])[..., 0]
+        left = right - (effect @ scaled[..., None])[..., 0]
+        size = np.where(self._scale > 0, self._scale, 1.0)
+        unbalanced = (self.directions.free @ left[..., None])[..., 0] / size
+        return value, self.directions.multipliers(pushed - needed), unbalanced
+
+
+def columns_of(q: np.ndarray, actuators: Sequence[NamedActuator]) -> np.ndarray:
+    """Return the generalized forces (T, n, U) of unit actuators at positions (T, n)."""
+    return np.swapaxes(Quantities([one.quantity for one in actuators]).jacobian(q), 1, 2)
+
+
+def weights_of(manifold: Manifold, actuators: Sequence[NamedActuator]) -> np.ndarray:
+    """Return the weights (U,) of actuators, those of torques per characteristic length."""
+    return np.array([one.weight / (manifold.length if one.unit == "N m" else 1.0) for one in actuators])
 
 
 def _require_regular(directions: Directions, motion: Motion) -> None:

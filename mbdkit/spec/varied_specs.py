@@ -8,6 +8,7 @@ from typing import Any
 
 from mbdkit.plain_data import Path, copied, plain
 from mbdkit.spec.choices import registry_of
+from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.reading import put
 from mbdkit.spec.registry_lookup import RegistryLookup
 from mbdkit.spec.run_spec import RunSpec
@@ -61,3 +62,13 @@ class VariedSpecs:
             put(data, path, value)
         text = json.dumps(plain(data["model"]), allow_nan=False)
         return pattern.with_model(type(pattern.model).model_validate_json(text, context=self._context))
+
+
+def varied_inverse(spec: InverseSpec, values: Sequence[tuple[Path, Any]]) -> InverseSpec:
+    """Return a spec of inverse dynamics with values at key paths; raise SpecError if it is not valid."""
+    data = json.loads(spec.canonical_json())
+    for path, value in values:
+        put(data, path, value)
+    varied = InverseSpec(**data)
+    varied._document = spec._document
+    return varied

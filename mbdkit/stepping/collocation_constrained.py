@@ -119,8 +119,11 @@ def evaluate_residual(c, m, t, h):
 
 
 @subkernel
-def _change_shift(c, m, h):
-    """Change mu so that both constraints can be met, and the residual by the positions that move with it (ggl)."""
+def change_shift(c, m, h, source, acc):
+    """Change mu so that both constraints can be met, and the residual by the positions that move with it (ggl).
+
+    The terms of the tangents are in `source`; `acc` (3 (B + 1),) is a work array.
+    """
     top, w = c.top, c.w
     room = m.constraints
     shift, shift_change = room.shift, room.shift_change
@@ -135,7 +138,7 @@ def _change_shift(c, m, h):
                 for j in range(s):
                     total += m.rk.inverse[i, j] / h * room.phi[j, k, r]
                 w.gamma[k, r] = total
-        status = solve_system(c.still, w, c.solver, False, m.tangent.acc, m.pairs, False)
+        status = solve_system(c.still, w, c.solver, False, acc, m.pairs, False)
         if status != OK:
             return status
         for d in range(n3):
@@ -162,7 +165,7 @@ def _change_shift(c, m, h):
         terms = room.by_position
         for e in range(len(terms)):
             factor = 1.0 if terms[e, 3] == STIFFNESS else -0.5
-            m.residual[i, terms[e, 1]] += factor * w.source[terms[e, 0]] * m.spread[i, terms[e, 2]]
+            m.residual[i, terms[e, 1]] += factor * source[terms[e, 0]] * m.spread[i, terms[e, 2]]
     return OK
 
 
@@ -182,7 +185,7 @@ def _changes(c, m, t, h, rough):
     """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
     evaluate_residual(c, m, t, h)
     if m.settings.formulation[0] == GGL:
-        status = _change_shift(c, m, h)
+        status = change_shift(c, m, h, c.w.source, m.tangent.acc)
         if status != OK:
             return status
     newton_changes(c, m, h, right_side)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +21,13 @@ from mbdkit.stepping.dual_explicit import dual_explicit, explicit_step
 from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import StepTaken, Timetable
+from mbdkit.stepping.run_state import PROJECTIONS
 
 if TYPE_CHECKING:
     from mbdkit.stepping.step_control import Control
+
+ANY_ERROR = 1e30
+"""Factor of the tolerances of the local error with which every step is accepted."""
 
 
 class NoDerivativeError(MbdkitError, ValueError):
@@ -83,16 +89,29 @@ class DifferentiatedSteps:
         self._stages = PinnedBundle(new)
         self._kernel = constrained_step if method.formulation.solves_multipliers else index1_step
 
-    def step(self, run_state: int, t: float, h: float, row: int) -> None:
-        """Differentiate the step of size `h` from `t` that the run at this address has taken, and record its end.
+    def step(self, run_state: int, step: tuple[float, float], row: int, *, projected: bool) -> None:
+        """Differentiate a step that the run has taken, and record its end.
+
+        Parameters
+        ----------
+        run_state
+            Address of the run.
+        step
+            Start and size of the step [s].
+        row
+            Place where its end is recorded; -1 if it is not.
+        projected
+            Whether the run has projected its end onto the constraints.
 
         Raises
         ------
         StepError
             If its derivatives cannot be computed.
         """
+        t, h = step
         self.take_up_solver()
         self._make_room(row)
+        self.run.projected[0] = projected
         if isinstance(self.method, CompiledExplicit):
             status = explicit_step(self._pinned.address, run_state, self._stages.address, t, h, row)
         else:
@@ -162,13 +181,17 @@ class DifferentiatedStepper(CompiledStepper):
         See `CompiledStepper`. The step sizes of `control` are not differentiated.
     seeds
         Derivatives of mechanism and start by up to `DIRECTIONS` parameters.
-    rows, nodes
-        Number of recorded states without the first, and of stages that are kept.
+    with_nodes
+        Whether the stages are kept as nodes of integrals.
+    sizes
+        Sizes of the steps [s], in place of those that `control` would choose.
 
     Attributes
     ----------
     recorded
         Number of states recorded so far, without the first.
+    sizes_taken
+        Sizes of the steps so far [s].
     """
 
     def __init__(
@@ -178,22 +201,29 @@ class DifferentiatedStepper(CompiledStepper):
         timetable: Timetable,
         control: Control | None,
         seeds: Seeds,
-        rows: int,
-        nodes: int,
+        *,
+        with_nodes: bool,
+        sizes: Sequence[float] | None = None,
     ):
         self.steps: DifferentiatedSteps | None = None
         self.recorded = 0
+        self.sizes_taken: list[float] = []
+        self._sizes = sizes if control is not None else None
+        if control is not None and self._sizes is not None:
+            control = replace(control, scale=ANY_ERROR)
         super().__init__(method, workspace, timetable, control)
-        self.steps = DifferentiatedSteps(method, workspace, seeds, rows, nodes)
+        rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
+        self.steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
 
     def _memory(self) -> tuple[np.ndarray, ...]:
         own = () if self.steps is None else self.steps.memory
         return (*super()._memory(), *own)
 
     def _retake(self, step: StepTaken, theta: float) -> bool:
-        recorded = self.recorded
+        recorded, taken, sizes = self.recorded, self.sizes_taken, self._sizes
+        self.sizes_taken, self._sizes = [], None
         done = super()._retake(step, theta)
-        self.recorded = recorded  # its end is no recorded state
+        self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes  # its end is no recorded state
         return done
 
     def derivatives_within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -243,11 +273,19 @@ class DifferentiatedStepper(CompiledStepper):
         )
         count = 0
         while True:
-            before = int(progress.accepted[0])
+            before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
+            if self._sizes is not None and progress.retrying[0] == 0:
+                progress.next_size[0] = self._sizes[min(before, len(self._sizes) - 1)]
             status, written = super()._drive(plan, 1)
             if int(progress.accepted[0]) > before:
-                t, h = float(progress.tried_begin[0]), float(progress.last_size[0])
-                self.steps.step(self._pinned_state.address, t, h, self.recorded if written else -1)
+                step = float(progress.tried_begin[0]), float(progress.last_size[0])
+                self.sizes_taken.append(step[1])
+                self.steps.step(
+                    self._pinned_state.address,
+                    step,
+                    self.recorded if written else -1,
+                    projected=int(c.counts[PROJECTIONS]) > projections,
+                )
             if written:
                 self.recorded += 1
                 count += 1

@@ -12,20 +12,20 @@ import numpy as np
 from mbdkit.engine.jit import dual_complex  # noqa: F401  arithmetic that the kernels of this module use
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
-from mbdkit.engine.jit.dual_types import larger_derivatives, largest_quotient, with_value
+from mbdkit.engine.jit.dual_types import with_value
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.stepping import collocation_constrained, collocation_index1
-from mbdkit.stepping.collocation_stages import NEWTON, Stages, example_stages, load_stages
-from mbdkit.stepping.collocation_step import increments, keep_stages
-from mbdkit.stepping.dual_run import advance, load_dual_run, take_base, with_derivatives
+from mbdkit.stepping.collocation_stages import GGL, INDEX_3, NEWTON, Stages, example_stages, load_stages
+from mbdkit.stepping.collocation_step import evaluate_stages, increments, keep_stages
+from mbdkit.stepping.dual_run import advance, load_dual_run, relative_change, take_base, with_derivatives
 from mbdkit.stepping.run_state import load_run_state
 from mbdkit.stepping.simplified_newton import newton_changes
-from mbdkit.stepping.stage_polynomials import dense_gains, extrapolate, extrapolation_weights, stage_states
+from mbdkit.stepping.stage_polynomials import dense_gains, extrapolate, extrapolation_weights
 
-MOST_ITERATIONS = 60
+MOST_ITERATIONS = 100
 SMALL = 1e-14
 """Relative change of the derivatives of a step at which the iteration ends, by its rate of convergence."""
-STALLED, NEGLIGIBLE = 0.5, 1e-5
+STALLED, NEGLIGIBLE = 0.5, 1e-9
 """A change that shrinks by less than the first is round-off if it is below the second."""
 
 
@@ -67,18 +67,51 @@ def _take_values(m, k):
         for p in range(len(m.lam[0])):
             for r in range(2):
                 m.lam[i, p, r] = with_value(m.lam[i, p, r], k.lam[i, p, r])
+    _take_shifts(m, k)
+
+
+@subkernel
+def _take_shifts(m, k):
+    """Copy the values of the additional multipliers of ggl, and of the shifts of positions, from those of the run."""
+    for i in range(len(m.constraints.shift)):
+        for d in range(len(m.acc[0])):
+            m.constraints.shift[i, d] = with_value(m.constraints.shift[i, d], k.constraints.shift[i, d])
+        for p in range(len(m.lam[0])):
+            for r in range(2):
+                m.constraints.mu[i, p, r] = with_value(m.constraints.mu[i, p, r], k.constraints.mu[i, p, r])
 
 
 @subkernel
 def _change_accelerations(m, k):
-    """Change the derivatives of the accelerations; return the largest change relative to the largest derivative."""
-    change, size = m.change[0, 0], m.acc[0, 0]
+    """Change the derivatives of the accelerations of the stages."""
     for i in range(len(m.change)):
         for d in range(len(m.acc[0]) - 3):
             m.acc[i, d] = with_value(m.acc[i, d] + m.change[i, d], k.acc[i, d])
-            change = larger_derivatives(change, m.change[i, d])
-            size = larger_derivatives(size, m.acc[i, d])
-    return largest_quotient(change, size)
+
+
+@subkernel
+def _index1_size(c, m, h):
+    """Return the relative change of the derivatives of the accelerations."""
+    now = 0.0
+    for i in range(len(m.change)):
+        now = max(now, relative_change(c, m.change[i], m.acc[i], 1.0))
+    return now
+
+
+@subkernel
+def _constrained_size(c, m, h):
+    """Return the relative change of the derivatives of the positions (index 3), or of the velocities.
+
+    Multipliers and accelerations have the round-off of positions over h^2, or of velocities over h.
+    """
+    now = 0.0
+    in_position = m.settings.formulation[0] == INDEX_3
+    for i in range(len(m.change)):
+        state = m.q_stage[i] if in_position else m.v_stage[i]
+        now = max(now, relative_change(c, m.change[i], state, h * h if in_position else h))
+    for i in range(len(m.constraints.shift)):
+        now = max(now, relative_change(c, m.constraints.shift_change[i], m.v_stage[i], 1.0))
+    return now
 
 
 @subkernel
@@ -102,6 +135,11 @@ def _index1_changes(c, n, m, k, t, h):
 def _constrained_changes(c, n, m, k, t, h):
     """Write the changes of the derivatives of the stages by one iteration, and change the multipliers."""
     collocation_constrained.evaluate_residual(c, m, t, h)
+    if m.settings.formulation[0] == GGL:
+        status = collocation_constrained.change_shift(c, m, h, n.w.source, c.push)
+        if status != OK:
+            return status
+        _take_shifts(m, k)
     newton_changes(n, m, h, collocation_constrained.right_side)
     for i in range(len(m.change)):
         for p in range(len(c.top.pairs)):
@@ -112,8 +150,8 @@ def _constrained_changes(c, n, m, k, t, h):
 
 
 @inlined
-def _step(dual, run, method, plain, t, h, row, changes, powers):
-    """Differentiate a step; `changes` and `powers` belong to the formulation."""
+def _step(dual, run, method, plain, t, h, row, changes, size, powers):
+    """Differentiate a step; `changes`, `size` and `powers` belong to the formulation."""
     c, n, m, k = load_dual_run(dual), load_run_state(run), load_dual_stages(method), load_stages(plain)
     take_base(c, n)
     _predict(m, t, h)
@@ -121,11 +159,12 @@ def _step(dual, run, method, plain, t, h, row, changes, powers):
     before = 0.0
     converged = False
     for iteration in range(MOST_ITERATIONS):
-        stage_states(c, m, h)
+        evaluate_stages(c, m, h)
         status = changes(c, n, m, k, t, h)
         if status != OK:
             return status
-        now = _change_accelerations(m, k)
+        _change_accelerations(m, k)
+        now = size(c, m, h)
         ratio = now / before
         converges_to_it = ratio < 1.0 and now * ratio / (1.0 - ratio) < SMALL
         if now == 0.0 or (iteration > 0 and (converges_to_it or (ratio > STALLED and now < NEGLIGIBLE))):
@@ -134,7 +173,7 @@ def _step(dual, run, method, plain, t, h, row, changes, powers):
         before = now
     if not converged:
         return DIVERGED
-    stage_states(c, m, h)
+    evaluate_stages(c, m, h)
     if c.has_power[0] != 0:
         status = powers(c, m, t, h)
         if status != OK:
@@ -142,8 +181,7 @@ def _step(dual, run, method, plain, t, h, row, changes, powers):
         dense_gains(h, m.rk.b, m.power, c.gain)
     increments(c, m, h)
     keep_stages(c, m, t, h)
-    advance(c, n, row)
-    return OK
+    return advance(c, n, row)
 
 
 @kernel
@@ -157,10 +195,11 @@ def index1_step(dual, run, method, plain, t, h, row):
     row
         Place where the end of the step is recorded; -1 if it is not.
     """
-    return _step(dual, run, method, plain, t, h, row, _index1_changes, collocation_index1.stage_powers)
+    return _step(dual, run, method, plain, t, h, row, _index1_changes, _index1_size, collocation_index1.stage_powers)
 
 
 @kernel
 def constrained_step(dual, run, method, plain, t, h, row):
-    """Differentiate a step on the constraints of index 2 or 3; see `index1_step`."""
-    return _step(dual, run, method, plain, t, h, row, _constrained_changes, collocation_constrained.stage_powers)
+    """Differentiate a step on the constraints themselves: index 2, index 3 or ggl; see `index1_step`."""
+    powers = collocation_constrained.stage_powers
+    return _step(dual, run, method, plain, t, h, row, _constrained_changes, _constrained_size, powers)

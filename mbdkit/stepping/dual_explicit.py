@@ -59,5 +59,4 @@ def explicit_step(dual, run, method, t, h, row):
     add_up_stages(c, m, h)
     if c.nodes[0] != 0:
         keep_stages(c, m, t, h)
-    advance(c, n, row)
-    return OK
+    return advance(c, n, row)

@@ -7,6 +7,7 @@ The run itself is advanced as any other. After each of its steps, a kernel repea
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,13 +16,18 @@ from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.jit.dual_arrays import ITEM, Duals, new_complex_duals, new_duals
-from mbdkit.engine.jit.dual_types import with_value
+from mbdkit.engine.jit.dual_types import larger_derivatives, largest_quotient, value_of, with_value
 from mbdkit.engine.kernels.dual_observe import DualStates
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.kernels.system import Engine, Scratch, Topology
+from mbdkit.engine.kernels.projection import position_rows, rate_rows
+from mbdkit.engine.kernels.system import DIVERGED, OK, Engine, Scratch, Topology, solve_system, solved_rows
 from mbdkit.engine.workspace import Workspace, new_scratch
 from mbdkit.stepping.run_state import MODIFIED
+
+MOST_PROJECTIONS = 50
+NEGLIGIBLE = 1e-14
+"""Number of iterations of a projection, and relative change of its derivatives at which they end."""
 
 
 class DualRun(NamedTuple):
@@ -47,13 +53,16 @@ class DualRun(NamedTuple):
     dq: np.ndarray
     dv: np.ndarray
     gain: np.ndarray
+    projected: np.ndarray
+    """(1,) number: whether the run has projected the end of the step."""
+    unit: np.ndarray
+    """(1,) of the derivatives: one over the size of each parameter, 0 where there is none."""
     rest: np.ndarray
     """Zeros."""
-    new_q: np.ndarray
-    """State at the end of a step, before projection."""
-    new_v: np.ndarray
+    end_q: np.ndarray
+    """Positions at the end of a step, before projection."""
     push: np.ndarray
-    """(3 (B + 1),) and (P, 2) work arrays of projections."""
+    """(3 (B + 1),) and (P, 2) work arrays of projections, and of stages on the constraints."""
     mu: np.ndarray
     miss: np.ndarray
     counts: np.ndarray
@@ -71,9 +80,38 @@ class DualRun(NamedTuple):
     """(2,) numbers: whether the stages are kept, and how many there are in `node_time`."""
 
 
-Seeds = Mapping[str, np.ndarray]
-"""Derivatives of arrays of a `Topology` by its field, (..., K) for K parameters; arrays without derivatives are absent.
-Those of the initial state have the names ``q`` and ``v``."""
+@dataclass(frozen=True)
+class Seeds:
+    """Derivatives by K parameters of what a run begins with.
+
+    Attributes
+    ----------
+    arrays
+        Derivatives (..., K) of arrays of a `Topology` by its field, of the initial state by the names ``q`` and ``v``,
+        and of other arrays that results depend on; arrays without derivatives are absent.
+    scale
+        (K,) size of each parameter.
+    """
+
+    arrays: Mapping[str, np.ndarray]
+    scale: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of parameters."""
+        return len(self.scale)
+
+    def get(self, name: str) -> np.ndarray | None:
+        """Return the derivatives of an array; None if it has none."""
+        return self.arrays.get(name)
+
+    def only(self, some: slice) -> Seeds:
+        """Return the derivatives by some of the parameters."""
+        return Seeds({name: x[..., some] for name, x in self.arrays.items()}, self.scale[some])
+
+
+NO_SEEDS = Seeds({}, np.zeros(0))
+"""No parameters."""
 
 
 def constants(values: np.ndarray, derivatives: np.ndarray | None = None) -> Duals:
@@ -140,14 +178,16 @@ def new_dual_run(workspace: Workspace, seeds: Seeds, laws: np.ndarray, rows: int
     nothing = new_duals(2)
     size, pairs = mechanism.size, len(top.pairs)
     numbers = Engine(workspace.stepping_topology, workspace.scratch, workspace.solver)
-    vector = [new_duals(size) for _ in range(8)]
+    vector = [new_duals(size) for _ in range(7)]
+    unit = constants(np.zeros(1), 1.0 / seeds.scale[None])
     return DualRun(
         top=top, still=top._replace(gravity=nothing, baumgarte=nothing), w=dual_scratch(workspace),
         solver=new_dual_solver(numbers, mechanism.row_index), has_power=np.array([int(mechanism.has_power)]),
         q=constants(workspace.q0, seeds.get("q")), v=constants(workspace.v0, seeds.get("v")), energy=new_duals(2),
         from_q=vector[0], from_v=vector[1], v_low=np.zeros(size), base_state=np.array([MODIFIED]),
-        dq=vector[2], dv=vector[3], gain=new_duals(2), rest=vector[4], new_q=vector[5], new_v=vector[6],
-        push=vector[7], mu=new_duals(pairs, 2), miss=new_duals(pairs, 2), counts=np.zeros(5, dtype=np.int64),
+        dq=vector[2], dv=vector[3], gain=new_duals(2), projected=np.zeros(1, dtype=np.int64), unit=unit,
+        rest=vector[4], end_q=vector[5], push=vector[6], mu=new_duals(pairs, 2), miss=new_duals(pairs, 2),
+        counts=np.zeros(5, dtype=np.int64),
         row_q=new_duals(rows, size), row_v=new_duals(rows, size), row_energy=new_duals(rows, 2),
         node_time=np.zeros(nodes), node_weight=np.zeros(nodes),
         node_q=new_duals(nodes, size), node_v=new_duals(nodes, size), nodes=np.array([int(nodes > 0), 0]),
@@ -155,7 +195,7 @@ def new_dual_run(workspace: Workspace, seeds: Seeds, laws: np.ndarray, rows: int
 
 
 def _example() -> DualRun:
-    return new_dual_run(example_workspace(), {}, np.zeros((0, 3), dtype=np.int64), 1, 0)
+    return new_dual_run(example_workspace(), NO_SEEDS, np.zeros((0, 3), dtype=np.int64), 1, 0)
 
 
 load_dual_run = bundle_loader(_example)
@@ -170,11 +210,86 @@ def take_base(c, n):
 
 
 @subkernel
-def advance(c, n, row):
-    """Advance the derivatives by a step; its end, with the values of the run, is recorded in a row unless it is < 0."""
+def _project(c, n):
+    """Differentiate the projection of the end of a step, positions ``c.end_q`` and velocities `c.v`; return a status.
+
+    The projected positions p satisfy ``M (p - q) + Phi_q(p)^T mu = 0`` and ``Phi(p) = 0``. Their derivatives follow by
+    the iteration of `mbdkit.engine.kernels.projection.project_positions` with the values of the run.
+    """
+    t = n.progress.time[0]
+    still, w = c.still, c.w
+    bodies = len(still.mass) - 1
     for d in range(len(c.q)):
-        c.q[d] = with_value(c.q[d] + c.dq[d], n.q[d])
-        c.v[d] = with_value(c.v[d] + c.dv[d], n.v[d])
+        c.q[d] = with_value(c.end_q[d], n.q[d])
+    converged = False
+    for _ in range(MOST_PROJECTIONS):
+        position_rows(still, w, t, c.q)
+        solved_rows(still, w, c.q, c.rest)
+        for k in range(len(w.phi)):
+            for r in range(2):
+                w.gamma[k, r] = -w.phi[k, r]
+        for b in range(bodies):
+            for i in range(3):
+                w.force[3 * b + i] = still.mass[b, i] * (c.end_q[3 * b + i] - c.q[3 * b + i])
+        status = solve_system(still, w, c.solver, True, c.push, c.mu, True)
+        if status != OK:
+            return status
+        for d in range(3 * bodies):
+            c.q[d] = with_value(c.q[d] + c.push[d], n.q[d])
+        if relative_change(c, c.push, c.q, 1.0) < NEGLIGIBLE:
+            converged = True
+            break
+    if not converged:
+        return DIVERGED
+    for _ in range(2):  # the equations are linear; the second solution removes rounding errors
+        position_rows(still, w, t, c.q)
+        solved_rows(still, w, c.q, c.v)
+        rate_rows(still, w.jac, w.phi_t, c.v, c.miss)
+        for k in range(len(w.gamma)):
+            for r in range(2):
+                w.gamma[k, r] = -c.miss[k, r]
+        status = solve_system(still, w, c.solver, False, c.push, c.mu, True)
+        if status != OK:
+            return status
+        for d in range(3 * bodies):
+            c.v[d] += c.push[d]
+    for d in range(len(c.v)):
+        c.v[d] = with_value(c.v[d], n.v[d])
+    return OK
+
+
+@subkernel
+def relative_change(c, change, x, factor):
+    """Return the largest derivative of `factor` times a change of `x`, relative to the largest derivative of `x`.
+
+    Derivatives are at least as large as the largest value over the size of the parameter: derivatives that cancel to
+    zero have no digits by which to be compared.
+    """
+    most, size, value = factor * change[0], x[0], 0.0
+    for d in range(len(x) - 3):
+        most = larger_derivatives(most, factor * change[d])
+        size = larger_derivatives(size, x[d])
+        value = max(value, abs(value_of(x[d])))
+    return largest_quotient(most, size + value * c.unit[0])
+
+
+@subkernel
+def advance(c, n, row):
+    """Advance the derivatives by a step, and return a status.
+
+    The end of the step, with the values of the run, is recorded in a row unless `row` is negative.
+    """
+    if c.projected[0] != 0:
+        for d in range(len(c.q)):
+            c.end_q[d] = c.q[d] + c.dq[d]
+            c.v[d] += c.dv[d]
+        status = _project(c, n)
+        if status != OK:
+            return status
+    else:
+        for d in range(len(c.q)):
+            c.q[d] = with_value(c.q[d] + c.dq[d], n.q[d])
+            c.v[d] = with_value(c.v[d] + c.dv[d], n.v[d])
     if c.has_power[0] != 0:
         for k in range(2):
             c.energy[k] = with_value(c.energy[k] + c.gain[k], n.energy[k])
@@ -185,6 +300,7 @@ def advance(c, n, row):
             c.row_v[row, d] = c.v[d]
         for k in range(2):
             c.row_energy[row, k] = c.energy[k]
+    return OK
 
 
 def dual_states(run: DualRun, workspace: Workspace, time: np.ndarray, q: Duals, v: Duals) -> DualStates:
@@ -192,4 +308,5 @@ def dual_states(run: DualRun, workspace: Workspace, time: np.ndarray, q: Duals, 
     baumgarte = new_duals(2)
     observed: Observed = with_derivatives(Observed.zeros(len(time), workspace.mechanism.topology))
     q, v = (np.ascontiguousarray(x).view(Duals) for x in (q, v))
-    return DualStates(run.top._replace(baumgarte=baumgarte), run.w, run.solver, time, q, v, observed)
+    top, power, lack = run.top._replace(baumgarte=baumgarte), new_duals(len(time), 2), new_duals(*q.shape[:-1])
+    return DualStates(top, run.w, run.solver, time, q, v, observed, power, lack)

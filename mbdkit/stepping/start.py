@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
@@ -32,8 +33,8 @@ from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
 
 WITHOUT_DERIVATIVES = (
-    "fixed steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; "
-    "methods of SciPy, methods in Python, Lobatto pairs and controlled step sizes have none"
+    "steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; methods of "
+    "SciPy, methods in Python and Lobatto pairs have none"
 )
 
 
@@ -62,19 +63,43 @@ def explicit_control(method: ExplicitRungeKutta, mechanism: CompiledMechanism) -
     )
 
 
+def _implicit_control(method: ImplicitRungeKutta, workspace: Workspace) -> Control | None:
+    """Return the step-size control of a collocation method; None for fixed steps."""
+    if method.tolerances is None:
+        return None
+    order, stages = method.tableau.order, method.tableau.stages
+    return _control(method.tolerances, workspace.mechanism, order=order, estimate_order=stages + 1)
+
+
+def _require_stiffly_accurate(method: ImplicitRungeKutta, workspace: Workspace) -> None:
+    """Raise TableauError unless a method can be used with the formulation of a workspace."""
+    tableau = method.tableau
+    if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
+        raise TableauError(
+            f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "
+            "accurate tableau with a regular matrix, and the stage solver 'newton'"
+        )
+
+
 def require_derivatives(method: Method, formulation: str, stabilization: Stabilization) -> None:
     """Raise NoDerivativeError unless the steps of a method can be differentiated."""
-    fixed = isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) and method.tolerances is None
-    if not fixed or (isinstance(method, ImplicitRungeKutta) and not method.tableau.is_diagonalisable):
+    if not (
+        isinstance(method, ExplicitRungeKutta)
+        or (isinstance(method, ImplicitRungeKutta) and method.tableau.is_diagonalisable)
+    ):
         raise NoDerivativeError(WITHOUT_DERIVATIVES)
-    if formulation == "ggl":
-        raise NoDerivativeError("the formulation ggl is not differentiated; use index-1, index-2 or index-3")
-    if stabilization.kind == "projection":
-        raise NoDerivativeError("steps with projection are not differentiated; use `stabilization: none`")
+    if stabilization.symmetric:
+        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
 
 
 def start_differentiated(
-    method: Method, workspace: Workspace, timetable: Timetable, seeds: Seeds, *, with_nodes: bool
+    method: Method,
+    workspace: Workspace,
+    timetable: Timetable,
+    seeds: Seeds,
+    *,
+    with_nodes: bool,
+    sizes: Sequence[float] | None = None,
 ) -> DifferentiatedStepper:
     """Return a stepper that runs a method, and differentiates its steps by parameters.
 
@@ -86,6 +111,8 @@ def start_differentiated(
         Derivatives of mechanism and start.
     with_nodes
         Whether the stages of the steps are kept as nodes of integrals.
+    sizes
+        Sizes of steps [s] to take in place of those that step-size control would choose.
 
     Raises
     ------
@@ -93,15 +120,16 @@ def start_differentiated(
         If the steps of the method cannot be differentiated.
     """
     require_derivatives(method, workspace.formulation, workspace.stabilization)
-    rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
-    nodes = 1 if with_nodes else 0
     compiled: CompiledExplicit | CompiledCollocation
     if isinstance(method, ExplicitRungeKutta):
+        control = explicit_control(method, workspace.mechanism)
         compiled = CompiledExplicit(method, workspace)
     else:
         assert isinstance(method, ImplicitRungeKutta)
-        compiled = CompiledCollocation(method, workspace, None)
-    return DifferentiatedStepper(compiled, workspace, timetable, None, seeds, rows, nodes)
+        _require_stiffly_accurate(method, workspace)
+        control = _implicit_control(method, workspace)
+        compiled = CompiledCollocation(method, workspace, control)
+    return DifferentiatedStepper(compiled, workspace, timetable, control, seeds, with_nodes=with_nodes, sizes=sizes)
 
 
 @singledispatch
@@ -135,7 +163,7 @@ def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
 
 @start_method.register
 def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
-    tableau, control = method.tableau, None
+    tableau = method.tableau
     if not tableau.is_diagonalisable:
         if workspace.formulation != "index-1":
             raise TableauError(
@@ -143,15 +171,8 @@ def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
                 "one after the other, which is implemented for index-1"
             )
         return PythonStepper(DiagonallyImplicit(method), workspace, timetable)
-    if method.tolerances is not None:
-        control = _control(
-            method.tolerances, workspace.mechanism, order=tableau.order, estimate_order=tableau.stages + 1
-        )
-    if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
-        raise TableauError(
-            f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "
-            "accurate tableau with a regular matrix, and the stage solver 'newton'"
-        )
+    _require_stiffly_accurate(method, workspace)
+    control = _implicit_control(method, workspace)
     return CompiledStepper(CompiledCollocation(method, workspace, control), workspace, timetable, control)
 
 

@@ -53,7 +53,7 @@ def gradients(console: Console) -> None:
             {
                 "run": timed(partial(simulate_arrays, spec)),
                 "preparation": timed(partial(prepared_derivatives, spec, chosen)),
-                "steps": timed(partial(differentiated_run, spec, seeds, len(chosen), with_nodes=False)),
+                "steps": timed(partial(differentiated_run, spec, seeds, with_nodes=False)),
                 "gradient": timed(partial(mbdkit.gradient, spec, MEASURES, PARAMETERS, check=False)),
                 "checked": timed(partial(mbdkit.gradient, spec, MEASURES, PARAMETERS)),
             },

@@ -67,7 +67,7 @@ def groups_of_gradient(spec: RunSpec, names: list[str]) -> tuple[Groups, Groups]
     """Return the same from the differentiated run, and the derivatives (..., K)."""
     parameters = resolved(spec, names)
     seeds = prepared_derivatives(spec, parameters).seeds
-    rows = differentiated_run(spec, seeds, len(names), with_nodes=False).rows
+    rows = differentiated_run(spec, seeds, with_nodes=False).rows
     assert rows.energy is not None
     force, torque = rows.reactions[-1, :, :2], rows.reactions[-1, :, 2]
     joined = [

@@ -7,15 +7,24 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import kernel
+from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.jit.dual_arrays import new_duals
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
-from mbdkit.engine.kernels.applied_forces import potential_energy
+from mbdkit.engine.kernels.applied_forces import applied_forces, potential_energy
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.observe import Observed, kinetic_energy, reactions_of, residuals_of
-from mbdkit.engine.kernels.system import OK, Engine, Scratch, Topology, prepare, solve_accelerations
+from mbdkit.engine.kernels.system import (
+    OK,
+    Engine,
+    Scratch,
+    Topology,
+    constraint_rows,
+    evaluate_powers,
+    prepare,
+    solve_accelerations,
+)
 
 
 class DualStates(NamedTuple):
@@ -31,6 +40,10 @@ class DualStates(NamedTuple):
     v: np.ndarray
     observed: Observed
     """Values of the states; the distance to singularity is not computed."""
+    power: np.ndarray
+    """(T, 2) power of loads, drivers and active laws, and the dissipated power [W]."""
+    lack: np.ndarray
+    """(T, 3 (B + 1)) forces that are missing, ``M a + Phi_q^T lam - Q``, of states with given accelerations."""
 
 
 def _example() -> DualStates:
@@ -44,7 +57,8 @@ def _example() -> DualStates:
     six = np.zeros((0, 6), dtype=np.int64)  # `Observed.zeros` reads a column of the springs
     observed = Observed(*dual(Observed.zeros(0, engine.top._replace(springs=six))))
     solver = new_dual_solver(engine, engine.solver.row_index)
-    return DualStates(top, w, solver, np.zeros(0), new_duals(0, 0), new_duals(0, 0), observed)
+    q, v, power, lack = new_duals(0, 0), new_duals(0, 0), new_duals(0, 2), new_duals(0, 0)
+    return DualStates(top, w, solver, np.zeros(0), q, v, observed, power, lack)
 
 
 load_dual_states = bundle_loader(_example)
@@ -61,12 +75,47 @@ def observe_duals(address):
         status = solve_accelerations(top, w, c.solver, q, v, out.acc[r], lam, True)
         if status != OK:
             return status, r
-        force_values(top, w, q, v, out.forces[r])
-        marker_values(top, w, q, v, out.markers[r])
-        beam_values(top, w, out.beams[r])
-        residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
-        reactions_of(top, w, lam, out.reactions[r])
-        joint_values(top, w, q, lam, out.reactions[r], out.joints[r])
-        out.kinetic[r] = kinetic_energy(top, v)
-        out.potential[r], _ = potential_energy(top, w, q)
+        c.power[r, 0], c.power[r, 1] = evaluate_powers(top, w, q, v, lam)
+        _describe(top, w, q, v, out, r)
     return OK, len(c.time)
+
+
+@subkernel
+def _describe(top, w, q, v, out, r):
+    """Write forces, markers, residuals, reactions and energies of a state into row `r`; requires its multipliers."""
+    lam = out.lam[r]
+    force_values(top, w, q, v, out.forces[r])
+    marker_values(top, w, q, v, out.markers[r])
+    beam_values(top, w, out.beams[r])
+    residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
+    reactions_of(top, w, lam, out.reactions[r])
+    joint_values(top, w, q, lam, out.reactions[r], out.joints[r])
+    out.kinetic[r] = kinetic_energy(top, v)
+    out.potential[r], _ = potential_energy(top, w, q)
+
+
+@kernel
+def describe_duals(address):
+    """Evaluate the states of a `DualStates` whose accelerations and multipliers, of all rows, are given.
+
+    More than the mechanism causes them, as with actuators, whose forces are what is missing.
+    """
+    c = load_dual_states(address)
+    top, w, out, lack = c.top, c.w, c.observed, c.lack
+    for r in range(len(c.time)):
+        q, v, acc, lam = c.q[r], c.v[r], out.acc[r], out.lam[r]
+        prepare(top, w, c.time[r], q)
+        constraint_rows(top, w, q, v)
+        applied_forces(top, w, q, v)
+        for b in range(len(top.mass) - 1):
+            for i in range(3):
+                pull = acc[3 * b + i] - top.gravity[i] if i < 2 else acc[3 * b + i]
+                lack[r, 3 * b + i] = top.mass[b, i] * pull - w.force[3 * b + i]
+        for k in range(len(top.pairs)):
+            for side in range(2):
+                first = 3 * top.pairs[k, 1 + side]
+                for i in range(3):
+                    for row in range(2):
+                        lack[r, first + i] += w.jac[k, 6 * row + 3 * side + i] * lam[k, row]
+        c.power[r, 0], c.power[r, 1] = evaluate_powers(top, w, q, v, lam)
+        _describe(top, w, q, v, out, r)

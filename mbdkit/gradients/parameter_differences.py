@@ -1,0 +1,245 @@
+"""Derivatives of arrays that a spec is prepared to, by parameters: the compiled mechanism, its start, and the like.
+
+The preparation turns a spec into arrays, and is repeated with other values of one parameter. Arrays that depend on it
+linearly have the slope of a line through two points, which is exact but for rounding errors. All others are
+differentiated by differences of order 8, whose error is estimated from that of order 6; the distance of the points is
+reduced until it is small.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.errors import SpecError
+from mbdkit.gradients.gradient_parameters import Parameter
+from mbdkit.stepping.dual_run import Seeds
+
+Arrays = Mapping[str, np.ndarray]
+
+WIDEST = 0.05
+"""Largest change of a parameter, as a share of its size."""
+SMALLEST_SIZE = 0.1
+"""Least size of a parameter, in SI units and with lengths in units of the mechanism's length if that is below 1 m.
+
+Changes as a share of a smaller value, such as an angle of 1e-9 rad, would be lost in rounding errors.
+"""
+FACTOR, MOST_ATTEMPTS = 4.0, 4
+"""Reduction of the changes while differences are not accurate, and number of attempts."""
+ACCURATE = 1e-13
+"""Difference of the derivatives of order 8 and 6, relative to the array over its parameter, that counts as accurate."""
+LINEAR = 64.0
+"""Deviation from a line, in roundings of the array, that counts as round-off."""
+CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
+BACKWARD = tuple(-place for place in FORWARD)
+"""Places of the points, in units of a quarter of the largest change."""
+FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
+"""Places by which linear dependence is recognised."""
+
+
+LEFT_OUT = ("length", "row_units", "spare_axes", "weight")
+"""Arrays of the mechanism that are units or choices, on which its motion does not depend, and the inverse masses."""
+
+
+@dataclass(frozen=True)
+class PreparedDerivatives:
+    """Derivatives of the arrays of a prepared run.
+
+    Parameters
+    ----------
+    seeds
+        Derivatives by K parameters of the arrays of the mechanism, of the initial state ``q`` and ``v``, and of the
+        numbers of measures and events (`numbers_of`).
+    error
+        (K,) estimated errors of these derivatives by each parameter, relative to the largest derivative of an array.
+    side
+        (K,) 0, or the sign of the changes by which the spec stays valid, such as 1 for a damping of zero.
+    """
+
+    seeds: Seeds
+    error: np.ndarray
+    side: np.ndarray
+
+
+class Preparation(ABC):
+    """Prepares a spec with other values of a parameter.
+
+    Attributes
+    ----------
+    mechanism
+        The compiled mechanism of the spec.
+    base
+        Its arrays by name.
+    """
+
+    mechanism: CompiledMechanism
+    base: Arrays
+    ROUNDED: tuple[str, ...] = ()
+    """Arrays that change by the rounding errors of lengths and angles."""
+
+    @abstractmethod
+    def at(self, parameter: Parameter, value: float) -> Arrays:
+        """Return the arrays for another value of a parameter.
+
+        Raises
+        ------
+        SpecError
+            If the spec is not valid with it, or if their structure depends on the parameter.
+        """
+
+    def derivatives(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        """Return the derivatives of the arrays by parameters.
+
+        Raises
+        ------
+        SpecError
+            If the structure of the arrays depends on a parameter, or if the spec is not valid near its value.
+        """
+        found = [self._by(one) for one in parameters]
+        seeds = {
+            name: np.stack([one.slopes.get(name, np.zeros(x.shape)) for one in found], axis=-1)
+            for name, x in self.base.items()
+            if any(name in one.slopes for one in found)
+        }
+        if "mass" in seeds:  # exact, and zero for ground
+            weight = self.mechanism.topology.weight
+            seeds["weight"] = -(weight**2)[..., None] * seeds["mass"]
+        return PreparedDerivatives(
+            Seeds(seeds, np.array([self._scale(one) for one in parameters])),
+            np.array([one.error for one in found]),
+            np.array([one.side for one in found]),
+        )
+
+    def mechanism_arrays(self, mechanism: CompiledMechanism) -> dict[str, np.ndarray]:
+        """Return the arrays of a mechanism that may depend on parameters."""
+        fields = mechanism.topology._asdict()
+        return {name: x for name, x in fields.items() if x.dtype.kind == "f" and name not in LEFT_OUT}
+
+    def require_same_structure(self, mechanism: CompiledMechanism, parameter: Parameter, value: float) -> None:
+        """Raise SpecError if a mechanism differs from the one of the spec in more than numbers."""
+        for name, x in self.mechanism.topology._asdict().items():
+            other = getattr(mechanism.topology, name)
+            if x.shape != other.shape or (x.dtype.kind == "i" and not np.array_equal(x, other)):
+                raise SpecError(
+                    f"the structure of the mechanism depends on '{parameter.name}': it is another one for {value!r}",
+                    key="gradients",
+                )
+
+    def require_same_form(self, arrays: Arrays, parameter: Parameter) -> None:
+        """Raise SpecError if the numbers of expressions are others than those of the spec; see `numbers_of`."""
+        if any(x.shape != self.base[name].shape for name, x in arrays.items()):
+            raise SpecError(
+                f"the form of an expression depends on '{parameter.name}', such as that of an exponent; by such "
+                "parameters there are no derivatives",
+                key="gradients",
+            )
+
+    def _scale(self, parameter: Parameter) -> float:
+        """Return the size of a parameter, by which its changes are measured."""
+        return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
+
+    def _by(self, parameter: Parameter) -> _Derivatives:
+        """Return the derivatives by a parameter."""
+        try:
+            return _Derivatives(*self._with_places(parameter, CENTRAL), 0)
+        except SpecError as error:
+            for side, places in ((1, FORWARD), (-1, BACKWARD)):
+                with suppress(SpecError):
+                    return _Derivatives(*self._with_places(parameter, places), side)
+            if error.key == "gradients":
+                raise
+            raise SpecError(
+                f"there is no derivative by '{parameter.name}', because the spec is not valid for values close to "
+                f"{parameter.value!r}: {error}",
+                key="gradients",
+            ) from None
+
+    def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
+        """Return the derivatives by a parameter that are not zero, and their error, by points at these places."""
+        unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
+        points = {place: self._point(parameter, place * unit) for place in FEW[places]}
+        slopes: dict[str, np.ndarray] = {}
+        errors: dict[str, float] = {}
+        for name, base in self.base.items():
+            slope = _slope_of_line(base, {place: (x, arrays[name]) for place, (x, arrays) in points.items()})
+            if slope is not None:
+                slopes[name], errors[name] = slope, 0.0
+        waiting = [name for name in self.base if name not in slopes]
+        for _ in range(MOST_ATTEMPTS):
+            if not waiting:
+                break
+            points |= {place: self._point(parameter, place * unit) for place in places if place not in points}
+            for name in waiting:
+                slope, error = self._difference(parameter, name, points, places)
+                if error < errors.get(name, np.inf):
+                    slopes[name], errors[name] = slope, error
+            waiting = [name for name in waiting if errors[name] > ACCURATE]
+            unit, points = unit / FACTOR, {}
+        return {name: x for name, x in slopes.items() if np.any(x)}, max(errors.values())
+
+    def _point(self, parameter: Parameter, change: float) -> tuple[float, Arrays]:
+        """Return the change of a parameter as far as numbers allow, and the arrays for it."""
+        value = parameter.value + change
+        return value - parameter.value, self.at(parameter, value)
+
+    def _difference(
+        self,
+        parameter: Parameter,
+        name: str,
+        points: Mapping[int, tuple[float, Arrays]],
+        places: tuple[int, ...],
+    ) -> tuple[np.ndarray, float]:
+        """Return the derivative of an array by differences of order 8, and its relative error by those of order 6."""
+        base, unit = self.base[name], points[places[0]][0] / places[0]
+        fewer = tuple(place for place in places if abs(place) < max(map(abs, places)))
+        fine, coarse = (
+            np.asarray(
+                sum(w * (points[place][1][name] - base) for place, w in zip(some, weights(some), strict=True)) / unit
+            )
+            for some in (places, fewer)
+        )
+        scale = self._scale(parameter)
+        size = max(float(np.max(np.abs(fine))), float(np.max(np.abs(base))) / scale)
+        if name in self.ROUNDED:
+            size = max(size, self.mechanism.length / scale)
+        error = float(np.max(np.abs(fine - coarse))) / size if size > 0.0 else 0.0
+        return fine, error
+
+
+@dataclass(frozen=True)
+class _Derivatives:
+    """The derivatives of all arrays by one parameter that are not zero; see `PreparedDerivatives`."""
+
+    slopes: dict[str, np.ndarray]
+    error: float
+    side: int
+
+
+def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarray]]) -> np.ndarray | None:
+    """Return the slope of the line through the first and the last point; None if others are not on it."""
+    (x0, low), (x1, high) = points[min(points)], points[max(points)]
+    slope = (high - low) / (x1 - x0)
+    limit = LINEAR * np.finfo(float).eps * np.maximum(np.maximum(np.abs(high), np.abs(low)), np.abs(base))
+    others = [(0.0, base), *points.values()]
+    is_line = all(bool(np.all(np.abs(y - low - slope * (x - x0)) <= limit)) for x, y in others)
+    return np.asarray(slope) if is_line else None
+
+
+@cache
+def weights(places: tuple[int, ...]) -> tuple[float, ...]:
+    """Return the weights of ``f(x) - f(0)`` in the derivative at 0 of the polynomial through 0 and all places."""
+    found = []
+    for one in places:
+        weight = Fraction(1, one)
+        for other in places:
+            if other != one:
+                weight *= Fraction(-other, one - other)
+        found.append(float(weight))
+    return tuple(found)

@@ -1,0 +1,308 @@
+"""`inverse_gradient`: measures of inverse dynamics and their derivatives by parameters, without integration.
+
+The motion is part of the preparation (`mbdkit.gradients.parameter_differences`): it is fitted again for other values of
+those parameters on which it depends, such as lengths. The derivatives of the forces that produce it are exact. With the
+motion, the loads and the actuators u, differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` gives
+
+    B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
+
+which has the same matrix as the equations of each frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.integrate import cumulative_simpson
+
+from mbdkit.engine.jit.bundle import PinnedBundle
+from mbdkit.engine.jit.dual_types import DIRECTIONS
+from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.gradients.differentiated_expressions import (
+    Definitions,
+    Measures,
+    definitions_of,
+    expressions_of,
+    numbers_of,
+)
+from mbdkit.gradients.differentiated_run import DifferentiatedRun, joined_states
+from mbdkit.gradients.differentiated_states import States
+from mbdkit.gradients.gradient import Gradient, gradient_of_run, require_derivatives
+from mbdkit.gradients.gradient_check import Settings
+from mbdkit.gradients.gradient_parameters import Parameter, resolved
+from mbdkit.gradients.parameter_differences import Arrays, Preparation, PreparedDerivatives
+from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, fit, motion_of
+from mbdkit.inverse_dynamics.dynamics import Balance, columns_of, weights_of
+from mbdkit.inverse_dynamics.inverse_run import compute_run
+from mbdkit.inverse_dynamics.loads import loads_on
+from mbdkit.inverse_dynamics.reduced_motion import Motion
+from mbdkit.one_thread import one_thread_of_linear_algebra
+from mbdkit.spec import InverseSpec, load_inverse_spec
+from mbdkit.spec.run_source import InverseSource
+from mbdkit.spec.varied_specs import varied_inverse
+from mbdkit.stepping.differentiated_stepper import dual_laws
+from mbdkit.stepping.dual_run import Seeds, constants, dual_states, new_dual_run
+
+WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
+"""Leaves out the error bars of inverse dynamics, which take ten times as long and which measures do not need."""
+
+
+def inverse_gradient(
+    source: InverseSource, measures: Measures, parameters: str | Sequence[str], *, check: bool = True, **sections: Any
+) -> Gradient:
+    """Compute inverse dynamics, and return the derivatives of measures of the result by parameters of the model.
+
+    Parameters
+    ----------
+    source
+        A file, a mapping, or an InverseSpec.
+    measures
+        Expressions such as ``"rms(actuators.knee.value)"``: one, several, or a mapping as in the section `measures` of
+        a spec. Names of measures that the spec defines may stand for their expressions.
+    parameters
+        Names of `parameters` of the spec, or key paths of numbers of its model such as
+        ``model.forces.spring.stiffness``; at most 50.
+    check
+        Whether to check the gradient in one direction by differences of four computations.
+    **sections
+        Sections of the spec, such as ``motion={...}``; they replace those of `source`.
+
+    Returns
+    -------
+    Gradient
+        Values, derivatives and check. A check that fails is part of the result, not an error.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong, or a measure has no derivative.
+    RunError
+        If no pose of the mechanism fits the data, or the mechanism passes a singular position.
+
+    Examples
+    --------
+    How much the torque that swings a pendulum grows with its mass:
+
+    >>> import mbdkit, numpy as np
+    >>> m = mbdkit.Mechanism()
+    >>> rod = m.body("rod", mass=1.0, inertia=0.1, position=(0.0, -0.5))
+    >>> m.revolute("hip", m.ground, rod, at=(0, 0))
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> motion = {"data": {"time": t, "hip": 0.5 * np.sin(3 * t)}, "columns": {"hip.angle": "hip"}}
+    >>> spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion}
+    >>> found = mbdkit.inverse_gradient(spec, "rms(actuators.hip.value)", "model.bodies.rod.mass")
+    >>> found.check.is_passed
+    True
+    """
+    spec = load_inverse_spec(source, (), **sections)
+    chosen = resolved(spec, [parameters] if isinstance(parameters, str) else list(parameters))
+    definitions = definitions_of(spec, measures)
+    with one_thread_of_linear_algebra():
+        return gradient_of_inverse(spec, definitions, chosen, check=check)
+
+
+def gradient_of_inverse(
+    spec: InverseSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool
+) -> Gradient:
+    """Return the gradient of measures of a validated spec; see `inverse_gradient`."""
+    spec = varied_inverse(spec, WITHOUT_BARS)
+    problem = InverseProblem.of(spec)
+    expressions = expressions_of(spec, definitions)
+    for expression in expressions.values():
+        require_derivatives(expression)
+    result = compute(problem)
+    prepared = _InversePreparation(result, definitions).derivatives(parameters)
+    _require_unique_forces(result, parameters, prepared)
+    firsts = range(0, len(parameters), DIRECTIONS)
+    parts = [_Frames(result, prepared.seeds.only(slice(first, first + DIRECTIONS))).states() for first in firsts]
+    run = DifferentiatedRun(joined_states(parts), None, np.zeros(len(parameters)), (), None)
+
+    def measured(settings: Settings) -> list[float]:
+        return _measured(varied_inverse(spec, settings), definitions)
+
+    return gradient_of_run(run, expressions, parameters, prepared, measured if check else None)
+
+
+def _measured(spec: InverseSpec, definitions: Definitions) -> list[float]:
+    """Return the measures of a computation; nan if it fails."""
+    try:
+        with compute_run(spec) as run:
+            return [one.of(run) for one in expressions_of(spec, definitions).values()]
+    except MbdkitError:
+        return [np.nan] * len(definitions)
+
+
+MOTION = ("motion.q", "motion.v", "motion.a", "motion.columns", "motion.loads", "motion.weights")
+"""Arrays of a motion: positions, velocities and accelerations (T, n), generalized forces of unit actuators (T, n, U)
+and of the loads (T, n), and weights of the actuators (U,)."""
+
+
+class _InversePreparation(Preparation):
+    """Prepares a spec of inverse dynamics, the motion included, with other values of a parameter."""
+
+    ROUNDED = MOTION[:3]
+
+    def __init__(self, result: Inverse, definitions: Definitions):
+        self.result, self.definitions = result, definitions
+        self.mechanism = result.problem.prepared.workspace.mechanism
+        self._motion = self._arrays_of(result.problem, result.motion)
+        self.base = {**self.mechanism_arrays(self.mechanism), **self._motion, **self._numbers(result.problem.spec)}
+
+    def _numbers(self, spec: InverseSpec) -> dict[str, np.ndarray]:
+        return numbers_of(spec, self.definitions) if spec.parameters else {}
+
+    def _arrays_of(self, problem: InverseProblem, motion: Motion) -> dict[str, np.ndarray]:
+        """Return the arrays `MOTION`."""
+        loads = loads_on(motion, problem.loads, problem.fitter.bodies).generalized
+        columns = columns_of(motion.q, problem.actuators)
+        weights = weights_of(problem.fitter.manifold, problem.actuators)
+        return dict(zip(MOTION, (motion.q, motion.v, motion.a, columns, loads, weights), strict=True))
+
+    def at(self, parameter: Parameter, value: float) -> Arrays:
+        """Return the arrays for another value of a parameter; see `Preparation.at`."""
+        problem = InverseProblem.of(varied_inverse(self.result.problem.spec, [(parameter.path, value)]))
+        mechanism, numbers = problem.prepared.workspace.mechanism, self._numbers(problem.spec)
+        self.require_same_structure(mechanism, parameter, value)
+        self.require_same_form(numbers, parameter)
+        motion = self._motion
+        if not self._moves_alike(problem):
+            motion = self._arrays_of(problem, self._moved(problem, parameter))
+        return {**self.mechanism_arrays(mechanism), **motion, **numbers}
+
+    def _moved(self, problem: InverseProblem, parameter: Parameter) -> Motion:
+        """Return the motion of a mechanism with another value of a parameter."""
+        independent, motion = motion_of(problem, fit(problem))
+        own = self.result.independent
+        if own is not None and independent is not None and own.intervals != independent.intervals:
+            raise SpecError(
+                f"the independent coordinates of the motion change with '{parameter.name}', so that the result has no "
+                "derivative by it",
+                key="gradients",
+            )
+        return motion
+
+    def _moves_alike(self, other: InverseProblem) -> bool:
+        """Return whether a mechanism has the same motion: the same joints, observed quantities and actuators."""
+        own = self.result.problem
+        a, b = (one.prepared.workspace.mechanism for one in (own, other))
+        driven = bool(np.any(a.topology.pairs[:, 3] >= 0))
+        return bool(
+            np.array_equal(a.topology.pair_parameters, b.topology.pair_parameters)
+            and (not driven or np.array_equal(a.topology.motion_values, b.topology.motion_values))
+            and own.fitter.manifold.length == other.fitter.manifold.length
+            and own.measured.quantities.quantities == other.measured.quantities.quantities
+            and [one.quantity for one in own.actuators] == [one.quantity for one in other.actuators]
+            and own.names.candidates() == other.names.candidates()
+        )
+
+
+def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> None:
+    """Raise SpecError if the actuators are not determined by the motion, and the motion depends on a parameter.
+
+    The share of each actuator then changes with the directions in which they act.
+    """
+    problem = result.problem
+    if not result.dynamics.surplus and len(problem.actuators) == problem.fitter.manifold.freedoms:
+        return
+    moved = [x for name in MOTION if (x := prepared.seeds.get(name)) is not None]
+    for k, one in enumerate(parameters):
+        if any(np.any(x[..., k]) for x in moved):
+            raise SpecError(
+                f"the motion depends on '{one.name}', by which there are no derivatives here, because the motion does "
+                "not determine the values of the actuators; parameters that leave it as it is, such as masses and "
+                "stiffnesses, have them",
+                key="gradients",
+            )
+
+
+class _Frames:
+    """The frames of a result with the derivatives by up to `DIRECTIONS` parameters.
+
+    Parameters
+    ----------
+    result
+        The result.
+    seeds
+        Derivatives of mechanism and motion.
+    """
+
+    def __init__(self, result: Inverse, seeds: Seeds):
+        self.result, self.seeds = result, seeds
+        self.some = slice(1 + seeds.count)
+        self.workspace = result.problem.prepared.workspace
+        self.workspace.clamp_motions(-np.inf, np.inf)
+        self._run = new_dual_run(self.workspace, seeds, dual_laws(self.workspace), 0, 0)
+
+    def states(self) -> States:
+        """Return the states with everything that is computed from them."""
+        motion, dynamics, manifold = self.result.motion, self.result.dynamics, self.result.problem.fitter.manifold
+        lam = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam).lam
+        value, change = self._changes(np.asarray(self._described(lam, None).lack))
+        by_pairs = [manifold.reactions(motion.time, motion.q, motion.v, one).lam for one in np.moveaxis(change, -1, 0)]
+        found = self._described(lam, np.stack(by_pairs, axis=-1))
+        actuators = self._actuators(value)
+        power = np.asarray(found.power[..., self.some])
+        supplied = np.stack([power[:, 0] + actuators[:, :, 1].sum(axis=1) + self._load_power(), power[:, 1]], axis=1)
+        energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
+        names = [one.name for one in self.result.problem.actuators]
+        q, v = (np.asarray(x[..., self.some]) for x in (found.q, found.v))
+        observed = Observed(*(np.asarray(x[..., self.some]) for x in found.observed))
+        by_name = {name: actuators[:, place] for place, name in enumerate(names)}
+        return States(self.workspace, motion.time, None, q, v, energy, observed, power, by_name)
+
+    def _slope(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the derivatives (..., K) of an array of the motion; zeros if it has none."""
+        found = self.seeds.get(name)
+        return np.zeros((*shape, self.seeds.count)) if found is None else found
+
+    def _described(self, lam: np.ndarray, slope: np.ndarray | None) -> DualStates:
+        """Return the states with multipliers (T, P, 2) of all rows, and their derivatives (T, P, 2, K)."""
+        motion = self.result.motion
+        q, v, a = (
+            constants(
+                np.column_stack([x, np.zeros((len(x), 3))]),
+                np.pad(self._slope(name, x.shape), ((0, 0), (0, 3), (0, 0))),
+            )
+            for name, x in zip(MOTION, (motion.q, motion.v, motion.a), strict=False)
+        )
+        states = dual_states(self._run, self.workspace, motion.time, q, v)
+        states.observed.acc[...], states.observed.lam[...] = a, constants(lam, slope)
+        pinned = PinnedBundle(states)
+        describe_duals(pinned.address)
+        return states
+
+    def _changes(self, lack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives (T, U, K) of the actuators and (T, m, K) of the multipliers."""
+        problem, motion, dynamics = self.result.problem, self.result.motion, self.result.dynamics
+        manifold = problem.fitter.manifold
+        directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
+        balance = Balance(manifold, motion, problem.actuators, directions)
+        needed = lack[:, :-3, 1 : 1 + self.seeds.count] - self._slope("motion.loads", motion.q.shape)
+        columns = self._slope("motion.columns", balance.columns.shape)
+        needed = needed - np.einsum("tnuk,tu->tnk", columns, dynamics.value)
+        found = [balance.solved(one) for one in np.moveaxis(needed, -1, 0)]
+        return np.stack([one[0] for one in found], axis=-1), np.stack([one[1] for one in found], axis=-1)
+
+    def _actuators(self, slope: np.ndarray) -> np.ndarray:
+        """Return values and powers (T, U, 2, 1 + K) of the actuators with derivatives (T, U, K) of their values."""
+        motion, dynamics, actuators = self.result.motion, self.result.dynamics, self.result.problem.actuators
+        columns = columns_of(motion.q, actuators)
+        rate = np.einsum("tnu,tn->tu", columns, motion.v)
+        turned = np.einsum("tnuk,tn->tuk", self._slope("motion.columns", columns.shape), motion.v)
+        faster = np.einsum("tnu,tnk->tuk", columns, self._slope("motion.v", motion.v.shape))
+        power = slope * rate[..., None] + dynamics.value[..., None] * (turned + faster)
+        value, power = (
+            np.concatenate([x[..., None], y], axis=-1) for x, y in ((dynamics.value, slope), (dynamics.power, power))
+        )
+        return np.stack([value, power], axis=2)
+
+    def _load_power(self) -> np.ndarray:
+        """Return the power (T, 1 + K) of all loads."""
+        motion, loads = self.result.motion, self.result.loads
+        changed = np.einsum("tnk,tn->tk", self._slope("motion.loads", motion.v.shape), motion.v)
+        changed += np.einsum("tn,tnk->tk", loads.generalized, self._slope("motion.v", motion.v.shape))
+        return np.column_stack([loads.power.sum(axis=1), changed])
