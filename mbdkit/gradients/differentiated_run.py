@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.jit.bundle import PinnedBundle
-from mbdkit.engine.jit.dual_arrays import Duals
 from mbdkit.engine.jit.dual_types import DIRECTIONS
-from mbdkit.engine.kernels.dual_observe import observe_duals
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.errors import RunError, SpecError, StepError
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit.gradients.differentiated_states import States, series_of
-from mbdkit.gradients.parameter_differences import CENTRAL, weights
-from mbdkit.methods.kinds import Method
+from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
+from mbdkit.gradients.law_corners import with_sides
+from mbdkit.gradients.sided_stepper import SidedStepper
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
-from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants, dual_states
-from mbdkit.stepping.interface import Stretch, joined
-from mbdkit.stepping.start import require_derivatives, start_differentiated, start_method
+from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants
+from mbdkit.stepping.interface import Stepper, Stretch, joined
+from mbdkit.stepping.start import compiled_for_derivatives, require_derivatives, start_method
 
 
 @dataclass(frozen=True)
@@ -65,6 +64,10 @@ class DifferentiatedRun:
         Events in order of time.
     sizes
         Sizes of the steps [s]; None of fixed steps.
+    is_split
+        Whether steps end at the corners of force laws, unlike those of the run.
+    doubts
+        Sentences on force laws whose corners are inside steps.
     """
 
     rows: States
@@ -72,6 +75,8 @@ class DifferentiatedRun:
     end: np.ndarray
     crossings: tuple[Crossing, ...]
     sizes: Sequence[float] | None
+    is_split: bool = False
+    doubts: tuple[str, ...] = ()
 
 
 def differentiated_run(
@@ -110,6 +115,8 @@ def differentiated_run(
         np.concatenate([one.end for one in parts]),
         tuple(crossings),
         parts[0].sizes,
+        parts[0].is_split,
+        parts[0].doubts,
     )
 
 
@@ -142,7 +149,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
 def refuse(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if runs of a spec with a method have no derivatives."""
     try:
-        require_derivatives(method, spec.formulation, spec.stabilized)
+        require_derivatives(method, spec.stabilized)
     except NoDerivativeError as error:
         message = f"{spec.integrator_item.id} has no derivatives by parameters here: {error}"
         raise SpecError(message, key="integrator") from None
@@ -157,21 +164,47 @@ def refuse(spec: RunSpec, method: Method) -> None:
 
 def _pass(spec: RunSpec, seeds: Seeds, with_nodes: bool, sizes: Sequence[float] | None) -> DifferentiatedRun:
     """Run a spec with the derivatives by up to `DIRECTIONS` parameters."""
+    events = events_of(spec, sizes) if spec.events else []
+    stepper = _stepper(spec, seeds, with_nodes, sizes)
+    try:
+        return _Pass(spec, stepper, seeds).run(events)
+    except StepError as error:
+        raise RunError(str(error)) from None
+
+
+def _stepper(
+    spec: RunSpec, seeds: Seeds, with_nodes: bool, sizes: Sequence[float] | None
+) -> DifferentiatedStepper | SidedStepper:
+    """Return a run at its start.
+
+    Fixed steps end at the corners of force laws. Controlled steps do not: their sizes follow from errors.
+    """
     method = make_method(spec)
     workspace, _ = build(spec)
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    events = events_of(spec, sizes) if spec.events else []
+    sided = with_sides(workspace.mechanism) if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else None
+    is_sided = sided is not None and method.tolerances is None  # type: ignore[union-attr]
     try:
-        stepper = start_differentiated(method, workspace, table, seeds, with_nodes=with_nodes, sizes=sizes)
+        if sided is None or not is_sided:
+            compiled, control = compiled_for_derivatives(method, workspace)
+            return DifferentiatedStepper(compiled, workspace, table, control, seeds, with_nodes=with_nodes, sizes=sizes)
+        own = replace(workspace, mechanism=sided.mechanism)
+        compiled, _ = compiled_for_derivatives(method, own)
+        return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, with_nodes=with_nodes)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
-    try:
-        return _Pass(spec, stepper, seeds).run(events)
-    except StepError as error:
-        raise RunError(str(error)) from None
+
+
+@dataclass(frozen=True)
+class _AtEvent:
+    """Positions and velocities with derivatives at an event, and the sides of force laws there."""
+
+    q: np.ndarray
+    v: np.ndarray
+    sides: np.ndarray | None
 
 
 class _Pass:
@@ -187,6 +220,8 @@ class _Pass:
         assert stepper.steps is not None
         self.spec, self.stepper, self.seeds, self.width = spec, stepper, seeds, 1 + seeds.count
         self.workspace, self.steps = stepper.workspace, stepper.steps
+        self._sided = stepper if isinstance(stepper, SidedStepper) else None
+        self._evaluator = StateEvaluator(self.steps, seeds.count)
 
     def run(self, events: Sequence[Event]) -> DifferentiatedRun:
         """Take all steps, and return the states with their derivatives."""
@@ -194,28 +229,37 @@ class _Pass:
         waiting, at_events = list(events), []
         last: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None = None
         while not (stepper.finished or stepper.failure):
+            sides = None if self._sided is None else self._sided.sides
             stretch = stepper.advance()
             step = stepper.last_step
             while waiting and step is not None and last is None and waiting[0].time <= step.t1:
                 event = waiting.pop(0)
                 theta = min(1.0, (event.time - step.t0) / (step.t1 - step.t0))
+                now = None if self._sided is None else self._sided.sides
+                self._use(sides)
                 if event.stops:
                     last = stepper.cut_with_derivatives(theta)
-                    at_events.append(last[1:3])
+                    at_events.append(_AtEvent(*last[1:3], sides))
                 else:
-                    at_events.append(stepper.derivatives_within(theta))
+                    at_events.append(_AtEvent(*stepper.derivatives_within(theta), sides))
+                    self._use(now)
             times.append(stretch.time if last is None else stretch.time[stretch.time < last[0]])
         if stepper.failure:
             told = f"{stepper.failure.code}: {stepper.failure.sentence}"
             raise RunError(f"a run that stops early has no gradient: {told}")
         return self._observed(np.concatenate(times), last, events, at_events)
 
+    def _use(self, sides: np.ndarray | None) -> None:
+        """Use these sides of force laws."""
+        if self._sided is not None and sides is not None:
+            self._sided.set_sides(sides)
+
     def _observed(
         self,
         time: np.ndarray,
         last: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None,
         events: Sequence[Event],
-        at_events: Sequence[tuple[np.ndarray, np.ndarray]],
+        at_events: Sequence[_AtEvent],
     ) -> DifferentiatedRun:
         """Return recorded states, nodes if they are kept, and states at events, with what is computed from them."""
         workspace = self.workspace
@@ -224,7 +268,7 @@ class _Pass:
         q, v = np.concatenate([q0, q]), np.concatenate([v0, v])
         energy = np.concatenate([np.zeros((1, *energy.shape[1:])), energy])
         workspace.clamp_motions(-np.inf, np.inf)
-        crossings = [self._crossing(event, *state) for event, state in zip(events, at_events, strict=False)]
+        crossings = [self._crossing(event, at) for event, at in zip(events, at_events, strict=False)]
         moved = np.zeros(self.width - 1)
         if last is not None:  # the end moves with the parameters
             moved = crossings[-1].slope
@@ -233,73 +277,78 @@ class _Pass:
                 np.concatenate([x, end[None]])
                 for x, end in zip((q, v, energy), self._moving_end(last, moved), strict=True)
             )
-        rows = self.evaluated(time, None, q, v, energy)
-        nodes = self.evaluated(*self.steps.nodes(), None) if self.steps.run.nodes[0] else None
+        history = [] if self._sided is None else self._sided.history
+        rows = self._evaluated([(one.rows + 1, one.sides) for one in history], time, q, v, None, energy)
+        nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
         sizes = self.stepper.sizes_taken if self.stepper.controlled else None
-        return DifferentiatedRun(rows, nodes, moved, tuple(crossings), sizes)
+        return DifferentiatedRun(
+            rows, nodes, moved, tuple(crossings), sizes, is_split=self._sided is not None, doubts=self._doubts(rows)
+        )
+
+    def _doubts(self, rows: States) -> tuple[str, ...]:
+        """Return sentences on force laws that have corners inside steps."""
+        sided = None if self._sided is not None else with_sides(self.workspace.mechanism)
+        passed = () if sided is None else sided.passed(rows.observed.forces[..., 0])
+        return tuple(
+            f"the force '{name}' has a corner or a jump that the run passes; adaptive steps do not end there, so that "
+            "the derivatives lack what a jump contributes, and are not accurate after a corner: use fixed steps"
+            for name in passed
+        )
+
+    def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> States:
+        """Return the nodes of integrals over time.
+
+        The parts of an integral before and after a corner meet at a time that moves, which two nodes without weight
+        add to its derivatives.
+        """
+        time, weight, *state = self.steps.nodes()
+        fixed = np.column_stack([weight, np.zeros((len(weight), self.width - 1))])
+        parts = [self._evaluated(history, time, *state, fixed, None)]
+        for one in [] if self._sided is None else self._sided.corners:
+            moved = np.array([[0.0, *one.slope]])
+            parts += [replace(one.before, weight=moved), replace(one.after, weight=-moved)]
+        return one_after_another(parts)
+
+    def _evaluated(
+        self, history: Sequence[tuple[int, np.ndarray]], time: np.ndarray, *arrays: np.ndarray | None
+    ) -> States:
+        """Return states with what is computed from them, from some number of states on by the sides that were in use.
+
+        The `arrays` are positions, velocities, weights and energies.
+        """
+        if not history:
+            return self._evaluator.states(time, *arrays)  # type: ignore[arg-type]
+        begins = [0, *(begin for begin, _ in history[1:])]
+        parts = []
+        for begin, end, (_, sides) in zip(begins, [*begins[1:], len(time)], history, strict=True):
+            if end > begin:
+                self._use(sides)
+                part = slice(begin, end)
+                some = (None if x is None else x[part] for x in arrays)
+                parts.append(self._evaluator.states(time[part], *some))  # type: ignore[arg-type]
+        return one_after_another(parts)
 
     def _moving_end(
         self, last: tuple[float, np.ndarray, np.ndarray, np.ndarray], moved: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """Return positions, velocities and energies of the last state with derivatives along a change of its time."""
         t, q, v, energy = last
-        state = self.evaluated(np.array([t]), None, q[None], v[None], None)
+        state = self._evaluator.states(np.array([t]), q[None], v[None])
         ends = q.copy(), v.copy(), energy.copy()
         for end, rate in zip(ends, (v[:, 0], state.observed.acc[0, :, 0], state.power[0, :, 0]), strict=True):
             end[:, 1 : self.width] += np.outer(rate, moved)
         return ends
 
-    def _crossing(self, event: Event, q: np.ndarray, v: np.ndarray) -> Crossing:
+    def _crossing(self, event: Event, at: _AtEvent) -> Crossing:
         """Return the time of an event and its derivatives, ``-g_p / g_t`` for the expression g that crosses zero."""
-        here = self.evaluated(np.array([event.time]), None, q[None], v[None], None)
+        self._use(at.sides)
+        here = self._evaluator.states(np.array([event.time]), at.q[None], at.v[None])
         slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))
         value = series_of(event.expression, here, slopes)
-        acc = here.observed.acc[0, :, 0]
-        unit = self.spec.time.step or 1e-3
-        offsets = unit * np.array(CENTRAL) / 32.0
-        moved_q, moved_v = (constants(x[:, 0] + offsets[:, None] * rate) for x, rate in ((q, v[:, 0]), (v, acc)))
-        around = self.evaluated(event.time + offsets, None, moved_q, moved_v, None)
-        differences = series_of(event.expression, around, slopes).value - value.value[0]
-        rate = float(np.dot(weights(CENTRAL), differences)) / (unit / 32.0)
+        around, distance = self._evaluator.around(here, self.spec.time.step or 1e-3)
+        rate = rate_of(series_of(event.expression, around, slopes).value, float(value.value[0]), distance)
         with np.errstate(all="ignore"):
             return Crossing(event.name, event.time, -value.slope[:, 0] / rate)
-
-    def evaluated(
-        self, time: np.ndarray, weight: np.ndarray | None, q: np.ndarray, v: np.ndarray, energy: np.ndarray | None
-    ) -> States:
-        """Return states with what is computed from them."""
-        self.steps.take_up_solver()
-        states = dual_states(self.steps.run, self.workspace, time, q.view(Duals), v.view(Duals))
-        done = 0
-        renewed = -1
-        while done < len(time):
-            part = slice(done, None)
-            rest = states._replace(
-                solver=self.steps.run.solver, time=states.time[part], q=states.q[part], v=states.v[part],
-                observed=states.observed.rows(part), power=states.power[part],
-            )  # fmt: skip
-            pinned = PinnedBundle(rest)
-            status, row = observe_duals(pinned.address)
-            done += int(row)
-            if status != OK:
-                self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
-                renewed = done
-        some = slice(self.width)
-        observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
-        return States(
-            self.workspace, time, weight, np.asarray(q[..., some]), np.asarray(v[..., some]),
-            None if energy is None else np.asarray(energy[..., some]), observed, np.asarray(states.power[..., some]),
-        )  # fmt: skip
-
-    def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
-        """Choose pivots for the state that could not be evaluated; raise RunError if there are none."""
-        try:
-            if is_last_try or not self.workspace.is_finite(tangents=False):
-                raise SingularSystemError
-            self.workspace.use_pivots()
-        except SingularSystemError:
-            raise RunError(f"the accelerations at t = {t:.6g} s have no derivatives") from None
-        self.steps.take_up_solver()
 
 
 def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
@@ -310,18 +359,18 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
     RunError
         If the run stops early.
     """
-    workspace, _ = build(spec)
+    stepper: Stepper
     method = make_method(spec)
-    table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
+    workspace, _ = build(spec)
+    if sizes is None and with_sides(workspace.mechanism) is None:
+        stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
+    else:
+        stepper = _stepper(spec, NO_SEEDS, False, sizes)
+        workspace = stepper.workspace
     watched = [
         Watched(name, expression, spec.events[name].direction, spec.events[name].action)
         for name, expression in spec.watched().items()
     ]
-    stepper = (
-        start_method(method, workspace, table)
-        if sizes is None
-        else start_differentiated(method, workspace, table, NO_SEEDS, with_nodes=False, sizes=sizes)
-    )
     watch = Watch(stepper, workspace, watched)
     crossings: list[Found] = []
     while not (watch.finished or watch.failure):
@@ -334,18 +383,31 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
     return [Event(one.name, one.time, expressions[one.name], end) for one, end in zip(crossings, stops, strict=True)]
 
 
+def one_after_another(parts: Sequence[States]) -> States:
+    """Return states that follow each other."""
+
+    def together(arrays: Sequence[np.ndarray | None]) -> Any:
+        return None if arrays[0] is None else np.concatenate(arrays)  # type: ignore[arg-type]
+
+    def of(name: str) -> Any:
+        return together([getattr(one, name) for one in parts])
+
+    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
+    return States(parts[0].workspace, of("time"), of("weight"), of("q"), of("v"), of("energy"), observed, of("power"))
+
+
 def joined_states(parts: Sequence[States]) -> States:
     """Return the same states with the derivatives of several passes."""
 
-    def together(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        return np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)
+    def together(arrays: Sequence[Any]) -> Any:
+        return None if arrays[0] is None else np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)
+
+    def of(name: str) -> Any:
+        return together([getattr(one, name) for one in parts])
 
     first = parts[0]
-    energy = None if first.energy is None else together([one.energy for one in parts if one.energy is not None])
+    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
+    actuators = {name: together([one.actuators[name] for one in parts]) for name in first.actuators}
     return States(
-        first.workspace, first.time, first.weight,
-        together([one.q for one in parts]), together([one.v for one in parts]), energy,
-        Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True))),
-        together([one.power for one in parts]),
-        {name: together([one.actuators[name] for one in parts]) for name in first.actuators},
-    )  # fmt: skip
+        first.workspace, first.time, of("weight"), of("q"), of("v"), of("energy"), observed, of("power"), actuators
+    )

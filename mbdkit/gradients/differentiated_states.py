@@ -21,7 +21,7 @@ from mbdkit.measures.measured_quantities import component_of
 class States:
     """T states of a run with derivatives by K parameters, and what is computed from them.
 
-    All arrays but `time` and `weight` have a last axis of 1 + K: the value, then the derivatives.
+    All arrays but `time` have a last axis of 1 + K: the value, then the derivatives.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class States:
     time
         (T,) times [s].
     weight
-        (T,) weights of an integral over time [s]; None for recorded states.
+        (T, 1 + K) weights of an integral over time [s] with their derivatives; None for recorded states.
     q, v
         (T, 3 (B + 1), 1 + K) positions and velocities, ground last.
     energy

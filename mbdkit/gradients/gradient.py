@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import RunError, SpecError
+from mbdkit.errors import MbdkitError, RunError, SpecError
 from mbdkit.gradients.differentiated_expressions import (
     Definitions,
     Measures,
@@ -202,7 +202,7 @@ def gradients_json(spec: RunSpec) -> str:
         with one_thread_of_linear_algebra():
             definitions = definitions_of(spec, list(spec.measures))
             found = gradient_of_run_spec(spec, definitions, resolved(spec, spec.gradients), check=True)
-    except (RunError, SpecError) as error:
+    except MbdkitError as error:
         text = {name: {"reason": str(error)} for name in spec.measures}
     else:
         text = {name: found.described(name) for name in found.measures}
@@ -210,23 +210,23 @@ def gradients_json(spec: RunSpec) -> str:
 
 
 def gradient_of_run_spec(
-    spec: RunSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool, by_rows: bool = False
+    spec: RunSpec, definitions: Definitions, parameters: Sequence[Parameter], *, check: bool
 ) -> Gradient:
-    """Return the gradient of measures of a run; see `gradient`.
-
-    Parameters
-    ----------
-    by_rows
-        Whether integrals over time are those of the recorded rows, as in the measures of a run.
-    """
+    """Return the gradient of measures of a run; see `gradient`."""
     prepared = prepared_derivatives(spec, parameters, definitions)
     expressions = expressions_of(spec, definitions)
-    with_nodes = not by_rows and any(map(uses_nodes, expressions.values()))
+    with_nodes = any(map(uses_nodes, expressions.values()))
     run = differentiated_run(spec, prepared.seeds, with_nodes=with_nodes)
     specs = VariedSpecs(spec.canonical_json())
 
+    def again(varied: RunSpec) -> DifferentiatedRun:
+        if with_nodes or spec.events or run.is_split or run.sizes is not None:
+            # a step size that depended on the parameters would add a multiple of the tolerance to their differences
+            return differentiated_run(varied, NO_SEEDS, with_nodes=with_nodes, sizes=run.sizes)
+        return plain_run(varied)
+
     def measured(settings: Settings) -> list[float]:
-        return _values(specs.spec(settings), definitions, with_nodes, run.sizes)
+        return _values(specs.spec(settings), definitions, again)
 
     return gradient_of_run(run, expressions, parameters, prepared, measured if check else None)
 
@@ -251,7 +251,8 @@ def gradient_of_run(
     measured
         Returns the measures for other values of the parameters, for the check; None: the gradient is not checked.
     """
-    values, slopes, doubts, sizes = [], [], [], {}
+    values, slopes, sizes = [], [], {}
+    doubts = list(run.doubts)
     measure = MeasureOfRun(run)
     for name, one in expressions.items():
         found, slope = measure.of(one, slopes_of(one.program, prepared.seeds, of_measure(name)))
@@ -269,16 +270,10 @@ def gradient_of_run(
     )  # fmt: skip
 
 
-def _values(spec: RunSpec, definitions: Definitions, with_nodes: bool, sizes: Sequence[float] | None) -> list[float]:
-    """Return the measures of a run, whose steps have given `sizes` if its method controls them; nan if it stops early.
-
-    A step size that depended on the parameters would add a multiple of the tolerance to their differences.
-    """
+def _values(spec: RunSpec, definitions: Definitions, again: Callable[[RunSpec], DifferentiatedRun]) -> list[float]:
+    """Return the measures of a run; nan if it stops early."""
     try:
-        needs_more = with_nodes or spec.events or sizes is not None
-        measure = MeasureOfRun(
-            differentiated_run(spec, NO_SEEDS, with_nodes=with_nodes, sizes=sizes) if needs_more else plain_run(spec)
-        )
+        measure = MeasureOfRun(again(spec))
     except RunError:
         return [np.nan] * len(definitions)
     return [measure.of(one)[0] for one in expressions_of(spec, definitions).values()]

@@ -149,7 +149,8 @@ class MeasureOfRun:
         weight = None if self.run.nodes is None else self.run.nodes.weight
         if operand.nodes is not None and weight is not None:
             values = of_two("mul", operand.nodes, operand.nodes) if square else operand.nodes
-            total = Value((values.value @ weight)[..., None], (values.slope @ weight)[..., None])
+            moved = np.moveaxis(values.value @ weight[:, 1:], -1, 0)
+            total = Value((values.value @ weight[:, 0])[..., None], (values.slope @ weight[:, 0] + moved)[..., None])
             last = of_two("mul", rows, rows)[-1:].value if square else rows[-1:].value
             total = Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
         else:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -161,6 +162,17 @@ class DifferentiatedSteps:
             kept = (stages.acc, stages.lam, *stages.previous)
         return (run.q, run.v, run.energy, run.base_state, run.nodes, *kept)
 
+    @contextmanager
+    def last_nodes_kept(self) -> Iterator[None]:
+        """Keep the nodes of the last step, which another attempt at it overwrites."""
+        end = int(self.run.nodes[1])
+        some = slice(max(0, end - self._stage_count), end)
+        names = ("node_time", "node_weight", "node_q", "node_v")
+        kept = [np.copy(getattr(self.run, name)[some]) for name in names]
+        yield
+        for name, values in zip(names, kept, strict=True):
+            getattr(self.run, name)[some] = values
+
     def recorded(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the first recorded positions, velocities and energies after the start, with their derivatives."""
         run = self.run
@@ -226,6 +238,12 @@ class DifferentiatedStepper(CompiledStepper):
         self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes  # its end is no recorded state
         return done
 
+    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        """See `Stepper.within`."""
+        assert self.steps is not None
+        with self.steps.last_nodes_kept():
+            return super().within(theta)
+
     def derivatives_within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities with their derivatives at the share `theta` of the last step.
 
@@ -238,7 +256,8 @@ class DifferentiatedStepper(CompiledStepper):
         assert step is not None
         assert steps is not None
         after = [np.copy(x) for x in self._memory()]
-        done = theta >= 1.0 or self._retake(step, theta)
+        with steps.last_nodes_kept():
+            done = theta >= 1.0 or self._retake(step, theta)
         q, v = np.copy(steps.run.q), np.copy(steps.run.v)
         self._recall(after)
         self._count()

@@ -27,6 +27,11 @@ SMALL = 1e-14
 """Relative change of the derivatives of a step at which the iteration ends, by its rate of convergence."""
 STALLED, NEGLIGIBLE = 0.5, 1e-9
 """A change that shrinks by less than the first is round-off if it is below the second."""
+FEW_ROUNDINGS = 1e-15
+"""Relative change of positions below which a change that shrinks by less than `STALLED` is round-off, too.
+
+Forces that cancel, as in a driven mechanism, leave their round-off in accelerations that are small.
+"""
 
 
 def dual_stages(m: Stages) -> Stages:
@@ -90,28 +95,30 @@ def _change_accelerations(m, k):
 
 
 @subkernel
-def _index1_size(c, m, h):
-    """Return the relative change of the derivatives of the accelerations."""
-    now = 0.0
+def _index1_sizes(c, m, h):
+    """Return the relative change of the derivatives of the accelerations, and that of the positions."""
+    now = moved = 0.0
     for i in range(len(m.change)):
         now = max(now, relative_change(c, m.change[i], m.acc[i], 1.0))
-    return now
+        moved = max(moved, relative_change(c, m.change[i], m.q_stage[i], h * h))
+    return now, moved
 
 
 @subkernel
-def _constrained_size(c, m, h):
-    """Return the relative change of the derivatives of the positions (index 3), or of the velocities.
+def _constrained_sizes(c, m, h):
+    """Return the relative change of the derivatives of the velocities (of positions for index 3), and of the positions.
 
     Multipliers and accelerations have the round-off of positions over h^2, or of velocities over h.
     """
-    now = 0.0
-    in_position = m.settings.formulation[0] == INDEX_3
+    now = moved = 0.0
     for i in range(len(m.change)):
-        state = m.q_stage[i] if in_position else m.v_stage[i]
-        now = max(now, relative_change(c, m.change[i], state, h * h if in_position else h))
+        moved = max(moved, relative_change(c, m.change[i], m.q_stage[i], h * h))
+        if m.settings.formulation[0] != INDEX_3:
+            now = max(now, relative_change(c, m.change[i], m.v_stage[i], h))
     for i in range(len(m.constraints.shift)):
         now = max(now, relative_change(c, m.constraints.shift_change[i], m.v_stage[i], 1.0))
-    return now
+        moved = max(moved, relative_change(c, m.constraints.shift_change[i], m.q_stage[i], h))
+    return max(now, moved), moved
 
 
 @subkernel
@@ -150,8 +157,8 @@ def _constrained_changes(c, n, m, k, t, h):
 
 
 @inlined
-def _step(dual, run, method, plain, t, h, row, changes, size, powers):
-    """Differentiate a step; `changes`, `size` and `powers` belong to the formulation."""
+def _step(dual, run, method, plain, t, h, row, changes, sizes, powers):
+    """Differentiate a step; `changes`, `sizes` and `powers` belong to the formulation."""
     c, n, m, k = load_dual_run(dual), load_run_state(run), load_dual_stages(method), load_stages(plain)
     take_base(c, n)
     _predict(m, t, h)
@@ -164,10 +171,11 @@ def _step(dual, run, method, plain, t, h, row, changes, size, powers):
         if status != OK:
             return status
         _change_accelerations(m, k)
-        now = size(c, m, h)
+        now, moved = sizes(c, m, h)
         ratio = now / before
         converges_to_it = ratio < 1.0 and now * ratio / (1.0 - ratio) < SMALL
-        if now == 0.0 or (iteration > 0 and (converges_to_it or (ratio > STALLED and now < NEGLIGIBLE))):
+        is_round_off = ratio > STALLED and (now < NEGLIGIBLE or moved < FEW_ROUNDINGS)
+        if now == 0.0 or (iteration > 0 and (converges_to_it or is_round_off)):
             converged = True
             break
         before = now
@@ -195,11 +203,11 @@ def index1_step(dual, run, method, plain, t, h, row):
     row
         Place where the end of the step is recorded; -1 if it is not.
     """
-    return _step(dual, run, method, plain, t, h, row, _index1_changes, _index1_size, collocation_index1.stage_powers)
+    return _step(dual, run, method, plain, t, h, row, _index1_changes, _index1_sizes, collocation_index1.stage_powers)
 
 
 @kernel
 def constrained_step(dual, run, method, plain, t, h, row):
     """Differentiate a step on the constraints themselves: index 2, index 3 or ggl; see `index1_step`."""
     powers = collocation_constrained.stage_powers
-    return _step(dual, run, method, plain, t, h, row, _constrained_changes, _constrained_size, powers)
+    return _step(dual, run, method, plain, t, h, row, _constrained_changes, _constrained_sizes, powers)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import singledispatch
 from typing import Any
 
@@ -23,8 +22,7 @@ from mbdkit.methods.tableau import TableauError
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.diagonally_implicit import DiagonallyImplicit
-from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
-from mbdkit.stepping.dual_run import Seeds
+from mbdkit.stepping.differentiated_stepper import NoDerivativeError
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
@@ -81,7 +79,7 @@ def _require_stiffly_accurate(method: ImplicitRungeKutta, workspace: Workspace) 
         )
 
 
-def require_derivatives(method: Method, formulation: str, stabilization: Stabilization) -> None:
+def require_derivatives(method: Method, stabilization: Stabilization) -> None:
     """Raise NoDerivativeError unless the steps of a method can be differentiated."""
     if not (
         isinstance(method, ExplicitRungeKutta)
@@ -92,44 +90,23 @@ def require_derivatives(method: Method, formulation: str, stabilization: Stabili
         raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
 
 
-def start_differentiated(
-    method: Method,
-    workspace: Workspace,
-    timetable: Timetable,
-    seeds: Seeds,
-    *,
-    with_nodes: bool,
-    sizes: Sequence[float] | None = None,
-) -> DifferentiatedStepper:
-    """Return a stepper that runs a method, and differentiates its steps by parameters.
-
-    Parameters
-    ----------
-    method, workspace, timetable
-        See `start_method`.
-    seeds
-        Derivatives of mechanism and start.
-    with_nodes
-        Whether the stages of the steps are kept as nodes of integrals.
-    sizes
-        Sizes of steps [s] to take in place of those that step-size control would choose.
+def compiled_for_derivatives(
+    method: Method, workspace: Workspace
+) -> tuple[CompiledExplicit | CompiledCollocation, Control | None]:
+    """Return a method whose steps can be differentiated, and its step-size control, which is None for fixed steps.
 
     Raises
     ------
     mbdkit.stepping.differentiated_stepper.NoDerivativeError
         If the steps of the method cannot be differentiated.
     """
-    require_derivatives(method, workspace.formulation, workspace.stabilization)
-    compiled: CompiledExplicit | CompiledCollocation
+    require_derivatives(method, workspace.stabilization)
     if isinstance(method, ExplicitRungeKutta):
-        control = explicit_control(method, workspace.mechanism)
-        compiled = CompiledExplicit(method, workspace)
-    else:
-        assert isinstance(method, ImplicitRungeKutta)
-        _require_stiffly_accurate(method, workspace)
-        control = _implicit_control(method, workspace)
-        compiled = CompiledCollocation(method, workspace, control)
-    return DifferentiatedStepper(compiled, workspace, timetable, control, seeds, with_nodes=with_nodes, sizes=sizes)
+        return CompiledExplicit(method, workspace), explicit_control(method, workspace.mechanism)
+    assert isinstance(method, ImplicitRungeKutta)
+    _require_stiffly_accurate(method, workspace)
+    control = _implicit_control(method, workspace)
+    return CompiledCollocation(method, workspace, control), control
 
 
 @singledispatch

@@ -16,6 +16,10 @@ from mbdkit.text import did_you_mean, listed
 
 LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
 
+SIDE = "mbdkit_side_"
+"""Begin of the names of parameters that say on which side of a corner a law is (`mbdkit.gradients.law_corners`); beyond
+the corner, the potential is not that of the force."""
+
 _CORNERED = (sp.Abs, sp.Min, sp.Max, sp.Heaviside, sp.sign)
 
 
@@ -65,12 +69,12 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
         If SymPy cannot differentiate the force, or the derivative of the potential is not the force at rate zero.
     """
     names = list(example)
-    force, potential = (_without_corners(one) for one in law_expressions(law, names))
+    force, potential = smooth_pieces(law, names)
     results = [force, force.diff(LENGTH), force.diff(RATE), potential]
     for result in results:
         if result.has(sp.Derivative, sp.Subs, sp.DiracDelta, sp.core.function.AppliedUndef):
             raise PluginError(f"SymPy cannot differentiate its force {force}")
-    if law.potential is not None:
+    if law.potential is not None and not any(name.startswith(SIDE) for name in names):
         _check_potential(force, potential, example)
     local = {sp.Symbol(name, real=True): sp.Symbol(f"p_{i}", real=True) for i, name in enumerate(names)}
     used = set().union(*(result.free_symbols for result in results))
@@ -86,6 +90,12 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
     if "Not supported" in text:
         raise PluginError(f"its force {force} contains functions that cannot be compiled")
     return text
+
+
+def smooth_pieces(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp.Expr]:
+    """Return force and potential of a law with all corners as conditions of ``Piecewise``; see `law_expressions`."""
+    force, potential = (_without_corners(one) for one in law_expressions(law, names))
+    return force, potential
 
 
 def _without_corners(expression: sp.Expr) -> sp.Expr:

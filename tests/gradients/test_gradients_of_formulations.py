@@ -31,7 +31,10 @@ KINDS: dict[str, dict[str, Any]] = {
     "projection": {"integrator": {"name": "rk4"}, "stabilization": "projection", **FIXED},
     "projection of radau": {"integrator": RADAU, "stabilization": {"name": "projection", "every": 3}, **FIXED},
     "dopri5": {"integrator": {"name": "dopri5", "adaptive": True, "rtol": 1e-8, "atol": 1e-8}, **FREE},
-    "dop853": {"integrator": {"name": "dop853", "adaptive": True, "rtol": 1e-8, "atol": 1e-8}, "stabilization": "projection", **FREE},
+    "dop853": {
+        "integrator": {"name": "dop853", "adaptive": True, "rtol": 1e-8, "atol": 1e-8}, "stabilization": "projection",
+        **FREE,
+    },
     "adaptive radau": {"integrator": {**RADAU, "adaptive": True, "rtol": 1e-8, "atol": 1e-8}, **FREE},
     "adaptive index-3": {
         "formulation": "index-3", "integrator": {**RADAU, "adaptive": True, "rtol": 1e-7, "atol": 1e-7}, **FREE

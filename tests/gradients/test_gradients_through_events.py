@@ -82,6 +82,17 @@ def test_functions_of_a_moving_end_move_with_it() -> None:
     assert by_rows.check.is_passed, str(by_rows)
 
 
+def test_an_event_that_is_noted_leaves_integrals_as_they_are() -> None:
+    # expected: the integral without events
+    measures = ["integral(bodies.bob.angular_velocity**2)"]
+    noted = mbdkit.gradient(pendulum("note"), measures, "L", check=False)
+    spec = pendulum("note")
+    del spec["events"]
+    alone = mbdkit.gradient(spec, measures, "L", check=False)
+    assert noted.value == pytest.approx(alone.value, rel=1e-14)
+    np.testing.assert_allclose(noted.jacobian, alone.jacobian, rtol=1e-12)
+
+
 def test_parameters_and_forces_in_the_expression_of_an_event() -> None:
     # expected: the angular velocity at the angle, by the balance of energy; for the pull, differences of runs
     spec = pendulum("note")

@@ -1,0 +1,96 @@
+"""Evaluates states with derivatives: accelerations, reactions, forces, energies and powers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.jit.bundle import PinnedBundle
+from mbdkit.engine.jit.dual_arrays import Duals
+from mbdkit.engine.kernels.dual_observe import observe_duals
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.system import OK
+from mbdkit.errors import RunError
+from mbdkit.gradients.differentiated_states import States
+from mbdkit.gradients.parameter_differences import CENTRAL, weights
+from mbdkit.stepping.differentiated_stepper import DifferentiatedSteps
+from mbdkit.stepping.dual_run import constants, dual_states
+
+
+class StateEvaluator:
+    """Evaluates states of a differentiated run.
+
+    Parameters
+    ----------
+    steps
+        The differentiated steps, with mechanism and solver.
+    count
+        Number of parameters.
+    """
+
+    def __init__(self, steps: DifferentiatedSteps, count: int):
+        self.steps, self.workspace, self._some = steps, steps.workspace, slice(1 + count)
+
+    def states(
+        self,
+        time: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        weight: np.ndarray | None = None,
+        energy: np.ndarray | None = None,
+    ) -> States:
+        """Return T states with what is computed from them; see `States` for the arguments.
+
+        Raises
+        ------
+        RunError
+            If the accelerations of a state are not unique.
+        """
+        self.steps.take_up_solver()
+        states = dual_states(self.steps.run, self.workspace, time, q.view(Duals), v.view(Duals))
+        done = 0
+        renewed = -1
+        while done < len(time):
+            part = slice(done, None)
+            rest = states._replace(
+                solver=self.steps.run.solver, time=states.time[part], q=states.q[part], v=states.v[part],
+                observed=states.observed.rows(part), power=states.power[part],
+            )  # fmt: skip
+            pinned = PinnedBundle(rest)
+            status, row = observe_duals(pinned.address)
+            done += int(row)
+            if status != OK:
+                self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
+                renewed = done
+        some = self._some
+        observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
+        return States(
+            self.workspace, time, weight, np.asarray(q[..., some]), np.asarray(v[..., some]),
+            None if energy is None else np.asarray(energy[..., some]), observed, np.asarray(states.power[..., some]),
+        )  # fmt: skip
+
+    def around(self, here: States, unit: float) -> tuple[States, float]:
+        """Return states (8,) on the motion through a state, without derivatives, and their distance in time.
+
+        With `rate_of`, they give rates of quantities along the motion.
+        """
+        distance = unit / 32.0
+        offsets = distance * np.array(CENTRAL)
+        q, v, acc = here.q[0, :, 0], here.v[0, :, 0], here.observed.acc[0, :, 0]
+        moved = (constants(x + offsets[:, None] * rate) for x, rate in ((q, v), (v, acc)))
+        return self.states(here.time[0] + offsets, *moved), distance
+
+    def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
+        """Choose pivots for the state that could not be evaluated; raise RunError if there are none."""
+        try:
+            if is_last_try or not self.workspace.is_finite(tangents=False):
+                raise SingularSystemError
+            self.workspace.use_pivots()
+        except SingularSystemError:
+            raise RunError(f"the accelerations at t = {t:.6g} s have no derivatives") from None
+        self.steps.take_up_solver()
+
+
+def rate_of(around: np.ndarray, here: np.ndarray | float, distance: float) -> np.ndarray:
+    """Return the rate of a quantity from its values (8, ...) in the states of `StateEvaluator.around`."""
+    return np.asarray(np.tensordot(weights(CENTRAL), around - here, 1) / distance)

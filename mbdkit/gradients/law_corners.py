@@ -1,0 +1,201 @@
+"""Corners and jumps of force laws, and mechanisms whose laws stay on one side of them.
+
+A law that is a SymPy expression has a corner, or a jump, where a condition of a ``Piecewise`` changes, such as at the
+begin of contact. Each condition compares a function g of length, rate and parameters with zero. In a mechanism with
+sides, the conditions are replaced by additional parameters of the law, the sides: 1 where g > 0, otherwise -1. The law
+is then smooth while a step is taken, whatever its stages see, and steps end where g is zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
+from mbdkit.stepping.dual_run import Seeds
+
+if TYPE_CHECKING:
+    import sympy
+
+SIDE = "mbdkit_side_{}"
+"""Names of the parameters with the sides; see `mbdkit.symbolic.symbolic_law.SIDE`."""
+
+
+@dataclass(frozen=True)
+class SidedLaw:
+    """A law with its conditions as parameters.
+
+    Attributes
+    ----------
+    law
+        The law.
+    conditions
+        Functions of length, rate and the parameters of the original law, in its order, that return g and its
+        derivatives by all of these.
+    """
+
+    law: ExpressionLaw
+    conditions: tuple[Callable[..., list[Any]], ...]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition of the law of a force element.
+
+    Attributes
+    ----------
+    force
+        Name of the force element.
+    element
+        Its place among the force elements.
+    parameters
+        (n,) places of the parameters of the original law in ``Topology.law_parameters`` of the mechanism with sides.
+    side
+        Place of the side there.
+    function
+        See `SidedLaw`.
+    """
+
+    force: str
+    element: int
+    parameters: np.ndarray
+    side: int
+    function: Callable[..., list[Any]]
+
+
+@dataclass(frozen=True)
+class SidedMechanism:
+    """A mechanism with sides, see above.
+
+    Attributes
+    ----------
+    mechanism
+        The mechanism.
+    conditions
+        All conditions of its laws.
+    places
+        Places of the parameters of the original laws in those of the laws with sides.
+    """
+
+    mechanism: CompiledMechanism
+    conditions: tuple[Condition, ...]
+    places: np.ndarray
+
+    def passed(self, forces: np.ndarray) -> tuple[str, ...]:
+        """Return the names of the force elements whose conditions change over time.
+
+        Parameters
+        ----------
+        forces
+            (T, F, 5) values of the force elements; see `mbdkit.engine.kernels.acting.force_values`.
+        """
+        numbers = self.mechanism.topology.law_parameters
+        found = []
+        for one in self.conditions:
+            values = [one.function(*row[one.element, :2], *numbers[one.parameters])[0] for row in forces]
+            if min(values) < 0.0 < max(values):
+                found.append(one.force)
+        return tuple(dict.fromkeys(found))
+
+    def seeds(self, seeds: Seeds) -> Seeds:
+        """Return derivatives of the arrays of the original mechanism as those of this one."""
+        given = seeds.get("law_parameters")
+        if given is None:
+            return seeds
+        own = np.zeros((len(self.mechanism.topology.law_parameters), seeds.count))
+        own[self.places] = given
+        return Seeds({**seeds.arrays, "law_parameters": own}, seeds.scale)
+
+
+def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
+    """Return a mechanism with sides; None if none of its laws has conditions."""
+    sided = [_sided(one.law, tuple(name for name, _ in one.parameters)) for _, one in mechanism.laws]
+    if not any(one is not None and one.conditions for one in sided):
+        return None
+    top = mechanism.topology
+    values: list[float] = []
+    places: list[int] = []
+    rows, laws, conditions = top.laws.copy(), list(mechanism.laws), []
+    elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
+    for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
+        begin = int(top.laws[row, 1])
+        given = top.law_parameters[begin : begin + 1 + int(top.law_parameters[begin])]
+        rows[row, 1] = len(values)
+        if own is None or not own.conditions:
+            places += range(len(values), len(values) + len(given))
+            values += given.tolist()
+            continue
+        sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
+        bound, _ = bind_law(own.law, _named(compiled, given) | sides, name)
+        rows[row, 0], laws[row] = bound.address, (name, bound)
+        names = [parameter for parameter, _ in bound.parameters]  # in the order of the alphabet
+        own_places = np.array([k for k, one in enumerate(names) if one not in sides], dtype=np.int64)
+        held = np.ones(len(names))
+        held[own_places] = given[1:]
+        first = len(values) + 1
+        places += [first - 1, *(first + own_places).tolist()]
+        for i, function in enumerate(own.conditions):
+            side = first + names.index(SIDE.format(i))
+            conditions.append(Condition(name, elements[row], first + own_places, side, function))
+        values += [float(len(held)), *held.tolist()]
+    own_top = top._replace(laws=rows, law_parameters=np.array(values))
+    return SidedMechanism(
+        replace(mechanism, topology=own_top, laws=tuple(laws)), tuple(conditions), np.array(places, dtype=np.int64)
+    )
+
+
+def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:
+    return dict(zip((name for name, _ in compiled.parameters), given[1:].tolist(), strict=True))
+
+
+@cache
+def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
+    """Return a law with sides; None if it is not an expression."""
+    if not isinstance(law, ExpressionLaw):
+        return None
+    import sympy as sp
+
+    from mbdkit.symbolic.symbolic_law import smooth_pieces
+
+    force, potential = smooth_pieces(law, names)
+    variables = [sp.Symbol(name, real=True) for name in (*ARGUMENTS[:2], *names)]
+    found: list[sympy.Expr] = []
+    replaced: dict[Any, Any] = {}
+    for relation in sorted(force.atoms(sp.core.relational.Relational), key=str):
+        if not isinstance(relation, sp.Gt | sp.Ge | sp.Lt | sp.Le) or not relation.free_symbols & set(variables[:2]):
+            continue  # a condition on time or parameters does not change along the motion
+        g = sp.expand(relation.gts - relation.lts)
+        if g.free_symbols - set(variables):
+            continue
+        sign = 1 if g in found else -1 if -g in found else 0
+        if not sign:
+            found.append(g)
+            sign = 1
+        side = sp.Symbol(SIDE.format(found.index(g if sign > 0 else -g)), real=True)
+        replaced[relation] = sp.Gt(sign * side, 0)
+        rate = variables[1]
+        if rate in relation.free_symbols:  # the force at rate zero is the derivative of the potential, on any side
+            at_rest = relation.subs(rate, 0)
+            replaced[relation] = sp.Or(sp.And(sp.Eq(rate, 0), at_rest), sp.And(sp.Ne(rate, 0), replaced[relation]))
+    functions = tuple(
+        sp.lambdify(variables, [g, *(sp.diff(g, one) for one in variables)], modules="math") for g in found
+    )
+    return SidedLaw(
+        ExpressionLaw(
+            force.xreplace(replaced),
+            None if law.potential is None else potential.xreplace(replaced),
+            passive=law.passive,
+            parameters=_as_given,
+        ),
+        functions,
+    )
+
+
+def _as_given(options: Mapping[str, float]) -> Mapping[str, float]:
+    return options

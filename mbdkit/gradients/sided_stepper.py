@@ -1,0 +1,267 @@
+"""Runs with derivatives whose steps end where a force law has a corner or a jump.
+
+A step across such a place is no smooth function of the parameters: its derivative misses the change of the time at
+which the place is reached, however small the step. Steps therefore end there, and each part of a step sees one side
+only (`mbdkit.gradients.law_corners`). Where the force jumps, the derivatives of the velocities jump by the difference
+of the accelerations before and after it, times the derivative of its time (P. C. Mueller, Calculation of Lyapunov
+exponents for dynamic systems with discontinuities, Chaos, Solitons & Fractals 5 (1995) 1671-1681).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from mbdkit.engine.jit.bundle import PinnedBundle
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.errors import StepError
+from mbdkit.gradients.differentiated_states import States
+from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
+from mbdkit.gradients.law_corners import Condition
+from mbdkit.stepping.collocation import CompiledCollocation
+from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
+from mbdkit.stepping.dual_run import Seeds
+from mbdkit.stepping.explicit import CompiledExplicit
+from mbdkit.stepping.interface import StepTaken, Stretch, Timetable
+from mbdkit.stepping.run_plan import guard_limits, new_plan
+from mbdkit.stepping.run_state import MODIFIED
+
+PLACES = (0.25, 0.5, 0.75, 1.0)
+"""Shares of a step at which conditions are looked at."""
+SAME = 1e-9
+"""Share of a step below which a corner counts as one at its start or end."""
+AHEAD = 1e-6
+"""Share of a step by which the sides after a corner are looked ahead."""
+MOST_AT_ONCE = 8
+"""Number of corners at one time after which the run is given up."""
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Sides of force laws that are in use from some state of a run on.
+
+    Attributes
+    ----------
+    rows, nodes
+        Number of recorded states, without the first, and of nodes before.
+    sides
+        (C,) the sides.
+    """
+
+    rows: int
+    nodes: int
+    sides: np.ndarray
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A corner that a run has passed.
+
+    Attributes
+    ----------
+    before, after
+        The state with derivatives there, with the sides before and after the corner.
+    slope
+        (K,) derivatives of its time.
+    """
+
+    before: States
+    after: States
+    slope: np.ndarray
+
+
+class SidedStepper(DifferentiatedStepper):
+    """Runs a method with fixed steps on a mechanism with sides, and differentiates every step.
+
+    Parameters
+    ----------
+    method, workspace, timetable, seeds, with_nodes
+        See `DifferentiatedStepper`; the mechanism of the workspace is one with sides.
+    conditions
+        The conditions of its laws.
+
+    Attributes
+    ----------
+    history
+        The sides from the start on.
+    corners
+        The corners so far.
+    """
+
+    def __init__(
+        self,
+        method: CompiledExplicit | CompiledCollocation,
+        workspace: Workspace,
+        timetable: Timetable,
+        seeds: Seeds,
+        conditions: Sequence[Condition],
+        *,
+        with_nodes: bool,
+    ):
+        super().__init__(method, workspace, replace(timetable, single=True), None, seeds, with_nodes=with_nodes)
+        assert self.steps is not None
+        self.conditions = conditions
+        self.history: list[Sides] = []
+        self.corners: list[Corner] = []
+        self._evaluator = StateEvaluator(self.steps, seeds.count)
+        self._observer = StateObserver(workspace)
+        self._at_once = 0
+        self.set_sides(np.ones(len(conditions)))
+        here = self._here()
+        self.set_sides(np.where(self._conditions(here)[0] >= 0.0, 1.0, -1.0))
+        self.set_sides(self._ahead(self._here()))
+        self._note()
+
+    # --- sides
+
+    @property
+    def sides(self) -> np.ndarray:
+        """The sides (C,) in use."""
+        return np.asarray(self._numbers[[one.side for one in self.conditions]])
+
+    def set_sides(self, sides: np.ndarray) -> None:
+        """Use other sides."""
+        assert self.steps is not None
+        places = [one.side for one in self.conditions]
+        self._numbers[places] = sides
+        self.steps.run.top.law_parameters[places, 0] = sides
+
+    @property
+    def _numbers(self) -> np.ndarray:
+        return self.workspace.mechanism.topology.law_parameters
+
+    def _note(self) -> None:
+        assert self.steps is not None
+        self.history.append(Sides(self.recorded, int(self.steps.run.nodes[1]), self.sides))
+
+    # --- steps
+
+    def advance(self) -> Stretch:
+        """Advance by one step, or by the part of a step up to a corner."""
+        recorded, taken = self.recorded, len(self.sizes_taken)
+        stretch = super().advance()
+        step = self.last_step
+        found = None if step is None or self.failure is not None else self._first_crossing(step)
+        if step is None or found is None:
+            self._at_once = 0
+            return stretch
+        theta, number = found
+        if theta < 1.0 - SAME:
+            self._recall(self._before)
+            self.recorded, self.finished, self.failure = recorded, False, None
+            del self.sizes_taken[taken:]
+            self._count()
+            if theta > SAME:
+                self._stop_at(step.time(theta))
+                stretch = super().advance()
+        self._at_once = 0 if theta > SAME else self._at_once + 1
+        if self._at_once > MOST_AT_ONCE:
+            name = self.conditions[number].force
+            raise StepError("newton-failed", f"the force '{name}' begins and ends without end at t = {self.time:.6g} s")
+        self._pass(number)
+        return stretch if theta > SAME else self.advance()
+
+    def _stop_at(self, t: float) -> None:
+        """End the next step at a time."""
+        table, passed = self.timetable, int(self.run_state.progress.passed[0])
+        margin = 4.0 * np.finfo(float).eps * max(abs(table.start), abs(table.end))
+        self.timetable = replace(
+            table,
+            stops=(*table.stops[:passed], t, *table.stops[passed:]),
+            stop_margins=(*table.stop_margins[:passed], margin, *table.stop_margins[passed:]),
+        )
+        limits = guard_limits(self.workspace.mechanism, self.timetable.guards)
+        self.plan = new_plan(self.timetable, None, self.workspace.stabilization, limits)
+        self._plan = PinnedBundle(self.plan)
+
+    def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
+        """Return the share of a step at which the first condition changes, and its number; None if none does."""
+        states = [self.inside(theta) for theta in PLACES[:-1]] + [(step.q1, step.v1)]
+        values = self._values([step.time(theta) for theta in PLACES], states)
+        wrong = values * self.sides < 0.0
+        found = [one for number in np.flatnonzero(wrong.any(axis=0)) if (one := self._root(step, wrong, int(number)))]
+        return min(found) if found else None
+
+    def _root(self, step: StepTaken, wrong: np.ndarray, number: int) -> tuple[float, int] | None:
+        """Return where a condition changes; None if it does not, as seen by steps of the method."""
+        side = float(self.sides[number])
+
+        def value(theta: float) -> float:
+            return float(self._values([step.time(theta)], [self.within(theta)])[0, number]) * side
+
+        begin = SAME
+        if value(begin) <= 0.0:
+            return 0.0, number
+        for place, theta in enumerate(PLACES):
+            if wrong[place, number] and value(theta) < 0.0:
+                return float(brentq(value, begin, theta, xtol=1e-15)), number
+            if not wrong[place, number]:
+                begin = theta
+        return None
+
+    def _values(self, times: Sequence[float], states: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        """Return the functions of the conditions (N, C) in N states."""
+        q, v = (np.ascontiguousarray([one[i] for one in states]) for i in range(2))
+        observed = self._observer.arrays(len(q))
+        self._observer.observe(np.array(times), q, v, observed)
+        return np.array(
+            [
+                [one.function(*row[one.element, :2], *self._numbers[one.parameters])[0] for one in self.conditions]
+                for row in observed.forces
+            ]
+        )
+
+    # --- corners
+
+    def _here(self) -> States:
+        assert self.steps is not None
+        run = self.steps.run
+        return self._evaluator.states(np.array([self.time]), np.asarray(run.q)[None], np.asarray(run.v)[None])
+
+    def _conditions(self, here: States) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the functions (C,) of the conditions in a state, their derivatives (C, K), and their rates (C,)."""
+        assert self.steps is not None
+        around, distance = self._evaluator.around(here, float(self.timetable.step or 1.0))
+        forces, moved = here.observed.forces[0], around.observed.forces[:, :, 1, 0]
+        values, slopes, rates = [], [], []
+        for one in self.conditions:
+            length, rate = forces[one.element, :2]
+            g, by_length, by_rate, *by_parameter = one.function(length[0], rate[0], *self._numbers[one.parameters])
+            own = np.asarray(self.steps.run.top.law_parameters)[one.parameters, 1 : forces.shape[-1]]
+            values.append(g)
+            slopes.append(by_length * length[1:] + by_rate * rate[1:] + np.array(by_parameter) @ own)
+            rates.append(by_length * rate[0] + by_rate * rate_of(moved[:, one.element], rate[0], distance))
+        return np.array(values), np.array(slopes), np.array(rates)
+
+    def _ahead(self, here: States) -> np.ndarray:
+        """Return the sides (C,) a little later."""
+        value, _, rate = self._conditions(here)
+        later = value + AHEAD * float(self.timetable.step or 1.0) * rate
+        return np.where(later >= 0.0, 1.0, -1.0)
+
+    def _pass(self, number: int) -> None:
+        """Change the sides at a corner, and the derivatives of the velocities and energies by the jump formula."""
+        assert self.steps is not None
+        before = self._here()
+        _, slope, rate = self._conditions(before)
+        sides = self._ahead(before)
+        sides[number] = -self.sides[number]
+        with np.errstate(all="ignore"):
+            moved = -slope[number] / rate[number]
+        if not np.all(np.isfinite(moved)):
+            name = self.conditions[number].force
+            raise StepError("newton-failed", f"the force '{name}' begins or ends by a touch at t = {self.time:.6g} s")
+        self.set_sides(sides)
+        self.run_state.base_state[0] = self.steps.run.base_state[0] = MODIFIED
+        self.method.forget()
+        after = self._here()
+        run, some = self.steps.run, slice(1, 1 + len(moved))
+        jump = before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0]
+        run.v[:, some] += np.outer(jump, moved)
+        run.energy[:, some] += np.outer(before.power[0, :, 0] - after.power[0, :, 0], moved)
+        self.corners.append(Corner(before, after, moved))
+        self._note()

@@ -1,0 +1,150 @@
+"""Gradients through the corners and jumps of force laws: closed forms of a bouncing ball, by complex step."""
+
+from __future__ import annotations
+
+import cmath
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+
+HEIGHT, STIFFNESS, DAMPING, PAD, GRAVITY = 1.0, 400.0, 5.0, 0.3, 9.81
+GAUSS = {"name": "gauss", "stages": 3}
+
+
+def ball(end: float, step: float, integrator: dict[str, Any] = GAUSS, **law: float) -> dict[str, Any]:
+    """Return a ball of 1 kg that falls on a pad."""
+    return {
+        "mbdkit": 1,
+        "parameters": {"y": HEIGHT, "k": STIFFNESS, "c": DAMPING},
+        "model": {
+            "name": "mechanism",
+            "bodies": {"ball": {"mass": 1.0, "position": [0.0, "y"]}},
+            "forces": {
+                "pad": {
+                    "type": "law", "law": "one-sided", "acts": "compression", "stiffness": "k", "damping": "c",
+                    "free_length": PAD, **law,
+                    "pathway": {"type": "two-points", "bodies": ["ground", "ball"], "points": [[0, 0], [0, 0]]},
+                }
+            },
+        },
+        "integrator": integrator,
+        "time": {"end": end, "step": step},
+    }  # fmt: skip
+
+
+def bounce(y: complex, k: complex, c: complex, end: float, engages_at: float = PAD) -> tuple[complex, complex]:
+    """Return height and velocity at the end: free fall, a damped oscillation while the pad pushes, and free flight."""
+    x0 = engages_at - PAD
+    begin = cmath.sqrt(2.0 * (y - engages_at) / GRAVITY)
+    v0 = -GRAVITY * begin
+    omega, rest = cmath.sqrt(k - c * c / 4.0), -GRAVITY / k
+    a = x0 - rest
+    b = (v0 + 0.5 * c * a) / omega
+
+    def contact(t: complex) -> tuple[complex, complex]:
+        decay, cosine, sine = cmath.exp(-0.5 * c * t), cmath.cos(omega * t), cmath.sin(omega * t)
+        x = decay * (a * cosine + b * sine)
+        return rest + x, -0.5 * c * x + omega * decay * (b * cosine - a * sine)
+
+    def end_of_contact(t: complex) -> complex:
+        """Vanishes where the pad no longer pushes, or where a preloaded spring is back at its stop."""
+        x, v = contact(t)
+        return k * x + c * v if engages_at == PAD else x - x0
+
+    if begin.real > end:
+        return y - 0.5 * GRAVITY * end**2, -GRAVITY * end
+    lasts: complex = 2.8 / omega.real
+    for _ in range(50):  # Newton's method; the derivative of the pull by differences
+        lasts -= end_of_contact(lasts) * 1e-6 / (end_of_contact(lasts + 1e-6) - end_of_contact(lasts))
+    if begin.real + lasts.real > end:
+        x, v = contact(end - begin)
+        return PAD + x, v
+    x, v = contact(lasts)
+    rest_of_time = end - begin - lasts
+    return PAD + x + v * rest_of_time - 0.5 * GRAVITY * rest_of_time**2, v - GRAVITY * rest_of_time
+
+
+def expected(end: float, **known: float) -> np.ndarray:
+    """Return the derivatives of height and velocity at the end by y, k and c, by complex step."""
+    values = [HEIGHT, STIFFNESS, DAMPING]
+    columns = []
+    for i in range(3):
+        moved = [value + (1e-30j if i == j else 0.0) for j, value in enumerate(values)]
+        columns.append([x.imag / 1e-30 for x in map(complex, bounce(*moved, end, **known))])
+    return np.array(columns).T
+
+
+MEASURES = ["final(bodies.ball.y)", "final(bodies.ball.vy)"]
+
+
+@pytest.mark.parametrize("end", [0.45, 0.9], ids=["in contact", "after it"])
+@pytest.mark.parametrize("engages_at", [PAD, 0.25])
+def test_gradients_through_a_jump_of_the_force_are_those_of_the_motion(end: float, engages_at: float) -> None:
+    # expected: the closed form; the damper makes the force jump when contact begins, and so does a preload
+    law = {} if engages_at == PAD else {"engages_at": engages_at}
+    found = mbdkit.gradient(ball(end, 0.01, **law), MEASURES, ["y", "k", "c"])
+    np.testing.assert_allclose(found.jacobian, expected(end, engages_at=engages_at), rtol=2e-7, atol=1e-12)
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+
+
+def test_gradients_through_corners_have_the_order_of_the_method() -> None:
+    # expected: the closed form; the force of a pad without damping has corners, but no jumps
+    def error(step: float) -> float:
+        spec = ball(0.9, step, {"name": "rk4"})
+        spec["parameters"]["c"] = 0.0
+        found = mbdkit.gradient(spec, MEASURES, ["y", "k"], check=False)
+        columns = []
+        for i in range(2):
+            moved = [HEIGHT + (1e-30j if i == 0 else 0.0), STIFFNESS + (1e-30j if i == 1 else 0.0)]
+            columns.append([x.imag / 1e-30 for x in bounce(*moved, 0.0, 0.9)])
+        return float(np.max(np.abs(found.jacobian / np.array(columns).T - 1.0)))
+
+    assert error(0.0025) < 1e-5
+    assert np.log2(error(0.01) / error(0.0025)) / 2.0 > 3.5
+
+
+def test_energies_jump_with_the_force() -> None:
+    # expected: potential, kinetic and dissipated energy sum up to that at the start, m g y
+    spec = ball(0.9, 0.01)
+    energies = ["final(energy.total)", "final(energy.dissipated)"]
+    found = mbdkit.gradient(spec, energies, ["y", "k", "c"], check=False)
+    np.testing.assert_allclose(found.jacobian.sum(axis=0), [GRAVITY, 0.0, 0.0], rtol=0, atol=1e-8)
+
+
+def test_events_and_integrals_of_a_run_with_corners() -> None:
+    # expected: differences of runs; the impulse of the pad is the change of the momentum and that of gravity
+    spec = ball(0.9, 0.01)
+    spec["events"] = {"up": {"when": "ball.vy - 1.0", "direction": "falling", "action": "stop"}}
+    spec["events"]["touch"] = {"when": "ball.y - 0.2", "action": "note"}
+    measures = ["events.touch.time", "final(t)", "integral(forces.pad.value)", "final(bodies.ball.vy)"]
+    found = mbdkit.gradient(spec, measures, ["y", "k", "c"])
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+    assert 0.37 < found.value[0] < 0.45
+
+
+def test_the_blow_of_a_limit_stop_has_a_gradient_that_agrees_with_differences() -> None:
+    found = mbdkit.gradient(
+        "limit-stop",
+        ["final(bodies.shank.angle)", "final(bodies.shank.angular_velocity)"],
+        ["model.forces.stop.stiffness", "model.bodies.shank.mass"],
+        integrator=GAUSS,
+        time={"end": 2.4, "step": 0.002},
+        output={"every": 1},
+    )
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+    assert np.max(found.check.error / np.abs(found.check.derivative)) < 1e-4
+
+
+def test_controlled_steps_across_corners_are_doubted() -> None:
+    adaptive = {"name": "dopri5", "adaptive": True, "rtol": 1e-6, "atol": 1e-6, "max_step": 0.01}
+    spec = {**ball(0.9, 0.01, adaptive), "time": {"end": 0.9}}
+    found = mbdkit.gradient(spec, MEASURES, "y", check=False)
+    assert "the force 'pad' has a corner or a jump that the run passes" in found.doubts[0]
+    falling = mbdkit.gradient({**spec, "time": {"end": 0.3}}, MEASURES, "y", check=False)
+    assert falling.doubts == ()
