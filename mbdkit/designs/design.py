@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.designs.compared_settings import Comparison, compare, comparison_table
+from mbdkit.designs.derivatives import told, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.front import front_table, pareto_front
 from mbdkit.designs.identifiability import sentence, undetermined
@@ -43,6 +44,10 @@ class Design:
         Number of searches that ended at the best point to 0.1 % of its goal, and of all searches.
     message
         Why the best search ended.
+    derivatives
+        How the derivatives of goals and limits were computed, as a sentence; empty if none were needed.
+    unconfirmed
+        Goals and limits whose exact derivatives at the best point disagree with differences of runs, as sentences.
     undetermined
         Changes of variables by name, each of which leaves the goal at the best point as it is, because only a
         combination of these variables is determined; empty for a Pareto front.
@@ -59,6 +64,8 @@ class Design:
     runs: int
     searches: tuple[int, int]
     message: str
+    derivatives: str = ""
+    unconfirmed: tuple[str, ...] = ()
     undetermined: tuple[dict[str, float], ...] = ()
     compared: tuple[Comparison, ...] = ()
 
@@ -74,6 +81,8 @@ class Design:
                 "runs": self.runs,
                 "searches": {"at_best": self.searches[0], "all": self.searches[1]},
                 "message": self.message,
+                "derivatives": self.derivatives,
+                "unconfirmed": self.unconfirmed,
                 "undetermined": self.undetermined,
                 "compared": [asdict(one) for one in self.compared],
             }
@@ -100,6 +109,8 @@ class Design:
             runs=int(data["runs"]),
             searches=(int(data["searches"]["at_best"]), int(data["searches"]["all"])),
             message=str(data["message"]),
+            derivatives=str(data["derivatives"]),
+            unconfirmed=tuple(map(str, data["unconfirmed"])),
             undetermined=tuple(numbers(one) for one in data["undetermined"]),
             compared=tuple(Comparison.from_dict(spec, one) for one in data["compared"]),
         )
@@ -115,6 +126,8 @@ class Design:
             rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told))
         at_best, every = self.searches
         lines = [table(rows), f"{counted(self.runs, 'run')}, {at_best} of {every} searches ended here: {self.message}"]
+        if self.derivatives:
+            lines.append(self.derivatives)
         if not self.is_feasible:
             lines.append("No point that satisfies all limits was found; this one violates them least.")
         if len(self.front) > 1:
@@ -128,7 +141,7 @@ class Design:
         """What a user should know of the best point, in sentences."""
         sides = {name: self.side(name) for name in self.best.variables}
         at_bounds = [f"{name} is at its {side} bound." for name, side in sides.items() if side]
-        return [*at_bounds, *map(sentence, self.undetermined), *self.trust.sentences()]
+        return [*at_bounds, *map(sentence, self.undetermined), *self.unconfirmed, *self.trust.sentences()]
 
     def side(self, variable: str) -> str:
         """Return ``lower`` or ``upper`` if the best value of a variable is at this bound; otherwise an empty text."""
@@ -161,6 +174,8 @@ def solve(evaluator: Evaluator, notify: Notify) -> Design:
         runs=evaluator.runs,
         searches=(near, len(found)),
         message=best.message,
+        derivatives=told(evaluator),
+        unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients else (),
         undetermined=alone,
         compared=compared,
     )

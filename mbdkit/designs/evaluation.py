@@ -18,11 +18,11 @@ from mbdkit.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.measures.take import describe, take
 from mbdkit.one_thread import one_thread_of_linear_algebra
-from mbdkit.plain_data import Path, copied, path_text, plain
+from mbdkit.plain_data import Path, path_text, plain
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
-from mbdkit.spec.reading import parse_key, put
-from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.varied_specs import VariedSpecs, varied_inverse
 from mbdkit.stepping.warm_up import to_stderr
 
 Settings = Sequence[tuple[Path, Any]]
@@ -88,8 +88,7 @@ class ScenarioRuns:
     def __init__(self, spec: RunSpec | InverseSpec):
         self.spec = spec
         assert spec._document is not None
-        self._data = plain(spec._document.data)
-        self._varied = VariedSpecs(json.dumps(self._data))
+        self._varied = VariedSpecs(json.dumps(plain(spec._document.data)))
 
     def at(self, settings: Settings) -> RunSpec | InverseSpec:
         """Return the spec with these values.
@@ -103,12 +102,7 @@ class ScenarioRuns:
             spec = self._varied.spec(settings)
             spec.mechanism()
             return spec
-        data = copied(self._data)
-        for path, value in settings:
-            put(data, path, value)
-        inverse = InverseSpec(**data)
-        inverse._document = self.spec._document
-        return inverse
+        return varied_inverse(self.spec, settings)
 
     def outcomes(self, points: Sequence[Settings]) -> list[Outcome]:
         """Return what the scenario yields at some points; forward runs are computed side by side where possible."""
@@ -197,6 +191,10 @@ class Evaluator:
         The runs of each scenario.
     runs
         Number of runs so far.
+    gradients
+        Number of points so far at which exact derivatives were computed.
+    why_differences
+        Why derivatives are differences of runs; empty if they are exact.
 
     Raises
     ------
@@ -205,7 +203,7 @@ class Evaluator:
     """
 
     def __init__(self, spec: DesignSpec, source: Source | None = None, compared: str = ""):
-        self.spec, self.runs = spec, 0
+        self.spec, self.runs, self.gradients, self.why_differences = spec, 0, 0, ""
         self.names = tuple(one.name for one in spec.defined_measures())
         specs = spec.compared_specs[compared] if compared else spec.specs
         self.scenarios = tuple(ScenarioRuns(one) for one in specs.values())
@@ -221,6 +219,11 @@ class Evaluator:
                 except SpecError as error:
                     told = f"{error.message} (scenario '{name}')" if name else error.message
                     raise spec.placed(SpecError(told, key=path_text(measure.place))) from None
+
+    @property
+    def widths(self) -> np.ndarray:
+        """Widths (n,) of the bounds of the variables."""
+        return np.array([self._width(one) for one in self.spec.variables.values()])
 
     @property
     def first(self) -> np.ndarray:

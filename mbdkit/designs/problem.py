@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.designs.derivatives import derivatives
 from mbdkit.errors import RunError
 
 if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator
 
-STEP = 1e-4
-"""Step of central differences, as a share of the bounds."""
 FAILED = 1e3
 """Cost at points where a run fails, relative to that at the start: no search ends there."""
 FEASIBLE = 1e-6
@@ -22,15 +21,6 @@ FEASIBLE = 1e-6
 
 Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
 """Returns the derivatives (S, K, n) of goals and limits by the shares of the bounds, at a point (n,)."""
-
-
-def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
-    """Return derivatives (S, K, n) by central differences, or one-sided ones at a bound."""
-    low, high = np.maximum(x - STEP, 0.0), np.minimum(x + STEP, 1.0)
-    sides = [np.where(np.eye(len(x), dtype=bool), side, x) for side in (low, high)]
-    values = evaluator.values(np.concatenate(sides))
-    below, above = values[: len(x)], values[len(x) :]
-    return np.asarray(np.moveaxis((above - below) / (high - low)[:, None, None], 0, -1))
 
 
 @dataclass(frozen=True)
@@ -88,7 +78,7 @@ class Problem:
         evaluator: Evaluator,
         goal: int = 0,
         caps: dict[int, float] | None = None,
-        jacobian: Jacobian = differences,
+        jacobian: Jacobian = derivatives,
     ):
         self.evaluator, self._jacobian = evaluator, jacobian
         self.sums_squares = evaluator.spec.sums_squares

@@ -1,0 +1,88 @@
+"""Derivatives of goals and limits by the variables: exact ones where gradients exist, otherwise differences."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.errors import MbdkitError
+from mbdkit.gradients.differentiated_expressions import definitions_of
+from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
+from mbdkit.gradients.gradient_parameters import resolved
+from mbdkit.inverse_dynamics.inverse_gradient import gradient_of_inverse
+from mbdkit.one_thread import one_thread_of_linear_algebra
+from mbdkit.plain_data import path_text
+from mbdkit.spec import RunSpec
+from mbdkit.text import counted
+
+if TYPE_CHECKING:
+    from mbdkit.designs.evaluation import Evaluator
+
+STEP = 1e-4
+"""Step of central differences, as a share of the bounds."""
+
+
+def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
+    """Return the derivatives (S, K, n) of goals and limits by the shares of the bounds, at a point (n,).
+
+    They are exact unless a scenario has no gradients, which the evaluator then notes, or a run fails at this point.
+    """
+    if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
+        return differences(evaluator, x)
+    try:
+        found = np.array([one.jacobian for one in gradients(evaluator, x, check=False)])
+    except MbdkitError as error:
+        evaluator.why_differences = str(error).rstrip(".")
+        return differences(evaluator, x)
+    evaluator.gradients += 1
+    return np.asarray(found * evaluator.widths)
+
+
+def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
+    """Return derivatives (S, K, n) by central differences, or one-sided ones at a bound."""
+    low, high = np.maximum(x - STEP, 0.0), np.minimum(x + STEP, 1.0)
+    sides = [np.where(np.eye(len(x), dtype=bool), side, x) for side in (low, high)]
+    values = evaluator.values(np.concatenate(sides))
+    below, above = values[: len(x)], values[len(x) :]
+    return np.asarray(np.moveaxis((above - below) / (high - low)[:, None, None], 0, -1))
+
+
+def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
+    """Return goals and limits whose exact derivatives at a point disagree with differences, one sentence for each."""
+    if evaluator.why_differences:
+        return ()
+    try:
+        checks = [one.check for one in gradients(evaluator, x, check=True)]
+    except MbdkitError:
+        return ()
+    return tuple(line for one in checks if one is not None for line in one.disagreements)
+
+
+def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradient]:
+    """Return the gradients of goals and limits of each scenario by the variables, at a point (n,).
+
+    Raises
+    ------
+    MbdkitError
+        If a scenario has none.
+    """
+    settings, found = evaluator.settings(x), []
+    for scenario in evaluator.scenarios:
+        spec = scenario.at(settings)
+        parameters = resolved(spec, [path_text(path) for path, _ in settings])
+        definitions = definitions_of(spec, [one.name for one in spec.defined_measures()])
+        with one_thread_of_linear_algebra():
+            found.append(
+                gradient_of_run_spec(spec, definitions, parameters, check=check)
+                if isinstance(spec, RunSpec)
+                else gradient_of_inverse(spec, definitions, parameters, check=check)
+            )
+    return found
+
+
+def told(evaluator: Evaluator) -> str:
+    """Return how the derivatives were computed, as a sentence; empty if none were needed."""
+    if evaluator.why_differences:
+        return f"Derivatives are differences of runs: {evaluator.why_differences}."
+    return f"Derivatives are exact, computed at {counted(evaluator.gradients, 'point')}." if evaluator.gradients else ""

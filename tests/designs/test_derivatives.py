@@ -1,0 +1,57 @@
+"""Derivatives of goals and limits by the variables: exact ones beside differences, and what is said of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.designs.derivatives import derivatives, differences, told
+from mbdkit.designs.evaluation import Evaluator
+from mbdkit.spec import load_design_spec
+from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, shank, swing
+
+LIMITS = {"stored": {"value": "max(forces.brace.potential)", "max": 50.0}}
+
+
+def inverse_of_swing() -> dict[str, Any]:
+    data = {"time": T.tolist(), "angle": (0.2 + 0.5 * np.sin(3 * T)).tolist()}
+    motion = {"data": data, "columns": {"knee.angle": "angle"}, "smooth": "quintic"}
+    return {"mbdkit": 1, "model": shank().to_spec(), "motion": motion}
+
+
+@pytest.mark.parametrize("kind", ["run", "inverse dynamics"])
+def test_exact_derivatives_are_those_of_the_measures(kind: str) -> None:
+    # expected: central differences of the measures
+    base, goal = (
+        (swing(), {}) if kind == "run" else (inverse_of_swing(), {"minimize": "mean((-forces.brace.value - 2)**2)"})
+    )
+    evaluator = Evaluator(load_design_spec(design_of(base, subject_to=LIMITS, **goal)))
+    x = np.array([0.4, 0.3])
+    exact = derivatives(evaluator, x)
+    assert told(evaluator) == "Derivatives are exact, computed at 1 point."
+    np.testing.assert_allclose(exact, differences(evaluator, x), rtol=1e-6, atol=1e-9 * np.max(np.abs(exact)))
+
+
+def test_the_optimum_is_found_to_more_digits_than_by_differences() -> None:
+    # expected: the regression of the moments
+    angle, moment = moments()
+    matrix = [[mean(angle**2), -mean(angle)], [-mean(angle), 1.0]]
+    k, k_free = np.linalg.solve(matrix, [-mean(angle * moment), mean(moment)])
+    found = mbdkit.design(design_of(swing(), optimizer={"name": "slsqp", "tolerance": 1e-15, "starts": 3}))
+    assert found.derivatives.startswith("Derivatives are exact")
+    assert found.derivatives in found.summary()
+    assert found.unconfirmed == ()
+    assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(k, rel=1e-6)
+    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(k_free / k, rel=1e-6)
+
+
+def test_differences_say_why_they_are_used() -> None:
+    spec = swing() | {"integrator": {"name": "scipy-dop853"}}
+    spec["time"] = {key: value for key, value in spec["time"].items() if key != "step"}
+    spec["output"] = {"interval": 0.01}
+    found = mbdkit.design(design_of(spec, optimizer={"name": "slsqp", "max_iterations": 2}))
+    assert found.derivatives.startswith("Derivatives are differences of runs: integrator: mbdkit:scipy-dop853 has no")
+    assert found.to_dict()["derivatives"] in found.summary()
