@@ -1,7 +1,8 @@
 """What a gradient by ten parameters costs, as a multiple of the run; differences of runs would cost twenty.
 
 The run is that of the knee without its archive. The preparation, which is repeated for each parameter, does not depend
-on the number of steps; the differentiated run grows with them as the run does.
+on the number of steps; the differentiated run grows with them as the run does. Beside it stand CasADi's forward
+sensitivities of the same collocation, of the double pendulum in the same coordinates, in ten directions of its start.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ METHODS: tuple[tuple[dict[str, Any], float], ...] = (
     ({"name": "rk4"}, 5e-4),
 )
 REPEATS = 5
+PENDULUM = tuple(f"model.{key}.{i}" for key in ("lengths", "masses", "angles", "rates", "gravity") for i in range(2))
+STAGES, STEP, STEPS = 3, 1e-3, 4000
 
 
 def gradients(console: Console) -> None:
@@ -65,6 +68,56 @@ def gradients(console: Console) -> None:
         stages = f"-{integrator['stages']}" if "stages" in integrator else ""
         table.add_row(f"{integrator['name']}{stages}", f"{step:g} s", duration(run), *multiples)
     console.print(table)
+    beside_casadi(console)
+
+
+def beside_casadi(console: Console) -> None:
+    """Print what ten sensitivities of the double pendulum cost, beside those of CasADi if that is installed."""
+    integrator, time = {"name": "gauss", "stages": STAGES}, {"end": STEP * STEPS, "step": STEP}
+    spec = load_spec({"mbdkit": 1, "model": {"name": "double-pendulum"}, "integrator": integrator, "time": time})
+    seeds = prepared_derivatives(spec, resolved(spec, PENDULUM)).seeds
+    contenders = {
+        "mbdkit": timed(partial(simulate_arrays, spec)),
+        "mbdkit, differentiated": timed(partial(differentiated_run, spec, seeds, with_nodes=False)),
+    }
+    try:
+        run, forward = casadi_sensitivities()
+    except ImportError:
+        console.print("CasADi is not installed, so that its sensitivities are not beside those of mbdkit")
+    else:
+        contenders |= {"CasADi": timed(run), "CasADi, differentiated": timed(forward)}
+    found = take_turns(contenders, REPEATS)
+    table = Table(title=f"double pendulum, gauss-{STAGES}, {STEPS} steps, ten directions; median of the CPU time")
+    for column in ("code", "run", "differentiated run"):
+        table.add_column(column)
+    for name in [one for one in contenders if "," not in one]:
+        run_time, whole = found[name].median, found[f"{name}, differentiated"].median
+        table.add_row(name, duration(run_time), f"{duration(whole)} ({whole / run_time:.1f} runs)")
+    console.print(table)
+
+
+def casadi_sensitivities() -> tuple[Callable[[], object], Callable[[], object]]:
+    """Return CasADi's run of the same collocation, and the run with ten forward sensitivities.
+
+    CasADi differentiates its Newton iteration by the implicit function theorem. Both evaluate the steps one after
+    another in its virtual machine; a just-in-time compiler is not used.
+    """
+    import casadi
+
+    from tests.witness.casadi_gauss import RodChain
+
+    chain = RodChain(2)
+    q, v = chain.start(0.0)
+    step, unknowns = chain.step(STAGES), 5 * chain.count * STAGES
+    start = casadi.vertcat(q, v, casadi.DM.zeros(unknowns))
+    x = casadi.MX.sym("x", 12 + unknowns)
+    run = casadi.Function("once", [x], [casadi.vertcat(*step(x[:6], x[6:12], x[12:], STEP))]).fold(STEPS)
+    forward, directions = run.forward(len(PENDULUM)), casadi.DM.eye(12 + unknowns)[:, : len(PENDULUM)]
+
+    def both() -> None:
+        forward(start, run(start), directions)
+
+    return partial(run, start), both
 
 
 def timed(work: Callable[[], object]) -> Callable[[], float]:
