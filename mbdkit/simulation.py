@@ -35,7 +35,6 @@ from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.gradients.gradient import check_gradients, gradients_json
 from mbdkit.interrupts import interrupts_noted
 from mbdkit.logs import logger_of
 from mbdkit.measures.take import take_all
@@ -329,7 +328,10 @@ def _prepared(
     """Return a simulation whose writer is begun by `begun`; see `simulate`."""
     method = make_method(spec)
     check_jumps(spec)
-    check_gradients(spec, method)
+    if spec.gradients:
+        from mbdkit.gradients.gradient import check_gradients
+
+        check_gradients(spec, method)
     cautions = caution(spec, method)
     _warn(cautions, notify)
     workspace, start = build(spec, notify, starts)
@@ -608,6 +610,8 @@ class _Simulation:
         for name, reason in found.reasons.items():
             _LOG.warning("measure %s: %s", name, reason)
         if self.spec.gradients and self.failure is None and not self.interrupted:
+            from mbdkit.gradients.gradient import gradients_json
+
             set_text(file, GRADIENTS, gradients_json(self.spec))
         return found.to_json()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -16,9 +15,9 @@ from mbdkit.errors import RunError, SpecError, StepError
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
-from mbdkit.gradients.differentiated_states import States, series_of
+from mbdkit.gradients.differentiated_states import States, joined_states, one_after_another, series_of
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
-from mbdkit.gradients.law_corners import with_sides
+from mbdkit.gradients.law_corners import with_sides, with_unknown_corners
 from mbdkit.gradients.sided_stepper import SidedStepper
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
@@ -286,10 +285,16 @@ class _Pass:
         )
 
     def _doubts(self, rows: States) -> tuple[str, ...]:
-        """Return sentences on force laws that have corners inside steps."""
-        sided = None if self._sided is not None else with_sides(self.workspace.mechanism)
+        """Return sentences on force laws that have, or may have, corners inside steps."""
+        mechanism = self.workspace.mechanism
+        sided = None if self._sided is not None else with_sides(mechanism)
         passed = () if sided is None else sided.passed(rows.observed.forces[..., 0])
-        return tuple(
+        unknown = tuple(
+            f"the law of the force '{name}' is a function, whose corners and jumps are not known: if the run passes a "
+            "jump, the derivatives lack what it contributes; write the law as a SymPy expression"
+            for name in with_unknown_corners(mechanism)
+        )
+        return unknown + tuple(
             f"the force '{name}' has a corner or a jump that the run passes; adaptive steps do not end there, so that "
             "the derivatives lack what a jump contributes, and are not accurate after a corner: use fixed steps"
             for name in passed
@@ -381,33 +386,3 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
     expressions = spec.watched()
     stops = [one is crossings[-1] and watch.stopped is not None for one in crossings]
     return [Event(one.name, one.time, expressions[one.name], end) for one, end in zip(crossings, stops, strict=True)]
-
-
-def one_after_another(parts: Sequence[States]) -> States:
-    """Return states that follow each other."""
-
-    def together(arrays: Sequence[np.ndarray | None]) -> Any:
-        return None if arrays[0] is None else np.concatenate(arrays)  # type: ignore[arg-type]
-
-    def of(name: str) -> Any:
-        return together([getattr(one, name) for one in parts])
-
-    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
-    return States(parts[0].workspace, of("time"), of("weight"), of("q"), of("v"), of("energy"), observed, of("power"))
-
-
-def joined_states(parts: Sequence[States]) -> States:
-    """Return the same states with the derivatives of several passes."""
-
-    def together(arrays: Sequence[Any]) -> Any:
-        return None if arrays[0] is None else np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)
-
-    def of(name: str) -> Any:
-        return together([getattr(one, name) for one in parts])
-
-    first = parts[0]
-    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
-    actuators = {name: together([one.actuators[name] for one in parts]) for name in first.actuators}
-    return States(
-        first.workspace, first.time, of("weight"), of("q"), of("v"), of("energy"), observed, of("power"), actuators
-    )

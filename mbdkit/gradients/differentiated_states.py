@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -191,3 +192,33 @@ def series_of(expression: RunExpression, states: States, constants: np.ndarray) 
             else:
                 stack.append(of_one(operation, number, stack.pop()))
     return stack.pop()
+
+
+def one_after_another(parts: Sequence[States]) -> States:
+    """Return states that follow each other."""
+
+    def together(arrays: Sequence[np.ndarray | None]) -> Any:
+        return None if arrays[0] is None else np.concatenate(arrays)  # type: ignore[arg-type]
+
+    def of(name: str) -> Any:
+        return together([getattr(one, name) for one in parts])
+
+    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
+    return States(parts[0].workspace, of("time"), of("weight"), of("q"), of("v"), of("energy"), observed, of("power"))
+
+
+def joined_states(parts: Sequence[States]) -> States:
+    """Return the same states with the derivatives of several passes."""
+
+    def together(arrays: Sequence[Any]) -> Any:
+        return None if arrays[0] is None else np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)
+
+    def of(name: str) -> Any:
+        return together([getattr(one, name) for one in parts])
+
+    first = parts[0]
+    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
+    actuators = {name: together([one.actuators[name] for one in parts]) for name in first.actuators}
+    return States(
+        first.workspace, first.time, of("weight"), of("q"), of("v"), of("energy"), observed, of("power"), actuators
+    )

@@ -169,8 +169,6 @@ def gradient(
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
     """Raise SpecError, with its key, if the gradients that a spec asks for cannot be computed."""
-    if not spec.gradients:
-        return
     try:
         if not spec.measures:
             raise SpecError("gradients are those of measures, and the spec has no `measures`", key="gradients")

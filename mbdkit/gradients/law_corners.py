@@ -17,7 +17,7 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw
 from mbdkit.stepping.dual_run import Seeds
 
 if TYPE_CHECKING:
@@ -147,6 +147,15 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     own_top = top._replace(laws=rows, law_parameters=np.array(values))
     return SidedMechanism(
         replace(mechanism, topology=own_top, laws=tuple(laws)), tuple(conditions), np.array(places, dtype=np.int64)
+    )
+
+
+def with_unknown_corners(mechanism: CompiledMechanism) -> tuple[str, ...]:
+    """Return the names of the forces whose laws are functions of plugins, which may have corners and jumps."""
+    return tuple(
+        name
+        for name, one in mechanism.laws
+        if isinstance(one.law, FunctionLaw) and not one.law.function.__module__.startswith("mbdkit.laws.")
     )
 
 

@@ -29,8 +29,8 @@ from mbdkit.gradients.differentiated_expressions import (
     expressions_of,
     numbers_of,
 )
-from mbdkit.gradients.differentiated_run import DifferentiatedRun, joined_states
-from mbdkit.gradients.differentiated_states import States
+from mbdkit.gradients.differentiated_run import DifferentiatedRun
+from mbdkit.gradients.differentiated_states import States, joined_states
 from mbdkit.gradients.gradient import Gradient, gradient_of_run, require_derivatives
 from mbdkit.gradients.gradient_check import Settings
 from mbdkit.gradients.gradient_parameters import Parameter, resolved

@@ -261,3 +261,20 @@ def test_newton_contracts_faster_with_smaller_steps(law: str, options: dict[str,
         counts.append(found.stats["newton_iterations"] / found.stats["steps"])
     assert counts[0] - 1.0 > counts[1] > counts[2] + 0.5
     assert counts[2] < 4.0
+
+
+@pytest.mark.parametrize(("law", "is_known"), [("linear-sympy", True), ("linear-numba", False)])
+def test_gradients_doubt_laws_whose_corners_are_not_known(law: str, is_known: bool) -> None:
+    # expected: the gradient of the built-in spring
+    options, times = {"stiffness": 40.0, "damping": 0.8, "free": 0.3}, {"end": 0.5, "step": 0.01}
+    found, expected = (
+        mbdkit.gradient(
+            swinging("angle", one, **options), "final(bodies.lower.angle)", "model.forces.s.stiffness",
+            check=False, integrator=GAUSS, time=times,
+        )
+        for one in (law, "built-in")
+    )  # fmt: skip
+    assert found.jacobian[0, 0] == pytest.approx(expected.jacobian[0, 0], rel=1e-9)
+    assert expected.doubts == ()
+    assert bool(found.doubts) != is_known
+    assert is_known or "the law of the force 's' is a function" in found.doubts[0]
