@@ -49,14 +49,23 @@ def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
 
 
 def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
-    """Return goals and limits whose exact derivatives at a point disagree with differences, one sentence for each."""
+    """Return goals and limits whose exact derivatives at a point disagree with differences, one sentence for each.
+
+    That is often so where a frame of a measured motion is at the corner of a one-sided law.
+    """
     if evaluator.why_differences:
         return ()
     try:
         checks = [one.check for one in gradients(evaluator, x, check=True)]
     except MbdkitError:
         return ()
-    return tuple(line for one in checks if one is not None for line in one.disagreements)
+    return tuple(
+        f"The derivative of {one.names[m]} at the best point is not confirmed by differences, {one.derivative[m]:.4g} "
+        f"and {one.extrapolated[m]:.4g} in a random direction: {one.names[m]} may have a corner there."
+        for one in checks
+        if one is not None
+        for m in np.flatnonzero(~one.agrees)
+    )
 
 
 def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradient]:

@@ -73,11 +73,6 @@ class GradientCheck:
         """Whether all measures agree."""
         return bool(np.all(self.agrees))
 
-    @property
-    def disagreements(self) -> tuple[str, ...]:
-        """What disagrees, one sentence for each measure."""
-        return tuple(self._told(m) for m in range(len(self.names)) if not self.agrees[m])
-
     def __str__(self) -> str:
         return "\n".join(map(self._told, range(len(self.names))))
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.designs.derivatives import derivatives, differences, told
+from mbdkit.designs.derivatives import derivatives, differences, told, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.spec import load_design_spec
-from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, shank, swing
+from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
 LIMITS = {"stored": {"value": "max(forces.brace.potential)", "max": 50.0}}
 
@@ -55,3 +55,13 @@ def test_differences_say_why_they_are_used() -> None:
     found = mbdkit.design(design_of(spec, optimizer={"name": "slsqp", "max_iterations": 2}))
     assert found.derivatives.startswith("Derivatives are differences of runs: integrator: mbdkit:scipy-dop853 has no")
     assert found.to_dict()["derivatives"] in found.summary()
+
+
+def test_a_corner_of_the_goal_at_the_best_point_is_named() -> None:
+    # expected: |k - 20| phi_max has a corner at k = 20, where differences are zero
+    most = 20.0 * float(np.max(np.abs(moments(at=T)[0]))) + 1e-9
+    goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})"
+    evaluator = Evaluator(load_design_spec(design_of(swing(), variables=ONE, minimize=goal)))
+    (sentence,) = unconfirmed(evaluator, np.array([0.1]))
+    assert "derivative of goal at the best point is not confirmed" in sentence
+    assert unconfirmed(evaluator, np.array([0.2])) == ()
