@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.designs.derivatives import differences
 from mbdkit.designs.evaluation import Evaluator
-from mbdkit.designs.problem import differences
 
 REACH = 0.1
 """Half width of a cut, as a share of the bounds."""

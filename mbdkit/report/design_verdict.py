@@ -39,7 +39,7 @@ def design_verdict(design: Design) -> Verdict:
         sentence=" ".join([*(claim.sentence for claim in claims if claim.sentence), *design.warnings]),
         claims=tuple(claims),
         tables=tuple(_tables(design)),
-        notes=(note + alone,),
+        notes=(" ".join(filter(None, (note + alone, design.derivatives))),),
     )
 
 
