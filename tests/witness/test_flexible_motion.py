@@ -1,0 +1,153 @@
+"""Vibrations and large motions of beams, against Timoshenko's beam, rotating bars, and conservation laws."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+
+from .timoshenko import TimoshenkoBeam
+
+#: A rectangular bar of steel, 1 m x 20 mm x 40 mm; its axial vibrations are faster than those looked at.
+BAR = TimoshenkoBeam(1.0, 5.0e7, 2.2e4, 6.3, 8.4e-4)
+
+
+def bar(elements: int, nodes: int, ends: tuple[str, str]) -> mbdkit.Mechanism:
+    """Return the bar on its supports."""
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiffness = {"axial": 1.7e8, "shear": BAR.shear, "bending": BAR.bending}
+    names = m.beam(
+        "bar", a=(0, 0), b=(BAR.length, 0), elements=elements, nodes=nodes, stiffness=stiffness,
+        mass_per_length=BAR.mass, rotary_inertia=BAR.inertia,
+    )  # fmt: skip
+    for side, node, x, end in zip("ab", (names[0], names[-1]), (0.0, BAR.length), ends, strict=True):
+        if end == "clamped":
+            m.weld(f"end {side}", m.ground, node, at=(x, 0))
+        elif end == "pinned":
+            m.driver(f"end {side}", m.ground, node, coordinate="y", motion=0.0)
+    if ends == ("pinned", "pinned"):
+        m.driver("along", m.ground, names[0], coordinate="x", motion=0.0)
+    return m
+
+
+def bending(elements: int, nodes: int, ends: tuple[str, str], count: int) -> np.ndarray:
+    """Return the lowest frequencies of bending [rad/s], without motions of the bar as a whole."""
+    found = mbdkit.modes(bar(elements, nodes, ends), at="start", time={"end": 1.0, "step": 0.1})
+    is_across = np.max(np.abs(found.shapes[:, :, 1]), axis=1) > 1e-3 * np.max(np.abs(found.shapes[:, :, 0]), axis=1)
+    frequencies = found.natural_frequency[is_across]
+    return frequencies[frequencies > 1.0][:count]
+
+
+@pytest.mark.parametrize("ends", [("clamped", "free"), ("free", "free"), ("pinned", "pinned"), ("clamped", "clamped")])
+@pytest.mark.parametrize(("nodes", "sizes", "order", "most"), [(2, (16, 32), 2, 5e-3), (3, (8, 16), 4, 1e-4)])
+def test_frequencies_converge_to_those_of_timoshenkos_beam(
+    ends: tuple[str, str], nodes: int, sizes: tuple[int, int], order: int, most: float
+) -> None:
+    # expected: roots of the determinant of the boundary value problem
+    exact = BAR.frequencies(ends, 2)
+    coarse, fine = (bending(n, nodes, ends, 2) / exact - 1 for n in sizes)
+    np.testing.assert_allclose(np.log2(coarse / fine), order, rtol=0, atol=0.1)
+    assert np.max(np.abs(fine)) < most
+
+
+@pytest.mark.parametrize(
+    ("ends", "roots"),
+    [
+        (("clamped", "free"), (1.8751040687, 4.6940911330)),
+        (("free", "free"), (4.7300407449, 7.8532046241)),
+        (("pinned", "pinned"), (np.pi, 2 * np.pi)),
+    ],
+)
+def test_the_witness_has_the_frequencies_of_slender_beams(ends: tuple[str, str], roots: tuple[float, float]) -> None:
+    # expected: (root / L)^2 sqrt(EI / rho A) of the Euler-Bernoulli beam, with the roots of the textbooks
+    slender = TimoshenkoBeam(2.0, 1e12, 3.0, 5.0, 1e-12)
+    found = slender.frequencies(ends, 2)
+    np.testing.assert_allclose(found, (np.array(roots) / 2.0) ** 2 * np.sqrt(3.0 / 5.0), rtol=1e-8)
+
+
+AXIAL, OMEGA, LENGTH, MASS = 2.8e7, 6.0, 10.0, 1.2
+"""Of the beam of Simo and Vu-Quoc (1986)."""
+
+
+def stretched(s: np.ndarray) -> np.ndarray:
+    """Return where the cross-sections of the beam are at constant speed: EA x'' = -rho A omega^2 x, x'(L) = 1."""
+    k = OMEGA * np.sqrt(MASS / AXIAL)
+    return np.asarray(np.sin(k * s) / (k * np.cos(k * LENGTH)))
+
+
+STRETCH = float(stretched(np.array(LENGTH))) - LENGTH
+"""Extension of the beam at constant speed, published as 5.14e-4 m."""
+
+
+def spun(elements: int, angle: str, **more: Any) -> mbdkit.Mechanism:
+    """Return the beam on its hub, which is driven."""
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.beam(
+        "arm", a=(0, 0), b=(LENGTH, 0), elements=elements, nodes=3, mass_per_length=MASS, rotary_inertia=6e-4,
+        stiffness={"axial": AXIAL, "shear": 1e7, "bending": 1.4e4}, damping=1e-3, **more,
+    )  # fmt: skip
+    m.revolute("hub", m.ground, "arm.0", at=(0, 0))
+    m.driver("motor", m.ground, "arm.0", coordinate="angle", motion=angle)
+    return m
+
+
+def tip_of(run: mbdkit.Run, elements: int) -> np.ndarray:
+    """Return the displacement of the tip along and across the hub's direction, (T, 2)."""
+    tip, root = run[f"arm.{2 * elements}"].position, run["arm.0"].angle
+    along = np.cos(root) * tip[:, 0] + np.sin(root) * tip[:, 1] - LENGTH
+    return np.column_stack([along, np.cos(root) * tip[:, 1] - np.sin(root) * tip[:, 0]])
+
+
+@pytest.mark.parametrize("turns", [0, 300])
+def test_rotation_stretches_a_beam_after_any_number_of_turns(turns: int) -> None:
+    # expected: the closed form, from which the run starts, so that nothing oscillates
+    phase = 2 * np.pi * turns
+    start = [(x, 0.0, phase) for x in stretched(np.linspace(0, LENGTH, 9)).tolist()]
+    m = spun(4, f"{phase!r} + {OMEGA}*t", start=start, angular_velocity=OMEGA)
+    run = mbdkit.run(m, integrator={"name": "radau-iia", "stages": 2}, time={"end": 0.4, "step": 0.02})
+    run.check()
+    np.testing.assert_allclose(tip_of(run, 4)[:, 0], STRETCH, rtol=1e-2)  # that of steps of 0.12 rad
+
+
+@pytest.mark.slow
+def test_a_beam_that_is_spun_up_lags_behind_its_hub_and_is_stretched() -> None:
+    # expected: the published curve, its lowest point -0.58 m, and the closed form at the end
+    turned = "min(t, 15)"
+    angle = f"6/15*({turned}**2/2 + (15/2/pi)**2*(cos(2*pi*{turned}/15) - 1)) + 6*max(t - 15, 0)"
+    run = mbdkit.run(spun(8, angle), integrator={"name": "radau-iia", "stages": 2}, time={"end": 40.0, "step": 0.02})
+    run.check()
+    tip = tip_of(run, 8)
+    assert -0.59 < tip[:, 1].min() < -0.56
+    swings = tip[run.time > 35.0]
+    assert np.mean(swings[:, 0] + 0.6 * swings[:, 1] ** 2 / LENGTH) == pytest.approx(STRETCH, rel=1e-2)
+
+
+STATE = [(6.0 - 0.6 * s + 0.02 * s * (10 - s), 0.8 * s, 2.2 - 0.03 * s) for s in range(11)]
+"""A bent rod at rest."""
+
+
+@pytest.mark.parametrize("stages", [2, 3])
+def test_a_beam_in_free_flight_keeps_its_momenta_and_energy(stages: int) -> None:
+    # expected: linear and angular momentum, quadratic in the state, to rounding; the energy with the order 2 s of Gauss
+    loss = []
+    for step in (0.005, 0.0025):
+        m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+        m.beam(
+            "rod", a=(6, 0), b=(0, 8), elements=10, mass_per_length=1.0, rotary_inertia=10.0, start=STATE,
+            stiffness={"axial": 1e4, "shear": 1e4, "bending": 500.0}, velocity=(2.0, 1.0), angular_velocity=1.0,
+        )  # fmt: skip
+        run = mbdkit.run(m, integrator={"name": "gauss", "stages": stages}, time={"end": 1.0, "step": step})
+        run.check()
+        mass, inertia = (np.array([getattr(x, what) for x in m.bodies.values()]) for what in ("mass", "inertia"))
+        q, v = (run.array(f"trajectory/{what}") for what in ("position", "velocity"))
+        momentum = np.einsum("b,tbx->tx", mass, v[:, :, :2])
+        angular = np.sum(mass * (q[:, :, 0] * v[:, :, 1] - q[:, :, 1] * v[:, :, 0]) + inertia * v[:, :, 2], axis=1)
+        np.testing.assert_allclose(momentum, np.tile(momentum[0], (len(q), 1)), rtol=0, atol=1e-11)
+        np.testing.assert_allclose(angular, angular[0], rtol=1e-12)
+        total = run.energy.total
+        loss.append(np.max(np.abs(total - total[0])) / total[0])
+        assert np.ptp(run.beams["rod"].strain_energy) > 0.1 * total[0]
+    assert np.log2(loss[0] / loss[1]) == pytest.approx(2 * stages, abs=0.2)
