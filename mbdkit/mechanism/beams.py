@@ -131,7 +131,7 @@ class Beam(StrictModel):
     load_frame: Literal["global", "body"] = "global"
     """Frame of the components of `load`: `global`, or `body`, in which case the load turns with the beam."""
     start: Annotated[tuple[Start, ...], BeforeValidator(sequence)] | None = None
-    """Initial x, y [m] and angle [rad] of every node, if the beam starts under stress; by default, its shape without
+    """Initial x, y and angle [m, m, rad] of every node, if the beam starts under stress; by default, its shape without
     stress."""
 
     @model_validator(mode="after")
