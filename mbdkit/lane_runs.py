@@ -424,7 +424,7 @@ class _Group:
         ending = "complete", ""
         mechanism = member.spec.mechanism()
         warnings = (*member.warnings, *center_warnings(mechanism, reached))
-        questions = doubts(mechanism, warnings)
+        questions = doubts(member.spec, warnings)
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, questions))
         if _LOG.isEnabledFor(logging.INFO):
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)

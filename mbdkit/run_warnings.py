@@ -25,12 +25,15 @@ FAR = 0.1
 DIGITS = 3
 """Angles above one turn with at most this many decimals look like degrees; radians rarely have so few."""
 
+FEWEST_PER_PERIOD = 2
+"""A step that has fewer in a period does not resolve an oscillation."""
+
 _ANGLE = re.compile(r"\[rad( or m)?\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings of the model, and about angles in degrees, a step longer than the run, and parameters."""
-    return (*spec.mechanism().warnings, *_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
+    """Return the warnings of the model, and about angles in degrees, steps that are long, and parameters."""
+    return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
 
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
@@ -66,9 +69,15 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
     return (warning,)
 
 
-def doubts(mechanism: Mechanism, warnings: Iterable[str]) -> tuple[str, ...]:
-    """Return the warnings of a run that question its result; what a model leaves out by design does not."""
-    return tuple(warning for warning in warnings if warning not in mechanism.warnings)
+def doubts(spec: RunSpec, warnings: Iterable[str]) -> tuple[str, ...]:
+    """Return the warnings of a run that question its result; what model and step leave out by design does not."""
+    known = _known(spec)
+    return tuple(warning for warning in warnings if warning not in known)
+
+
+def _known(spec: RunSpec) -> tuple[str, ...]:
+    """Return the warnings about what model and step leave out."""
+    return (*spec.mechanism().warnings, *_unresolved_beams(spec))
 
 
 def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...]:
@@ -150,6 +159,21 @@ def _long_step(spec: RunSpec) -> Iterator[str]:
             f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s, which is then a "
             "single shorter step"
         )
+
+
+def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
+    """Yield a warning for each beam with oscillations that the fixed steps of an implicit method do not resolve."""
+    step, claims = spec.time.step, spec.claims
+    if step is None or claims.adaptive or "tangents" not in claims.needs:
+        return  # step size control resolves them, and explicit methods fail
+    fate = "keeps the energy of faster ones, but not their frequencies" if claims.symmetric else "damps faster ones"
+    for name, beam in spec.mechanism().beams.items():
+        fastest, slowest = beam.highest_frequency, 2.0 * math.pi / (FEWEST_PER_PERIOD * step)
+        if fastest > slowest:
+            yield (
+                f"the elements of beam '{name}' oscillate at up to {fastest:.3g} rad/s, but the step of {step:g} s "
+                f"resolves motions below {slowest:.3g} rad/s only; {spec.integrator_item.name} {fate}"
+            )
 
 
 def _unused_parameters(spec: RunSpec) -> Iterator[str]:

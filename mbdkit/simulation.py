@@ -635,7 +635,7 @@ class _Simulation:
         steps = None if stepper is None else stepper.evidence
         mechanism = self.spec.mechanism()
         self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached))
-        questions = doubts(mechanism, self.warnings)
+        questions = doubts(self.spec, self.warnings)
         evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
         errors = None
         if self.accuracy is not None:

@@ -138,3 +138,38 @@ def test_warnings_are_printed_and_kept(tmp_path: Path, capsys: pytest.CaptureFix
     with mbdkit.load(tmp_path / "warned.h5") as run:
         assert run.warnings == kept
         assert run.verdict == "doubtful"
+
+
+BEAM = {"a": [0, 0], "b": [1, 0], "elements": 20, "E": 2e11, "nu": 0.3, "A": 4e-4, "I": 1.3e-8, "density": 8000}
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step", "expected"),
+    [
+        ({"name": "radau-iia", "stages": 2}, 1e-3, ("beam 'link'", "step of 0.001 s", "radau-iia damps faster ones")),
+        ({"name": "gauss", "stages": 2}, 1e-3, ("gauss keeps the energy of faster ones, but not their frequencies",)),
+        ({"name": "gauss", "stages": 2}, 1e-7, None),
+        ({"name": "rk4"}, 1e-3, None),  # which fails
+    ],
+)
+def test_motions_of_beams_that_steps_do_not_resolve_are_named(
+    integrator: dict[str, Any], step: float, expected: tuple[str, ...] | None
+) -> None:
+    found = warnings_of(model={"name": "mechanism", "beams": {"link": BEAM}}, integrator=integrator, time__step=step)
+    assert len(found) == (expected is not None)
+    for part in expected or ():
+        assert part in found[0]
+
+
+def test_the_place_of_a_node_is_not_an_angle() -> None:
+    nodes = [[6.4, 7.2 + i, 0.0] for i in range(3)]
+    beam = BEAM | {"elements": 2, "start": nodes}
+    assert warnings_of(model={"name": "mechanism", "beams": {"link": beam}}) == ()
+
+
+def test_what_steps_do_not_resolve_of_a_beam_does_not_question_the_run() -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.beam("link", velocity=(1.0, 0.0), **BEAM)
+    run = mbdkit.run(m, integrator={"name": "gauss", "stages": 2}, time={"end": 2e-3, "step": 1e-3})
+    assert len(run.warnings) == 1
+    assert not run.verdict_reasons

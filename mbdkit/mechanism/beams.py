@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.errors import SpecError
@@ -208,6 +209,23 @@ class Beam(StrictModel):
             return mass, self.density * self.I
         stiffness = self.section_stiffness
         return mass, mass * stiffness.bending / stiffness.axial
+
+    @cached_property
+    def highest_frequency(self) -> float:
+        """Upper bound on the frequencies of the free beam with its elements [rad/s]: the highest one of a free element.
+
+        B. M. Irons, Applications of a theorem on eigenvalues to finite element problems (1970).
+        """
+        length, (mass, inertia) = self.element_length, self.inertia_per_length
+        stiffness = np.zeros((3 * self.nodes, 3 * self.nodes))
+        for point in INTEGRATION[self.nodes]:
+            shape, slope, none = np.array(point.shape), np.array(point.slope) / length, np.zeros(self.nodes)
+            strains = (slope, none, none), (none, slope, -shape), (none, none, slope)  # by x, y and angle of the nodes
+            for modulus, strain in zip(self.section_stiffness, strains, strict=True):
+                row = np.column_stack(strain).ravel()
+                stiffness += point.weight * length * modulus * np.outer(row, row)
+        root = np.sqrt(np.outer(NODE_SHARES[self.nodes], (mass, mass, inertia)).ravel() * length)
+        return float(np.sqrt(np.linalg.eigvalsh(stiffness / np.outer(root, root))[-1]))
 
     # ---- shape ---------------------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -154,3 +155,13 @@ def test_numbers_of_a_beam_may_be_expressions_of_parameters() -> None:
     spec = {"beams": {"bar": {"a": [0, 0], "b": ["2*half", 0], "elements": 2, **DIRECT, "damping": "half/10"}}}
     m = Mechanism.from_spec(spec, {"half": 0.5})
     assert (m.beams["bar"].b, m.beams["bar"].damping) == ((1.0, 0.0), 0.05)
+
+
+@pytest.mark.parametrize("nodes", [2, 3])
+def test_no_mode_is_faster_than_an_element_alone(nodes: int) -> None:
+    # expected: Irons' bound, which the fastest mode of many elements nearly reaches
+    m = Mechanism(gravity=(0.0, 0.0))
+    m.beam("link", a=(0.0, 0.0), b=(2.0, 1.0), elements=12, nodes=nodes, **STEEL, **STRIP)
+    bound = m.beams["link"].highest_frequency
+    found = mbdkit.modes(m, at="start", time={"end": 1.0, "step": 0.1}).natural_frequency[-1]
+    assert 0.9 * bound < found <= bound * (1 + 1e-12)
