@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mbdkit.inverse_dynamics.inverse_gradient import inverse_gradient
     from mbdkit.inverse_dynamics.inverse_run import inverse
     from mbdkit.mechanics.equilibrium import Equilibrium, equilibrium
+    from mbdkit.mechanics.equilibrium_path import EquilibriumPath, equilibrium_path
     from mbdkit.mechanics.kinematics import Kinematics, kinematics
     from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
@@ -48,6 +49,7 @@ __all__ = [
     "DesignSpec",
     "EquationsOfMotion",
     "Equilibrium",
+    "EquilibriumPath",
     "ExplicitRungeKutta",
     "ExpressionLaw",
     "ForceLawPlugin",
@@ -80,6 +82,7 @@ __all__ = [
     "design",
     "ensemble",
     "equilibrium",
+    "equilibrium_path",
     "gradient",
     "hookimpl",
     "inverse",
@@ -105,6 +108,7 @@ _HOME = {
     "design": "mbdkit.designs.solve_design",
     "load_design": "mbdkit.designs.solve_design",
     "Equilibrium": "mbdkit.mechanics.equilibrium",
+    "EquilibriumPath": "mbdkit.mechanics.equilibrium_path",
     "ExplicitRungeKutta": "mbdkit.methods.kinds",
     "ExpressionLaw": "mbdkit.mechanism.force_law",
     "ForceLawPlugin": "mbdkit.registry.items",
@@ -134,6 +138,7 @@ _HOME = {
     "StudyPlugin": "mbdkit.registry.items",
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",
+    "equilibrium_path": "mbdkit.mechanics.equilibrium_path",
     "gradient": "mbdkit.gradients.gradient",
     "hookimpl": "mbdkit.registry.hookspecs",
     "inverse": "mbdkit.inverse_dynamics.inverse_run",

@@ -20,6 +20,12 @@ DENSE = 1500
 NEGATIVE = 1e-6
 """Tolerance of the search for a negative stiffness, relative to the eigenvalue closest to zero."""
 
+BLURRED = 1e-10
+"""Share of the largest eigenvalue below which rounding errors of a dense matrix may be more than one per cent."""
+
+SYMMETRIC = 1e-15
+"""Skew part of a matrix, relative to its largest entry, below which it is rounding."""
+
 PILOTS = 3
 """Number of inverse iterations that estimate the lowest frequency."""
 
@@ -83,10 +89,25 @@ def at_rest(prepared: PreparedMechanism, q: np.ndarray, lam: np.ndarray) -> Stat
 
 
 def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
-    """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2]."""
-    if prepared.equations.n > DENSE:
-        return _least_by_inverse_iteration(prepared, at)
-    return float(np.min(np.linalg.eigvals(reduce(prepared, at).stiffness).real))
+    """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2].
+
+    Nodes of slender beams have so little inertia that the largest eigenvalues are 1e15 times the lowest one, which is
+    lost in their rounding errors; inverse iteration finds it.
+    """
+    if prepared.equations.n <= DENSE:
+        values = _eigenvalues(reduce(prepared, at).stiffness)
+        least, largest = float(np.min(values)), float(np.max(np.abs(values)))
+        if abs(least) > BLURRED * largest:
+            return least
+    return _least_by_inverse_iteration(prepared, at)
+
+
+def _eigenvalues(stiffness: np.ndarray) -> np.ndarray:
+    """Return the real parts of the eigenvalues of a stiffness (f, f), which is symmetric without follower forces."""
+    skew = np.max(np.abs(stiffness - stiffness.T), initial=0.0)
+    if skew <= SYMMETRIC * np.max(np.abs(stiffness), initial=0.0):
+        return np.asarray(np.linalg.eigvalsh(stiffness))
+    return np.asarray(np.linalg.eigvals(stiffness).real)
 
 
 def softest_motion(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:

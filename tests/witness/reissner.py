@@ -48,3 +48,57 @@ class Cantilever:
             assert solved.success, solved.message
             s, guess = solved.x, solved.y
         return solved.y[:3, -1] - (self.length, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Arch:
+    """A circular arch between clamps at (-span/2, 0) and (span/2, 0), without stress; it bends symmetrically.
+
+    The half from the left clamp to the crown is solved, with the unknown force (F_x, F_y) in it.
+    """
+
+    span: float
+    rise: float
+    axial: float
+    shear: float
+    bending: float
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle [m]."""
+        return self.rise / 2 + self.span**2 / (8 * self.rise)
+
+    @property
+    def half_angle(self) -> float:
+        """Angle of the tangent at the left clamp [rad]."""
+        return float(np.arcsin(self.span / 2 / self.radius))
+
+    def load(self, depths: np.ndarray, *, tolerance: float = 1e-10) -> np.ndarray:
+        """Return the force on the crown, downwards, that pushes it down by each of the increasing `depths` [N]."""
+        length = self.radius * self.half_angle
+        unit = self.bending / length**2
+        s = np.linspace(0.0, length, 41)
+        angle = self.half_angle - s / self.radius
+        guess = np.vstack(
+            [-self.radius * np.sin(angle), self.radius * (np.cos(angle) - np.cos(self.half_angle)), angle, 0 * s]
+        )
+        forces, loads = np.zeros(2), []
+        for depth in depths.tolist():
+
+            def slopes(_: np.ndarray, y: np.ndarray, p: np.ndarray) -> np.ndarray:
+                fx, fy = p * unit
+                c, sn = np.cos(y[2]), np.sin(y[2])
+                stretch, slide = 1 + (fx * c + fy * sn) / self.axial, (fy * c - fx * sn) / self.shear
+                dx, dy = stretch * c - slide * sn, stretch * sn + slide * c
+                bend = y[3] * unit * length / self.bending - 1 / self.radius
+                return np.vstack([dx, dy, bend, -(dx * fy - dy * fx) / (unit * length)])
+
+            def ends(a: np.ndarray, b: np.ndarray, _: np.ndarray, depth: float = depth) -> np.ndarray:
+                crown = self.rise - depth
+                return np.array([a[0] + self.span / 2, a[1], a[2] - self.half_angle, b[0], b[1] - crown, b[2]])
+
+            solved = solve_bvp(slopes, ends, s, guess, p=forces, tol=tolerance, max_nodes=100_000)
+            assert solved.success, solved.message
+            s, guess, forces = solved.x, solved.y, solved.p
+            loads.append(-2 * forces[1] * unit)
+        return np.array(loads)
