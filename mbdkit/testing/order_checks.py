@@ -13,14 +13,15 @@ from mbdkit.methods.step_method import StepMethod
 from mbdkit.testing.check import Check, Skip, check
 from mbdkit.testing.check_result import Figure, Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, final_state
-from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, Model, pushed
+from mbdkit.testing.trial_models import BEAM, DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, Model, pushed
 
 PROBLEMS: dict[str, Model] = {
     "forced-pendulum": FORCED_PENDULUM,
     "driven-pendulum": DRIVEN_PENDULUM,
     "four-bar": FOUR_BAR,
+    "beam": BEAM,
 }
-ENDS = {"forced-pendulum": 1.0, "driven-pendulum": 3.0, "four-bar": 1.0}
+ENDS = {"forced-pendulum": 1.0, "driven-pendulum": 3.0, "four-bar": 1.0, "beam": 1.0}
 """Duration of each [s]: long enough that errors follow a power of the step before they reach rounding."""
 BELOW, ABOVE = 0.2, 0.5
 """An order lower than claimed by more than `BELOW` fails; one higher by more than `ABOVE` is a warning."""

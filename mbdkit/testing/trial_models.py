@@ -87,6 +87,29 @@ FOUR_BAR: Model = {
 }
 """A closed loop under a torque that depends on time, with a spring between a body and a point that is not a joint."""
 
+BEAM: Model = {
+    "name": "mechanism",
+    "bodies": {"crank": _rod(0.4, 1.0, (0.0, 0.0), 0.3)},
+    "beams": {
+        "blade": {
+            "a": [0.4 * math.cos(0.3), 0.4 * math.sin(0.3)],
+            "b": [1.2, 0.5],
+            "elements": 2,
+            "nodes": 3,
+            "stiffness": {"axial": 20.0, "shear": 10.0, "bending": 1.0},
+            "mass_per_length": 1.0,
+            "rotary_inertia": 0.1,
+            "damping": 0.01,
+        }
+    },
+    "joints": {
+        "hub": {"type": "revolute", "bodies": ["ground", "crank"], "points": [[0.0, 0.0], [-0.2, 0.0]]},
+        "clamp": {"type": "weld", "bodies": ["crank", "blade.0"], "at": [0.4 * math.cos(0.3), 0.4 * math.sin(0.3)]},
+    },
+    "forces": {"motor": {"type": "torque", "body": "crank", "value": "4 + 2*sin(5*t)"}},
+}
+"""A soft beam of two elements, clamped to a crank under a torque that depends on time."""
+
 SWINGING: Model = _two_rods((-1.0, -1.9))
 """A conservative double pendulum at swings that are large, but not chaotic within some seconds."""
 

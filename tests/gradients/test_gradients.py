@@ -96,6 +96,28 @@ def test_gradient_by_an_initial_angle_is_that_of_a_free_rotation() -> None:
     assert found["final(bodies.rotor.angle)", "model.bodies.rotor.angular_velocity"] == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("integrator", [{"name": "rk4"}, {"name": "gauss", "stages": 2}])
+def test_gradient_by_youngs_modulus_is_that_of_time(integrator: dict[str, Any]) -> None:
+    # expected: with all forces proportional to E, and a start at rest, q depends on t sqrt(E), so dq/dE = v t / (2 E)
+    places = [[0.1 * i, 0.002 * i**2, 0.04 * i] for i in range(5)]
+    material = {"E": "E", "nu": 0.3, "A": 1e-2, "I": 1e-4, "density": 1e3}
+    spec = {
+        "mbdkit": 1,
+        "parameters": {"E": 2e5},
+        "model": {
+            "name": "mechanism",
+            "gravity": [0.0, 0.0],
+            "beams": {"strip": {"a": [0, 0], "b": [0.4, 0], "elements": 2, "nodes": 3, **material, "start": places}},
+        },
+    }
+    tip = [f"bodies['strip.4'].{coordinate}" for coordinate in ("x", "y", "angle")]
+    sections: dict[str, Any] = {"integrator": integrator, "time": {"end": 0.1, "step": 2e-4}}
+    found = mbdkit.gradient(spec, [f"final({one})" for one in tip], "E", **sections)
+    rates = mbdkit.run(spec, **sections)["strip.4"]
+    expected = [*rates.velocity[-1], rates.angular_velocity[-1]]
+    np.testing.assert_allclose(found.jacobian[:, 0], np.array(expected) * 0.1 / (2 * 2e5), rtol=1e-6)
+
+
 def test_more_parameters_than_one_pass_takes_give_the_same_gradient() -> None:
     every = [
         f"model.bodies.{body}.{key}"

@@ -77,7 +77,20 @@ def rolling(rng: np.random.Generator) -> Mechanism:
     return m
 
 
+def blade(rng: np.random.Generator) -> Mechanism:
+    """Return a curved, damped beam on a swinging body, with elements of three nodes."""
+    m = Mechanism()
+    crank = m.body("crank", mass=1.0, inertia=0.1, position=(0.2, 0.0), angular_velocity=float(rng.uniform(1, 2)))
+    m.revolute("hub", m.ground, crank, at=(0.0, 0.0))
+    stiffness = {"axial": 100.0, "shear": 50.0, "bending": float(rng.uniform(1, 2))}
+    points = ((0.4, 0.0), (0.9, float(rng.uniform(0.1, 0.2))), (1.4, 0.0))
+    nodes = m.beam("blade", points=points, elements=2, nodes=3, stiffness=stiffness, mass_per_length=1.0, damping=0.01)
+    m.weld("clamp", crank, nodes[0], at=(0.4, 0.0))
+    return m
+
+
 KINDS = {
+    "blade": blade,
     "chain": chain,
     "ladder": ladder,
     "driven frame": driven_frame,
