@@ -14,10 +14,11 @@ from mbdkit.errors import SpecError
 from mbdkit.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
-from . import chain, ensemble, executors, gradients, inverse_frames, plugins, python_steps, race, scale, startup
+from . import beams, chain, ensemble, executors, gradients, inverse_frames, plugins, python_steps, race, scale, startup
 from .precision.race import precision
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
+    "beams": beams.beams,
     "chain": chain.explicit,
     "ensemble": ensemble.ensemble,
     "executors": executors.executors,

@@ -75,7 +75,8 @@ def slope(points: Points) -> float:
     return float(np.polyfit(np.log(bodies), np.log([points[count] for count in bodies]), 1)[0])
 
 
-def _spec(mechanism: mbdkit.Mechanism, integrator: dict[str, Any], steps: int, step: float = STEP) -> RunSpec:
+def timed_spec(mechanism: mbdkit.Mechanism, integrator: dict[str, Any], steps: int, step: float = STEP) -> RunSpec:
+    """Return a run of as many steps that records its ends only."""
     return load_spec(
         mechanism,
         integrator=integrator,
@@ -84,7 +85,7 @@ def _spec(mechanism: mbdkit.Mechanism, integrator: dict[str, Any], steps: int, s
     )
 
 
-def _stepping(spec: RunSpec) -> float:
+def stepping(spec: RunSpec) -> float:
     """Return the processor's seconds from the first step to the last."""
     run = mbdkit.run(spec)
     run.check()
@@ -110,8 +111,8 @@ def _evaluations() -> dict[str, Points]:
         for name, family in FAMILIES.items():
             mechanism = family(aim)
             bodies[name] = len(mechanism.bodies)
-            spec = _spec(mechanism, {"name": "rk-gill"}, evaluations // STAGES)
-            tasks[name] = functools.partial(_stepping, spec)
+            spec = timed_spec(mechanism, {"name": "rk-gill"}, evaluations // STAGES)
+            tasks[name] = functools.partial(stepping, spec)
         for name, timing in take_turns(tasks, REPEATS).items():
             found[name][bodies[name]] = timing.least / evaluations
     return found
@@ -127,7 +128,7 @@ def _ladder_steps() -> tuple[dict[str, Points], dict[int, float]]:
         mechanism = frames.ladder(aim)
         bodies = len(mechanism.bodies)
         tasks: dict[str, Callable[[], float]] = {
-            name: functools.partial(_stepping, _spec(mechanism, integrator, steps))
+            name: functools.partial(stepping, timed_spec(mechanism, integrator, steps))
             for name, integrator in names.items()
         }
         if exudyn:
@@ -146,7 +147,7 @@ def _same_motion(mechanism: mbdkit.Mechanism) -> float:
     """Return how far Exudyn's end is from ours; raise RuntimeError where that is more than its order of two allows."""
     end, step, allowed = SAME
     steps = round(end / step)
-    run = mbdkit.run(_spec(mechanism, {"name": "gauss", "stages": 2}, steps, step))
+    run = mbdkit.run(timed_spec(mechanism, {"name": "gauss", "stages": 2}, steps, step))
     run.check()
     ours = np.array([[*run[name].position[-1], run[name].angle[-1]] for name in run.bodies])
     theirs = by_exudyn(mechanism, steps, end, sparse=True)[1]
