@@ -16,7 +16,15 @@ from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.errors import StepError
 from mbdkit.html_view import HtmlView
-from mbdkit.mechanics.reduced import DENSE, State, at_rest, least_stiffness, softest_motion, stiffness_scale
+from mbdkit.mechanics.reduced import (
+    DENSE,
+    State,
+    at_rest,
+    least_stiffness,
+    softest_motion,
+    softest_scale,
+    stiffness_scale,
+)
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plain_data import plain
@@ -56,7 +64,7 @@ SADDLE = 1e-9
 """A stiffness below minus this fraction of the largest stiffness of a single coordinate is negative, not rounding."""
 
 NEUTRAL = 1e-11
-"""The lowest stiffness counts as zero below this fraction of the largest stiffness of a single coordinate."""
+"""The lowest stiffness counts as zero below this fraction of the terms that it is the sum of."""
 
 
 @dataclass(frozen=True)
@@ -206,7 +214,7 @@ def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:
     if prepared.freedoms == 0:
         return float("nan"), "fixed"
     stiffness = least_stiffness(prepared, at)
-    if abs(stiffness) <= NEUTRAL * stiffness_scale(prepared, at):
+    if abs(stiffness) <= NEUTRAL * softest_scale(prepared, at):
         return stiffness, "neutral"
     return stiffness, "stable" if stiffness > 0 else "unstable"
 

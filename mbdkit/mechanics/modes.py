@@ -274,8 +274,15 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
     f = len(stiffness)
     size = float(np.linalg.norm(stiffness))
     if not np.any(damping) and np.linalg.norm(stiffness - stiffness.T) <= 1e-10 * size:
-        squares, vectors = eigh(0.5 * (stiffness + stiffness.T))
-        squares = np.where(np.abs(squares) <= NOISE * f * np.max(np.abs(squares), initial=0.0), 0.0, squares)
+        symmetric = 0.5 * (stiffness + stiffness.T)
+        squares, vectors = eigh(symmetric)
+        largest = np.max(np.abs(squares), initial=0.0)
+        # Eigenvalues of slender beams are lost in the rounding errors of the largest one, and found again by Rayleigh's
+        # quotient. Its error is that of its terms, and the square of the vectors' error.
+        lost = np.abs(squares) <= NOISE * f * largest
+        squares = np.where(lost, np.sum(vectors * (symmetric @ vectors), axis=0), squares)
+        terms = np.sum(np.abs(vectors) * (np.abs(symmetric) @ np.abs(vectors)), axis=0)
+        squares = np.where(lost & (np.abs(squares) <= NOISE * (terms + NOISE * largest)), 0.0, squares)
         grow = squares < 0
         roots = np.sqrt(np.abs(squares)) * np.where(grow, 1, 1j)
         return np.concatenate([roots, -roots[grow]]), np.concatenate([vectors, vectors[:, grow]], axis=1).astype(

@@ -97,7 +97,7 @@ def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
     if prepared.equations.n <= DENSE:
         values = _eigenvalues(reduce(prepared, at).stiffness)
         least, largest = float(np.min(values)), float(np.max(np.abs(values)))
-        if abs(least) > BLURRED * largest:
+        if abs(least) > BLURRED * largest or largest == 0.0:
             return least
     return _least_by_inverse_iteration(prepared, at)
 
@@ -125,6 +125,19 @@ def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
     p = prepared.equations
     diagonal = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness.diagonal()
     return float(np.max(np.abs(diagonal) / p.mass))
+
+
+def softest_scale(prepared: PreparedMechanism, at: State) -> float:
+    """Return the sum of the sizes of the terms of the lowest stiffness at rest, for unit mass [1/s^2].
+
+    Its rounding errors are relative to this. For mechanisms that are too large to be reduced, the largest stiffness of
+    a single coordinate takes its place.
+    """
+    p = prepared.equations
+    if p.n > DENSE:
+        return stiffness_scale(prepared, at)
+    way = np.abs(softest_motion(prepared, at)[1])
+    return float(way @ (abs(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness) @ way))
 
 
 def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -68,6 +68,23 @@ def test_the_witness_has_the_frequencies_of_slender_beams(ends: tuple[str, str],
     np.testing.assert_allclose(found, (np.array(roots) / 2.0) ** 2 * np.sqrt(3.0 / 5.0), rtol=1e-8)
 
 
+def test_a_strip_of_spring_steel_is_stable_and_has_a_first_frequency() -> None:
+    # expected: (1.8751/L)^2 sqrt(EI / rho A) of the Euler-Bernoulli beam, 1e-12 of the highest one of the mesh, squared
+    length, width, thickness, young, density = 0.2, 20e-3, 0.3e-3, 2.07e11, 7850.0
+    area, second = width * thickness, width * thickness**3 / 12
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.beam(
+        "strip", a=(0, 0), b=(length, 0), elements=16, nodes=3, E=young, A=area, I=second, density=density,
+        stiffness={"shear": "none"},
+    )  # fmt: skip
+    m.weld("clamp", m.ground, "strip.0", at=(0, 0))
+    first = (1.8751040687 / length) ** 2 * np.sqrt(young * second / (density * area))
+    assert mbdkit.modes(m).natural_frequency[0] == pytest.approx(first, rel=1e-4)
+    found = mbdkit.equilibrium(m)
+    assert found.stability == "stable"
+    assert found.stiffness == pytest.approx(first**2, rel=1e-4)
+
+
 AXIAL, OMEGA, LENGTH, MASS = 2.8e7, 6.0, 10.0, 1.2
 """Of the beam of Simo and Vu-Quoc (1986)."""
 
