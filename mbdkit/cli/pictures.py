@@ -38,13 +38,21 @@ def plot(
         list[str] | None,
         typer.Option("--point", metavar="P", help="A marker, body, joint or free end of trajectory; may be repeated."),
     ] = None,
+    beams: Annotated[
+        list[str] | None,
+        typer.Option("--beam", metavar="B", help="A beam of beams; may be repeated."),
+    ] = None,
+    times: Annotated[
+        list[float] | None,
+        typer.Option("--time", metavar="T", help="Of beams: draw values along beams at this time; may be repeated."),
+    ] = None,
     component: Annotated[
         str | None,
         typer.Option(
             "--component",
             metavar="C",
             help="Of reactions: x, y or both (global); axial, shear or both (body): in the frame of the second body; "
-            "magnitude, the default.",
+            "magnitude, the default. Of beams: moment, shear or axial.",
         ),
     ] = None,
     size: Annotated[
@@ -68,7 +76,14 @@ def plot(
     from mbdkit.plot.paper_figure import size_in_mm
     from mbdkit.plot.save_plot import plot as draw
 
-    asked = {"joints": joints, "elements": elements, "points": points, "components": component}
+    asked = {
+        "joints": joints,
+        "elements": elements,
+        "points": points,
+        "components": component,
+        "beams": beams,
+        "times": times,
+    }
     options = {name: value for name, value in asked.items() if value}
     _check_options(kind, options)
     with blaming_damage(*archives), ExitStack() as stack:

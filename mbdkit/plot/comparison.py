@@ -52,7 +52,7 @@ def compare(
     *chosen
         `kind` and `ax` may also be given without their names, in any order.
     kind
-        ``trajectory`` (the default), ``drift``, ``energy``, ``reactions``, ``torques`` or ``forces``.
+        ``trajectory`` (the default), ``drift``, ``energy``, ``reactions``, ``torques``, ``forces`` or ``beams``.
     ax
         Where to draw; by default a new figure.
     labels

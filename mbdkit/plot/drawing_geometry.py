@@ -10,6 +10,7 @@ import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,10 +19,12 @@ from numpy.typing import NDArray
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.plain_data import plain
+from mbdkit.plot.beam_curves import BeamCurve
 from mbdkit.plot.cable_geometry import Place, cable_places
 from mbdkit.plot.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
+    from mbdkit.mechanism.beams import Beam
     from mbdkit.mechanism.joints import SlidingJoint
     from mbdkit.mechanism.mechanism import Mechanism
 
@@ -50,7 +53,7 @@ class Drawing:
     local
         Points in their body's frame [m], shape (P, 2).
     outlines
-        Points of each body in order: one (a disc), two (a rod) or more (a closed outline).
+        Points of each body in order: one (a disc), two (a rod) or more (a closed outline); none of most nodes of beams.
     pins, grounds, centres
         Points drawn as joints, as ground symbols and as centres of mass.
     springs, bars
@@ -59,6 +62,8 @@ class Drawing:
         Pairs of points that are the ends of the line of a sliding joint, and the points that slide on them.
     welds
         Points drawn as rigid connections.
+    beams
+        Beams, each drawn as one curve instead of its nodes.
     traces
         Points whose paths can be drawn: markers first, then free ends and moving joints.
     """
@@ -75,7 +80,25 @@ class Drawing:
     guides: tuple[tuple[int, int], ...] = ()
     sliders: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
+    beams: tuple[BeamCurve, ...] = ()
     traces: tuple[Trace, ...] = ()
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """Names of what a reader sees as links: bodies that are no nodes of beams, and beams."""
+        nodes = {node for beam in self.beams for node in beam.nodes}
+        return (
+            *(name for body, name in enumerate(self.bodies) if body not in nodes),
+            *(beam.name for beam in self.beams),
+        )
+
+    @cached_property
+    def link_numbers(self) -> tuple[int, ...]:
+        """The link that each body is, or whose node it is, by its number among `links`, shape (B,)."""
+        beams = {node: number for number, beam in enumerate(self.beams) for node in beam.nodes}
+        rigid = itertools.count()
+        first = len(self.links) - len(self.beams)
+        return tuple(first + beams[body] if body in beams else next(rigid) for body in range(len(self.bodies)))
 
     @property
     def main_traces(self) -> tuple[Trace, ...]:
@@ -164,6 +187,8 @@ def draw_centres(bodies: Sequence[str]) -> Drawing:
 def draw_mechanism(mechanism: Mechanism) -> Drawing:
     """Return the drawing of `mechanism`."""
     sketch = _Sketch(list(mechanism.bodies))
+    for name, beam in mechanism.beams.items():
+        sketch.beam(name, beam)
     for name, joint in mechanism.joints.items():
         sketch.joint(name, joint)
         if joint.mark == "slide":
@@ -210,6 +235,7 @@ class _Sketch:
         self.sliders: list[int] = []
         self.welds: list[int] = []
         self.grounds: list[int] = []
+        self.beams: list[BeamCurve] = []
         self.marked: list[Trace] = []
         self.moving: list[Trace] = []
         self.traced: set[int] = set()  # bodies that have a traced point
@@ -238,6 +264,13 @@ class _Sketch:
             if joint:
                 self.held[body].append(index)
         return found
+
+    def beam(self, name: str, beam: Beam) -> None:
+        """Add the curve of a beam."""
+        nodes = [self.index[node] for node in beam.node_names(name)]
+        third = beam.length / (len(nodes) - 1) / 3.0
+        corners = [self.point(node, (place, 0.0)) for node in nodes for place in (-third, 0.0, third)]
+        self.beams.append(BeamCurve(name, tuple(nodes), tuple(corners[1:-1]), beam.elements))
 
     def cable(self, places: Sequence[Place]) -> None:
         """Add a spring that passes several points of bodies."""
@@ -275,11 +308,17 @@ class _Sketch:
 
     def finish(self) -> Drawing:
         """Return the drawing with outlines and free ends."""
-        free: list[Trace] = []
-        outlines, centres = [], []
+        free = self._free_nodes()
+        nodes = {node for beam in self.beams for node in beam.nodes}
+        outlines: list[tuple[int, ...]] = []
+        centres = []
         for body, name in enumerate(self.bodies):
             centre = self.point(body, (0.0, 0.0))
             centres.append(centre)
+            if body in nodes:
+                outline = self._outline([*self.touched[body], centre])
+                outlines.append(outline if len(outline) > 1 else ())
+                continue
             points = list(dict.fromkeys(self.touched[body]))
             end = self._free_end(body)
             if end is not None:
@@ -302,8 +341,18 @@ class _Sketch:
             guides=tuple(self.guides),
             sliders=tuple(self.sliders),
             welds=tuple(self.welds),
+            beams=tuple(self.beams),
             traces=tuple(self.marked + free + self.moving),
         )
+
+    def _free_nodes(self) -> list[Trace]:
+        """Return the traces of beams: their ends that no joint holds, or else their middles."""
+        found = []
+        for beam in self.beams:
+            ends = [node for node in (beam.nodes[0], beam.nodes[-1]) if not self.held[node]]
+            shown = ends or [beam.nodes[len(beam.nodes) // 2]]
+            found += [Trace(self.bodies[node], self.point(node, (0.0, 0.0))) for node in shown]
+        return found
 
     def _free_end(self, body: int) -> tuple[float, float] | None:
         """Return the joints of a body mirrored at its centre of mass, if they all lie on one side of it.

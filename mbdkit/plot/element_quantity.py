@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 
 from mbdkit.analysis.verdict import Axis, Figure, Line, Mark
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.plot.beam_curves import distributed_loads
 from mbdkit.plot.downsampling import Array, Bands, bands
 from mbdkit.plot.error_bands import UNKNOWN, band_over_time, errors_at
 from mbdkit.plot.panel import dress_over_time, panel_title, single_row_marker
@@ -93,6 +94,8 @@ def has_elements(run: Run) -> bool:
 def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     """Return the values of the force elements and actuators with a unit, ``N`` or ``N m``; of none if there are none.
 
+    The forces on nodes that the distributed loads of beams consist of are left out.
+
     Raises
     ------
     NotRecordedError
@@ -101,7 +104,9 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     time, acting = np.asarray(run.time), list(run.actuators.values())
     forces = [] if acting and not run.records("forces/value") else list(run.forces.values())
     units = [one.units for one in forces] + [one.units for one in acting]
+    loads = distributed_loads(run) if forces else ()
     columns = [column for column, given in enumerate(units) if given == unit]
+    columns = [column for column in columns if column >= len(forces) or forces[column].name not in loads]
     data: Any = run.dataset("forces/value") if forces else np.zeros((len(time), 0))
     if acting:
         data = np.column_stack([data[:], run.array("actuators/value")])

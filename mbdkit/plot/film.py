@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mbdkit.errors import SpecError
+from mbdkit.plot.beam_curves import largest_moment
 from mbdkit.plot.caption import caption
 from mbdkit.plot.downsampling import evenly
-from mbdkit.plot.pose import Pose, body_colors, trace_colors
+from mbdkit.plot.pose import BENDING_SHADES, Pose, body_colors, trace_colors
 from mbdkit.plot.scene import Scene, scene
 from mbdkit.plot.style import ALARM, INK, PALETTE, PAPER, SPRING, dress, new_figure, quietly
 
@@ -44,7 +46,8 @@ class Film:
     def __init__(self, run: Run, shown: Scene):
         self.scene = shown
         (x0, x1), (y0, y1) = shown.xlim, shown.ylim
-        height = float(np.clip((_WIDTH - 0.8) * (y1 - y0) / (x1 - x0), 2.2, 5.6)) + 1.2
+        room = 1.2 if shown.moments is None else 1.8  # inches for labels, and the scale of bending moments
+        height = float(np.clip((_WIDTH - 0.8) * (y1 - y0) / (x1 - x0), 2.2, 5.6)) + room
         figure = new_figure(caption(run), _WIDTH, round(height * 50) / 50, dpi=100)
         axes = dress(figure.add_subplot(), "x [m]", "y [m]")
         axes.set_aspect("equal", adjustable="box")
@@ -55,7 +58,9 @@ class Film:
             axes.plot([], [], color=color, linewidth=1.3, alpha=0.7, zorder=2.5)[0]
             for color in trace_colors(shown.drawing, shown.traces)
         ]
-        self._pose = Pose(axes, shown.drawing, body_colors(shown.drawing), max(x1 - x0, y1 - y0))
+        size, most = max(x1 - x0, y1 - y0), largest_moment(shown.moments)
+        self._pose = Pose(axes, shown.drawing, body_colors(shown.drawing), size, largest_moment=most)
+        self._pose.show_scale(axes)
         self._moving = [*self._tails, *self._pose.artists, self._clock]
         for artist in self._moving:
             artist.set_animated(True)
@@ -70,7 +75,8 @@ class Film:
     def picture(self, frame: int) -> NDArray[np.uint8]:
         """Return one frame as red, green and blue, shape (height, width, 3)."""
         shown, time = self.scene, self.scene.time[frame]
-        self._pose.move(shown.drawing.world(shown.poses[frame]))
+        moments = None if shown.moments is None else shown.moments[frame]
+        self._pose.move(shown.drawing.world(shown.poses[frame]), moments)
         first, last = np.searchsorted(shown.path_time, [time - _TAIL * shown.speed, time], side="right")
         for number, tail in enumerate(self._tails):
             tail.set_data(shown.paths[first:last, number].T)
@@ -89,7 +95,8 @@ def _digits(shown: Scene) -> int:
 def write_gif(run: Run, target: Path) -> None:
     """Write a run as an animated GIF that repeats endlessly."""
     film = Film(run, scene(run, rate=RATE, most=_MOST, **_LENGTH))
-    palette = _palette([film.picture(frame) for frame in evenly(len(film), 4)])
+    shades = BENDING_SHADES if film.scene.moments is not None else ()
+    palette = _palette([film.picture(frame) for frame in evenly(len(film), 4)], shades)
     pictures = (
         Image.fromarray(film.picture(frame)).quantize(palette=palette, dither=Image.Dither.NONE)
         for frame in range(len(film))
@@ -100,9 +107,9 @@ def write_gif(run: Run, target: Path) -> None:
     )
 
 
-def _palette(samples: list[NDArray[np.uint8]]) -> Image.Image:
+def _palette(samples: list[NDArray[np.uint8]], shades: Sequence[str]) -> Image.Image:
     """Return the colours of the lines and the most frequent other colours of some frames, so that all stay exact."""
-    own = np.array([list(bytes.fromhex(color[1:])) for color in (PAPER, INK, SPRING, ALARM, *PALETTE)])
+    own = np.array([list(bytes.fromhex(color[1:])) for color in (PAPER, INK, SPRING, ALARM, *PALETTE, *shades)])
     pixels = np.concatenate([sample.reshape(-1, 3) for sample in samples])
     colors, counts = np.unique(pixels, axis=0, return_counts=True)
     # Pillow's colour search is coarse: it would replace a line's colour by one close to it

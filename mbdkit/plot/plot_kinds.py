@@ -24,6 +24,7 @@ PLOT_KINDS: dict[str, str] = {
     "reactions": "reaction forces and torques of the joints",
     "torques": "torques of joints, drivers, force elements and actuators",
     "forces": "forces of springs, dampers, laws, loads and actuators",
+    "beams": "bending moment, shear and axial force of beams, along them and over time",
 }
 """What each kind of plot shows, by name."""
 

@@ -8,16 +8,22 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_hex
 from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
+from mbdkit.plot.beam_curves import bezier_polylines
 from mbdkit.plot.drawing_geometry import Drawing, Trace
 from mbdkit.plot.plane_geometry import Array, zigzag
 from mbdkit.plot.style import FAINT, INK, PALETTE, PAPER, SPRING
 
-_CROWD = 40  # number of bodies above which pins and centres of mass are left out
+_BENDING = LinearSegmentedColormap.from_list("bending", [PALETTE[0], "#BDBDBD", PALETTE[1]])
+BENDING_SHADES = tuple(to_hex(_BENDING(place)) for place in np.linspace(0.0, 1.0, 49))
+"""Colours of bending moments from the smallest to the largest."""
+_CROWD = 40  # number of links above which pins and centres of mass are left out
 _GROUND_MARK = Path(
     [(0, 0), (-0.6, -1), (0.6, -1), (0, 0)]
     + [(-1, -1), (1, -1)]
@@ -27,16 +33,16 @@ _GROUND_MARK = Path(
 
 
 def body_colors(drawing: Drawing) -> list[str]:
-    """Return a colour for each body: different colours for few bodies, one colour for many."""
-    if len(drawing.bodies) > len(PALETTE):
+    """Return a colour for each body: different colours for few links, one colour for many."""
+    if len(drawing.links) > len(PALETTE):
         return [INK] * len(drawing.bodies)
-    return list(PALETTE[: len(drawing.bodies)])
+    return [PALETTE[link] for link in drawing.link_numbers]
 
 
 def trace_colors(drawing: Drawing, traces: Sequence[Trace]) -> list[str]:
-    """Return a colour for each trace: that of its body if every body has its own, else one for each trace."""
-    owners = [int(drawing.owner[trace.point]) for trace in traces]
-    if len(drawing.bodies) <= len(PALETTE) and len(set(owners)) == len(owners):
+    """Return a colour for each trace: that of its link if every link has its own, else one for each trace."""
+    owners = [drawing.link_numbers[drawing.owner[trace.point]] for trace in traces]
+    if len(drawing.links) <= len(PALETTE) and len(set(owners)) == len(owners):
         return [PALETTE[owner] for owner in owners]
     return [PALETTE[index % len(PALETTE)] for index in range(len(traces))]
 
@@ -50,15 +56,25 @@ class Pose:
         Size of the mechanism [m], for the width of the springs.
     alpha
         Opacity; less than 1 for a mechanism in the background.
+    largest_moment
+        Largest bending moment of the scale by which beams are coloured [N m]; 0 for beams of one colour.
     """
 
-    def __init__(self, axes: Axes, drawing: Drawing, colors: Sequence[str], size: float, alpha: float = 1.0):
+    def __init__(
+        self,
+        axes: Axes,
+        drawing: Drawing,
+        colors: Sequence[str],
+        size: float,
+        alpha: float = 1.0,
+        largest_moment: float = 0.0,
+    ):
         self.drawing = drawing
         self.artists: list[Artist] = []
         self._tooth = 0.018 * size
         self._fills: list[tuple[PolyCollection, tuple[int, ...]]] = []
         self._lines: list[tuple[Line2D, NDArray[np.intp]]] = []
-        crowd = len(drawing.bodies) > _CROWD
+        crowd = len(drawing.links) > _CROWD
         weight = 1.2 if crowd else 3.0
 
         def line(points: Sequence[int], **look: Any) -> None:
@@ -88,6 +104,11 @@ class Pose:
             line(self._strokes(own), color=color, linewidth=weight, solid_capstyle="round", zorder=4)
             if discs:
                 line(discs, color=color, linestyle="", marker="o", markersize=3 if crowd else 9, zorder=4)
+        self._bending = ScalarMappable(Normalize(-largest_moment, largest_moment), _BENDING) if largest_moment else None
+        self._beams = LineCollection([], linewidths=weight, alpha=alpha, zorder=4.2, capstyle="butt")
+        self._beams.set_color([colors[beam.nodes[0]] for beam in drawing.beams for _ in beam.nodes[1:]])
+        axes.add_collection(self._beams, autolim=False)
+        self.artists.append(self._beams)
         if drawing.guides:
             line(self._strokes(drawing.guides), color=FAINT, linewidth=1.2, zorder=2.2)
         if drawing.bars:
@@ -135,8 +156,27 @@ class Pose:
                 points += [*stroke, *([stroke[0]] if len(stroke) > 2 else []), gap]
         return points
 
-    def move(self, world: Array) -> None:
-        """Move the mechanism to the global coordinates `world` (P, 2) of its points [m]."""
+    def show_scale(self, axes: Axes, when: str = "") -> None:
+        """Show the scale of the bending moments beside the axes, if beams are coloured by them."""
+        if self._bending is None:
+            return
+        bar = axes.figure.colorbar(self._bending, ax=axes, location="bottom", shrink=0.4, aspect=30, pad=0.02)
+        bar.outline.set_visible(False)
+        bar.set_label(f"bending moment of beams {when} [N m]".replace("  ", " "), size=8.5, color=INK)
+        bar.ax.tick_params(colors=FAINT, labelcolor=INK, labelsize=8)
+
+    def move(self, world: Array, moments: Array | None = None) -> None:
+        """Move the mechanism.
+
+        Parameters
+        ----------
+        world
+            Global coordinates of its points [m], shape (P, 2).
+        moments
+            Bending moments of the elements of its beams [N m], shape (E,).
+        """
+        if self.drawing.beams:
+            self._move_beams(world, moments)
         points = np.vstack([world, [[np.nan, np.nan]]])
         for artist, indices in self._lines:
             artist.set_data(points[indices].T)
@@ -147,3 +187,14 @@ class Pose:
             coils = zigzag(ends[:, 0], ends[:, 1], self._tooth)
             gaps = np.full((len(coils), 1, 2), np.nan)
             self._springs.set_data(np.concatenate([coils, gaps], axis=1).reshape(-1, 2).T)
+
+    def _move_beams(self, world: Array, moments: Array | None) -> None:
+        beams = self.drawing.beams
+        self._beams.set_segments([line for beam in beams for line in bezier_polylines(world[list(beam.corners)])])
+        if moments is None or self._bending is None:
+            return
+        first, elements = 0, []
+        for beam in beams:
+            elements += [first + element for element in beam.elements_of_intervals]
+            first += beam.elements
+        self._beams.set_color([tuple(color) for color in self._bending.to_rgba(moments[elements]).tolist()])

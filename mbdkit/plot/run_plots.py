@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbdkit.plot import drift_plot, energy_plot, forces_plot, reactions_plot, torques_plot, trajectory_plot
+from mbdkit.plot import beams_plot, drift_plot, energy_plot, forces_plot, reactions_plot, torques_plot, trajectory_plot
 from mbdkit.plot.chart_axes import draw_on
 from mbdkit.plot.downsampling import require_rows
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from matplotlib.axes import Axes
 
     from mbdkit.archive.run import Run
+    from mbdkit.plot.beams_plot import Component
     from mbdkit.plot.drift_plot import Gap
     from mbdkit.plot.element_quantity import Names
     from mbdkit.plot.reactions_plot import Components
@@ -106,6 +109,28 @@ class RunPlots:
             Names of force elements; by default those with the largest forces.
         """
         return draw_on(ax, forces_plot.chart(self._with_rows(), elements=elements))
+
+    def beams(
+        self,
+        ax: Axes | None = None,
+        *,
+        beams: Names = None,
+        components: Component = "moment",
+        times: float | Sequence[float] | None = None,
+    ) -> Axes:
+        """Draw an internal force of beams: its largest magnitude over time, or its values along beams at some times.
+
+        Parameters
+        ----------
+        beams
+            Names of beams; by default those with the largest values.
+        components
+            ``moment`` [N m]; ``shear`` or ``axial`` [N], in the frame of the cross-section.
+        times
+            Times [s] at which values along the beams are drawn, those of the nearest recorded rows.
+        """
+        chart = beams_plot.chart(self._with_rows(), beams=beams, components=components, times=times)
+        return draw_on(ax, chart)
 
     def _with_rows(self) -> Run:
         require_rows(self._run)

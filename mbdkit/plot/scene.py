@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mbdkit.plot.beam_curves import bending_moments
 from mbdkit.plot.downsampling import evenly, take
 from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
 from mbdkit.plot.plane_geometry import Array, view_box
@@ -41,6 +42,8 @@ class Scene:
         Times [s], shape (R,), and global coordinates [m] of those points, shape (R, K, 2).
     xlim, ylim
         Limits of the axes [m].
+    moments
+        Bending moments of the elements of all beams in each frame [N m], shape (F, E); None if not recorded.
     """
 
     drawing: Drawing
@@ -52,6 +55,7 @@ class Scene:
     paths: Array
     xlim: tuple[float, float]
     ylim: tuple[float, float]
+    moments: Array | None = None
 
     @property
     def pace(self) -> str:
@@ -84,7 +88,9 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
     path_rows = evenly(len(time), _PATH_ROWS)
     paths = fixed.world(take(positions, path_rows, owners))
     xlim, ylim, _ = view_box(paths, drawing.world(poses[evenly(len(poses), 60)]))
-    return Scene(drawing, speed, time[rows], poses, traces, time[path_rows], paths, xlim, ylim)
+    moments = bending_moments(run, drawing.beams)
+    shown = None if moments is None else moments[rows]
+    return Scene(drawing, speed, time[rows], poses, traces, time[path_rows], paths, xlim, ylim, shown)
 
 
 def round_speed(duration: float, shortest: float, longest: float) -> float:

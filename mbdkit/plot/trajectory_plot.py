@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.plot.beam_curves import bending_moments, largest_moment
 from mbdkit.plot.downsampling import Array, evenly, take
 from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
 from mbdkit.plot.element_quantity import Names
@@ -35,7 +36,10 @@ def panels(run: Run) -> list[Panel]:
     (x0, x1), (y0, y1), _ = view_box(paths, ends)
     height = float(np.clip(4.9 * (y1 - y0) / (x1 - x0), 2.4, 5.4)) - 1.0
     errors = _errors(run, drawing, traces, _ROWS)
-    draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends, errors=errors)
+    moments = bending_moments(run, drawing.beams)
+    last = None if moments is None else moments[-1]
+    draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends, errors=errors, moments=last)
+    height += 0.0 if last is None else 0.6  # the scale of the bending moments
     return [Panel(draw, height, over_time=False)]
 
 
@@ -159,9 +163,18 @@ def _paths(run: Run, rows: int) -> tuple[Drawing, tuple[Trace, ...], Array]:
 
 
 def _draw(
-    axes: Axes, drawing: Drawing, traces: tuple[Trace, ...], paths: Array, ends: Array, errors: Array | None
+    axes: Axes,
+    drawing: Drawing,
+    traces: tuple[Trace, ...],
+    paths: Array,
+    ends: Array,
+    errors: Array | None,
+    moments: Array | None,
 ) -> None:
-    """Draw paths (R, K, 2) with their errors (R, K), and the first and last pose `ends` (2, P, 2)."""
+    """Draw paths (R, K, 2) with their errors (R, K), and the first and last pose `ends` (2, P, 2).
+
+    `moments` (E,) are the bending moments of the beams at the end [N m].
+    """
     (x0, x1), (y0, y1), cut = view_box(paths, ends)
     dress(axes, "x [m]", "y [m]")
     axes.set_aspect("equal", adjustable="box")
@@ -169,7 +182,9 @@ def _draw(
     size = max(x1 - x0, y1 - y0)
     grey = [FAINT] * len(drawing.bodies)
     Pose(axes, drawing, grey, size, alpha=0.35).move(ends[0])
-    Pose(axes, drawing, body_colors(drawing), size, alpha=0.55).move(ends[-1])
+    at_end = Pose(axes, drawing, body_colors(drawing), size, alpha=0.55, largest_moment=largest_moment(moments))
+    at_end.move(ends[-1], moments)
+    at_end.show_scale(axes, "at the end")
     handles = []
     for number, color in enumerate(trace_colors(drawing, traces)):
         path = paths[:, number]

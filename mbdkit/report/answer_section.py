@@ -11,6 +11,7 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
+from mbdkit.plot.beam_curves import distributed_loads
 from mbdkit.plot.downsampling import BEYOND, Array, blocks
 from mbdkit.report.section import Section
 
@@ -182,24 +183,25 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
 
 def _of_forces(run: Run) -> Table:
     """Return the table of the largest force, torque and power of each force element."""
-    time = np.asarray(run.time)
+    time, loads = np.asarray(run.time), distributed_loads(run)
     value, power = (Peaks.of(time, run.dataset(f"forces/{name}")) for name in ("value", "power"))
     forces = list(run.forces.values())
+    own = [column for column, force in enumerate(forces) if force.name not in loads]
     units = [unit for unit in ("N", "N m") if any(force.units == unit for force in forces)]
     columns = [Column("force element"), Column("between")]
     for unit in units:
         word = "force" if unit == "N" else "torque"
         columns += [Column(f"largest {word}", unit), Column(f"time of the {word}", "s")]
     columns += [Column("largest power", "W"), Column("time of the power", "s")]
-    chosen = sorted(np.argsort(-np.nan_to_num(value.value, nan=np.inf), kind="stable")[:ROWS].tolist())
+    chosen = sorted(sorted(own, key=lambda column: -np.nan_to_num(value.value[column], nan=np.inf))[:ROWS])
     rows: list[tuple[Cell, ...]] = []
     for column in chosen:
         force = forces[column]
         cells: list[Cell] = [force.name, " - ".join(force.bodies)]
         for unit in units:
-            own = force.units == unit
-            cells += [float(value.value[column]), float(value.time[column])] if own else [None, None]
+            has_unit = force.units == unit
+            cells += [float(value.value[column]), float(value.time[column])] if has_unit else [None, None]
         rows.append((*cells, float(power.value[column]), float(power.time[column])))
-    left = len(forces) - len(rows)
-    note = f"The {ROWS} of {len(forces)} force elements with the largest values." if left else ""
+    left = len(own) - len(rows)
+    note = f"The {ROWS} of {len(own)} force elements with the largest values." if left else ""
     return Table("forces", "Force elements", tuple(columns), tuple(rows), note)

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.time_jets import jet_of
+from mbdkit.plot.beam_curves import bezier_polylines, largest_moment
 from mbdkit.plot.cable_geometry import cable_places
 from mbdkit.plot.drawing_geometry import Drawing, draw_centres, draw_mechanism
 from mbdkit.plot.plane_geometry import Array, zigzag
@@ -22,7 +24,7 @@ from mbdkit.plot.pose import body_colors
 from mbdkit.plot.quantity_text import length
 from mbdkit.report.chart_data import color_key
 from mbdkit.report.label_placement import LINE, SWATCH, Name, PlacedName, place_names
-from mbdkit.report.svg_canvas import Canvas
+from mbdkit.report.svg_canvas import Canvas, shade
 from mbdkit.trust.criteria import ROUND_OFF
 
 WIDE, NARROW = 900.0, 350.0
@@ -32,7 +34,8 @@ NAMES = 60
 LONGEST = 28
 """Largest number of characters of a name."""
 CROWD = 40
-"""Number of bodies above which only outlines are drawn."""
+"""Number of links above which only outlines are drawn."""
+_SHORT_ARROW = 20.0  # of the distributed load of a beam [px]
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,8 @@ class NamedPose:
         Recorded times [s]; loads are shown at that of their largest value.
     round_off
         Coordinates below this value are rounding errors [m].
+    moments
+        (E,) bending moments of the elements of all beams [N m], by which these are coloured; None for own colours.
     """
 
     drawing: Drawing
@@ -58,6 +63,7 @@ class NamedPose:
     pose: Array
     times: Array
     round_off: float
+    moments: Array | None = None
 
     @classmethod
     def of(cls, mechanism: Mechanism | None, bodies: Sequence[str], pose: Array, times: Array) -> NamedPose:
@@ -97,37 +103,53 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
 def names_shown(shown: NamedPose) -> bool:
     """Return whether all names have room in a drawing."""
     elements = shown.mechanism
-    count = len(shown.drawing.bodies)
+    count = len(shown.drawing.links)
     if elements is not None:
-        count += len(elements.joints) + len(elements.forces) + len(elements.markers)
+        count += len(elements.joints) + len(own_forces(elements)) + len(elements.markers)
     return count <= NAMES
+
+
+def own_forces(mechanism: Mechanism) -> dict[str, Any]:
+    """Return the force elements of a mechanism without those that the distributed loads of beams consist of."""
+    parts = parts_of(mechanism.beams)
+    return {name: force for name, force in mechanism.forces.items() if name not in parts}
 
 
 def _draw(canvas: Canvas, shown: NamedPose) -> None:
     """Draw everything but the names, from the back to the front."""
     drawing = shown.drawing
-    draw_sketch(canvas, drawing, canvas.px(drawing.world(shown.pose)))
-    if len(drawing.bodies) > CROWD:
+    draw_sketch(canvas, drawing, canvas.px(drawing.world(shown.pose)), moments=shown.moments)
+    if len(drawing.links) > CROWD:
         return
     if shown.mechanism is not None:
         _draw_loads(canvas, shown, shown.mechanism)
     draw_scale_bar(canvas)
+    if most := largest_moment(shown.moments):
+        _draw_moment_scale(canvas, most)
 
 
-def draw_sketch(canvas: Canvas, drawing: Drawing, at: Array, *, moving_only: bool = False) -> None:
-    """Draw bodies, joints and springs at the points `at` (P, 2) [px]; perhaps without ground and guides."""
-    crowd = len(drawing.bodies) > CROWD
+def draw_sketch(
+    canvas: Canvas, drawing: Drawing, at: Array, *, moving_only: bool = False, moments: Array | None = None
+) -> None:
+    """Draw bodies, beams, joints and springs at the points `at` (P, 2) [px]; perhaps without ground and guides.
+
+    `moments` (E,) are the bending moments by which beams are coloured.
+    """
+    crowd = len(drawing.links) > CROWD
     if not moving_only:
         for index in drawing.grounds if not crowd else drawing.grounds[:1]:
             _ground(canvas, at[index])
         for ends in drawing.guides:
             canvas.line(at[list(ends)], "guide")
     for outline, color in zip(drawing.outlines, body_colors(drawing), strict=True):
+        if not outline:
+            continue
         if len(outline) == 1:
             canvas.dot(at[outline[0]], "disc", 3.0 if crowd else 7.0, color_key(color))
         else:
             canvas.line(at[list(outline)], "thin body" if crowd else "body", closed=len(outline) > 2,
                         color=color_key(color))  # fmt: skip
+    _draw_beams(canvas, drawing, at, moments)
     for ends in drawing.bars:
         canvas.line(at[list(ends)], "bar")
     for start, end in drawing.springs:
@@ -145,6 +167,28 @@ def draw_sketch(canvas: Canvas, drawing: Drawing, at: Array, *, moving_only: boo
         canvas.box(at[index], "weld", 4.0)
 
 
+def _draw_beams(canvas: Canvas, drawing: Drawing, at: Array, moments: Array | None) -> None:
+    colors, most, first = body_colors(drawing), largest_moment(moments), 0
+    for beam in drawing.beams:
+        own = color_key(colors[beam.nodes[0]])
+        for element, line in zip(beam.elements_of_intervals, bezier_polylines(at[list(beam.corners)]), strict=True):
+            color = own if moments is None or not most else shade(float(moments[first + element]) / most)
+            canvas.line(line, "thin beam" if len(drawing.links) > CROWD else "beam", color=color)
+        first += beam.elements
+
+
+def _draw_moment_scale(canvas: Canvas, largest: float) -> None:
+    """Draw the scale of bending moments in the lower right corner."""
+    y, end = canvas.height - 10.0, canvas.width - 66.0
+    for share in np.linspace(-1.0, 1.0, 13):
+        x = end - 39.0 + 33.0 * share
+        canvas.line(np.array([[x - 2.75, y - 3.0], [x + 2.75, y - 3.0]]), "beam", color=shade(float(share)))
+    text = Markup('<text class="faint" x="{:.1f}" y="{:.1f}" text-anchor="{}">{}</text>')
+    canvas.parts.append(text.format(end, y + 1.0, "start", f"{largest:.3g} N m"))
+    canvas.parts.append(text.format(end - 78.0, y + 1.0, "end", f"\u2212{largest:.3g}"))
+    canvas.drawn.append(np.array([[x, y - 4.0] for x in np.arange(end - 120.0, canvas.width, 6.0)]))
+
+
 def _ground(canvas: Canvas, point: Array) -> None:
     canvas.line(point + np.array([[0, 0], [-7, 11], [7, 11]]), "ground", closed=True)
     canvas.line(point + np.array([[-12, 11], [12, 11]]), "ground")
@@ -160,12 +204,14 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
             else:
                 canvas.arrow(centre, _axis(shown, joint), 34.0, "load")
     force: Any
-    for force in mechanism.forces.values():
+    distributed = parts_of(mechanism.beams)
+    for name, force in mechanism.forces.items():
         load = getattr(force, "load", None)
         if load is not None and load.kind == "torque":
             canvas.turn(canvas.px(shown.place(load.body, (0.0, 0.0))), 17.0, "load")
         elif load is not None:
-            canvas.arrow(canvas.px(shown.place(load.body, load.point)), _load_direction(shown, load), 44.0, "load")
+            size = _SHORT_ARROW if name in distributed else 44.0
+            canvas.arrow(canvas.px(shown.place(load.body, load.point)), _load_direction(shown, load), size, "load")
         elif force.pathway.length_unit == "rad":
             canvas.line(_spiral(canvas.px(_common_point(shown, mechanism, force.pathway.bodies))), "spring")
     for marker in mechanism.markers.values():
@@ -248,7 +294,7 @@ def _load_direction(shown: NamedPose, load: Any) -> Array:
 def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
     """Yield the names, those with the fewest possible places first."""
     mechanism, drawing = shown.mechanism, shown.drawing
-    if len(drawing.bodies) > CROWD:
+    if len(drawing.links) > CROWD:
         return
     if mechanism is not None:
         for name, joint in mechanism.joints.items():
@@ -256,12 +302,18 @@ def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
             yield Name(name, kind, canvas.px(joint_point(shown, mechanism, joint))[None])
         for name, marker in mechanism.markers.items():
             yield Name(name, "marker", canvas.px(shown.place(marker.body, marker.held))[None])
-        for name, force in mechanism.forces.items():
+        for name, force in own_forces(mechanism).items():
             kind = "force" if getattr(force, "load", None) is None else "load"
             yield Name(name, kind, _force_points(canvas, shown, mechanism, force))
     at = canvas.px(drawing.world(shown.pose))
-    for name, outline, color in zip(drawing.bodies, drawing.outlines, body_colors(drawing), strict=True):
-        yield Name(name, "body", _along(at[list(outline)]), color_key(color))
+    colors = body_colors(drawing)
+    nodes = {node for beam in drawing.beams for node in beam.nodes}
+    for body, name in enumerate(drawing.bodies):
+        if body not in nodes:
+            yield Name(name, "body", _along(at[list(drawing.outlines[body])]), color_key(colors[body]))
+    for beam in drawing.beams:
+        own = "" if shown.moments is not None else color_key(colors[beam.nodes[0]])
+        yield Name(beam.name, "body", at[list(beam.points)], own)
 
 
 def short_name(name: str, longest: int = LONGEST) -> str:

@@ -13,7 +13,7 @@ from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
 from mbdkit.plot.downsampling import take
 from mbdkit.plot.quantity_text import count
-from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
+from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
 from mbdkit.report.section import Drawing, Section
 from mbdkit.spec.key_words import described_unit
 from mbdkit.text import listed
@@ -52,19 +52,23 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
 
 
 def element_tables(shown: NamedPose) -> list[Table]:
-    """Return tables of the bodies, joints, force elements and markers of a mechanism, without empty ones."""
+    """Return tables of the bodies, beams, joints, force elements and markers of a mechanism, without empty ones."""
     tables = [_bodies(shown)]
     if shown.mechanism is not None:
-        tables += [_joints(shown), _forces(shown), _markers(shown)]
+        tables += [_beams(shown.mechanism), _joints(shown), _forces(shown), _markers(shown)]
     return [table for table in tables if table.rows]
 
 
 def composition(mechanism: Mechanism) -> str:
     """Return sentences on what a mechanism consists of, its mass, and gravity."""
     drivers = sum(joint.is_driver for joint in mechanism.joints.values())
-    parts = [count(len(mechanism.bodies), "body", "bodies"), count(len(mechanism.joints) - drivers, "joint")]
+    nodes = sum(beam.node_count for beam in mechanism.beams.values())
+    parts = [count(len(mechanism.bodies) - nodes, "body", "bodies")]
+    parts += [f"{count(len(mechanism.beams), 'beam')} ({nodes} nodes)"] * bool(mechanism.beams)
+    parts += [count(len(mechanism.joints) - drivers, "joint")]
     parts += [count(drivers, "driver")] * bool(drivers)
-    parts += [count(len(mechanism.forces), "force element")] * bool(mechanism.forces)
+    forces = own_forces(mechanism)
+    parts += [count(len(forces), "force element")] * bool(forces)
     x, y = mechanism.gravity
     gravity = f"Gravity is ({x:g}, {y:g}) m/s²." if x or y else "There is no gravity."
     mass = sum(body.mass for body in mechanism.bodies.values())
@@ -74,9 +78,9 @@ def composition(mechanism: Mechanism) -> str:
 def drawing(shown: NamedPose) -> Drawing:
     """Return the drawing of a mechanism with the names of its elements."""
     elements = shown.mechanism
-    names = list(shown.drawing.bodies)
+    names = list(shown.drawing.links)
     if elements is not None:
-        names += [*elements.joints, *elements.forces, *elements.markers]
+        names += [*elements.joints, *own_forces(elements), *elements.markers]
     description = "Drawing of the mechanism"
     caption = f"The mechanism at t = {shown.times[0]:.6g} s."
     if names_shown(shown):
@@ -94,14 +98,29 @@ def _limited(name: str, title: str, columns: Sequence[Column], rows: list[tuple[
 
 def _bodies(shown: NamedPose) -> Table:
     known = {} if shown.mechanism is None else shown.mechanism.bodies
+    nodes = {node for beam in shown.drawing.beams for node in beam.nodes}
     rows: list[tuple[Cell, ...]] = []
-    for name, (_, _, angle) in zip(shown.drawing.bodies, shown.pose.tolist(), strict=True):
+    for number, (name, (_, _, angle)) in enumerate(zip(shown.drawing.bodies, shown.pose.tolist(), strict=True)):
+        if number in nodes:
+            continue
         body = known.get(name)
         centre = shown.place(name, (0.0, 0.0)).tolist()
         rows.append((name, *((body.mass, body.inertia) if body else ()), *centre, angle))
     columns = [Column("body"), *([Column("mass", "kg"), Column("moment of inertia", "kg m²")] if known else [])]
     columns += [Column("x", "m"), Column("y", "m"), Column("angle", "rad")]
     return _limited("bodies", "Bodies", columns, rows)
+
+
+def _beams(mechanism: Mechanism) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for name, beam in mechanism.beams.items():
+        stiffness, (mass, _) = beam.section_stiffness, beam.inertia_per_length
+        nodes = f"{name}.0 to {name}.{beam.node_count - 1}"
+        rows.append((name, nodes, beam.length, mass * beam.length, *stiffness, beam.damping))
+    columns = [Column("beam"), Column("nodes"), Column("length", "m"), Column("mass", "kg")]
+    columns += [Column("axial stiffness", "N"), Column("shear stiffness", "N"), Column("bending stiffness", "N m²")]
+    columns += [Column("damping", "s")]
+    return _limited("model-beams", "Beams", columns, rows)
 
 
 def _joints(shown: NamedPose) -> Table:
@@ -133,7 +152,7 @@ def _forces(shown: NamedPose) -> Table:
     rows: list[tuple[Cell, ...]] = []
     force: Any
     assert shown.mechanism is not None
-    for name, force in shown.mechanism.forces.items():
+    for name, force in own_forces(shown.mechanism).items():
         load = getattr(force, "load", None)
         if load is None:
             between = _between(path_ends(force.pathway.segments(shown.mechanism.joints)))

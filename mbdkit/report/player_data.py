@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.plot.beam_curves import largest_moment
 from mbdkit.plot.joint_gaps import Gaps, gaps
 from mbdkit.plot.plane_geometry import Array
 from mbdkit.plot.pose import body_colors, trace_colors
@@ -47,6 +48,7 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
     centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     with np.errstate(invalid="ignore", over="ignore"):
         poses = np.clip((shown.poses - centre) / (grain, grain, _ANGLE), -2e9, 2e9).round()
+    colors = body_colors(drawing)
     flat = [None if value != value else int(value) for value in poses.reshape(-1).tolist()]
     return {
         "time": _short(shown.time, 9),
@@ -54,10 +56,12 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
         "view": [x0, x1, y0, y1],
         "grain": [grain, _ANGLE],
         "bodies": list(drawing.bodies),
-        "colors": [color_key(color) for color in body_colors(drawing)],
+        "colors": [color_key(color) for color in colors],
+        "links": [[name, color_key(colors[drawing.link_numbers.index(k)])] for k, name in enumerate(drawing.links)],
         "owner": drawing.owner.tolist(),
         "local": _short(drawing.local, 6),
         "outlines": [list(outline) for outline in drawing.outlines],
+        **_beam_data(shown),
         "pins": list(drawing.pins),
         "grounds": list(drawing.grounds),
         "centres": list(drawing.centres),
@@ -72,6 +76,20 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
         ],
         "poses": flat,
     }
+
+
+def _beam_data(shown: Scene) -> dict[str, Any]:
+    """Return the curves of the beams, and their bending moments in percent of the largest magnitude."""
+    beams = [
+        {"name": beam.name, "corners": list(beam.corners), "element": beam.elements_of_intervals,
+         "elements": beam.elements, "body": beam.nodes[0]}
+        for beam in shown.drawing.beams
+    ]  # fmt: skip
+    most = largest_moment(shown.moments)
+    if not most or shown.moments is None:
+        return {"beams": beams, "bending": None}
+    percent = np.nan_to_num(100.0 * shown.moments / most, posinf=100.0, neginf=-100.0).round().astype(int)
+    return {"beams": beams, "bending": {"largest": most, "percent": percent.reshape(-1).tolist()}}
 
 
 def _gap_data(spec: Mapping[str, Any], shown: Scene) -> dict[str, Any]:

@@ -23,7 +23,7 @@ MARKS = 60
 DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance")
 """Charts that show how well the constraints and the energy hold."""
 _TIME = Axis("time", "s")
-_FIRST = ("reactions", "torques", "forces")
+_FIRST = ("reactions", "torques", "forces", "beams")
 _OF_JOINTS = ("reactions", "torques", "joint-angles", "driver-power", *DRIFT[:3])
 
 

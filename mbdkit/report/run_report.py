@@ -10,6 +10,7 @@ from mbdkit.plot.caption import caption
 from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.drawing_geometry import build_mechanism
 from mbdkit.report.answer_section import answer_section
+from mbdkit.report.beam_section import beam_section
 from mbdkit.report.load_frames import with_arrows
 from mbdkit.report.load_sections import inverse_sections
 from mbdkit.report.methods_used import methods
@@ -38,7 +39,7 @@ def run_report(run: Run) -> ReportPage:
     require_rows(run)
     head = caption(run)
     mechanism = mechanism_of(run)
-    answer = answer_section(run)
+    found = [*inverse_sections(run, mechanism), answer_section(run), beam_section(run, mechanism)]
     command = "inverse" if run.kind == "inverse" else "run"
     return ReportPage(
         title=head.title,
@@ -53,7 +54,7 @@ def run_report(run: Run) -> ReportPage:
         commands=f"mbdkit {command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
         spec_file="run.yaml",
-        sections=(model_section(run, mechanism), *inverse_sections(run, mechanism), *([answer] if answer else [])),
+        sections=(model_section(run, mechanism), *(section for section in found if section is not None)),
         beside_verdict=("misalignment", "errors", *DRIFT),
     )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.plot.beam_curves import has_beams
 from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:
@@ -90,15 +91,28 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
     largest = np.stack([np.max(one[:count], axis=0) for one in errors], axis=1)  # (B, 2, 3)
     names = list(run.bodies)
     size = np.linalg.norm(largest[..., :2], axis=-1)
-    order = np.sort(np.argsort(-size[:, 0], kind="stable")[:BODIES])
+    shown = _one_node_of_each_beam(run, size[:, 0])
+    order = np.sort(shown[np.argsort(-size[shown, 0], kind="stable")[:BODIES]])
     rows: list[tuple[Cell, ...]] = [
         (names[k], *(float(x) for x in (size[k, 0], largest[k, 0, 2], size[k, 1], largest[k, 1, 2])))
         for k in order.tolist()
     ]
     until = "over the whole run" if accuracy.is_complete else f"until {accuracy.known_until:.4g} s, unknown afterwards"
-    few = f" The {BODIES} of {len(size)} bodies with the largest errors." if len(size) > BODIES else ""
+    few = f" The {BODIES} of {len(shown)} bodies with the largest errors." if len(shown) > BODIES else ""
+    few += " Of the nodes of a beam, that with the largest error." if len(shown) < len(size) else ""
     note = f"Largest errors {until}.{few} {accuracy.method}"
     return Table("errors", "Estimated errors", columns, tuple(rows), note)
+
+
+def _one_node_of_each_beam(run: Run, size: np.ndarray) -> np.ndarray:
+    """Return the indices of bodies, of the nodes of each beam only that with the largest `size`, (B,)."""
+    beams = run.beams.values() if has_beams(run) else ()
+    names, shown = list(run.bodies), np.ones(len(size), dtype=bool)
+    for beam in beams:
+        nodes = [names.index(node) for node in beam.nodes]
+        shown[nodes] = False
+        shown[nodes[int(np.argmax(size[nodes]))]] = True
+    return np.flatnonzero(shown)
 
 
 def _cost(run: Run) -> Table:

@@ -48,9 +48,12 @@ class Canvas:
         return np.asarray(away * (1.0, -1.0) + (self.width / 2, self.height / 2))
 
     def line(self, points: Array, look: str, *, closed: bool = False, color: str = "") -> None:
-        """Add a line through points (K, 2) [px] of the class `look`, or an area."""
+        """Add a line through points (K, 2) [px] of the class `look`, or an area.
+
+        `color` is the name of a colour of the page's style, or a mixture of such colours by `shade`.
+        """
         path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
-        style = Markup(' style="--own:var(--{})"').format(color) if color else ""
+        style = Markup(' style="--own:{}"').format(_css(color)) if color else ""
         self.parts.append(Markup('<path class="{}"{} d="{}"/>').format(look, style, path))
         corners = np.vstack([points, points[:1]]) if closed else points
         for start, end in pairwise(corners):
@@ -83,3 +86,12 @@ class Canvas:
         self.line(arc, look)
         tangent = arc[-1] - arc[-3]
         self.arrow(arc[-1] + 0.01 * tangent, tangent, 1.0, look)
+
+
+def shade(share: float) -> str:
+    """Return the colour of a bending moment, a share between -1 and 1 of the largest one."""
+    return f"color-mix(in srgb, var(--{'c0' if share < 0 else 'c1'}) {100.0 * abs(share):.0f}%, var(--edge))"
+
+
+def _css(color: str) -> str:
+    return color if "(" in color else f"var(--{color})"

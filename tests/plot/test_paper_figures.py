@@ -147,7 +147,10 @@ def test_the_default_file_is_named_after_the_first_run(
             ["--kind", "energy", "--joint", "A"],
             "--joint is an option of --kind drift, reactions or torques, not of energy",
         ),
-        (["--kind", "drift", "--component", "x"], "--component is an option of --kind reactions, not of drift"),
+        (
+            ["--kind", "drift", "--component", "x"],
+            "--component is an option of --kind reactions or beams, not of drift",
+        ),
         (["--kind", "reactions", "--component", "z"], "there are no components 'z'"),
         (["--size", "85"], "the size '85' is not understood"),
         (["--kind", "forces", "--size", "85mm"], "no force element of this run exerts a force"),

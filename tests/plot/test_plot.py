@@ -82,7 +82,7 @@ def test_titles_axes_and_units_are_written(make_run, kind):
     assert "a swinging chain" in text
     assert "n-pendulum · gauss, 2 stages · step 0.02 s · complete" in text
     units = {"trajectory": ("[m]",), "drift": ("[m]", "[m/s]"), "energy": ("[J]",), "reactions": ("[N]",)}
-    units |= {"torques": ("[N m]",), "forces": ("[N]",)}
+    units |= {"torques": ("[N m]",), "forces": ("[N]",), "beams": ("[N m]",)}
     for unit in (*units[kind], *(("time [s]",) if kind != "trajectory" else ())):
         assert unit in text
 

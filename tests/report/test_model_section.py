@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.mechanism.beams import parts_of
 from mbdkit.report.label_placement import LINE, Name, place_names
 from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
 from mbdkit.report.run_report import run_report
@@ -34,9 +35,10 @@ def test_every_element_of_an_example_is_named_once(name, width):
     if not names_shown(shown):
         return
     found = texts(mechanism_svg(shown, width))
-    for known in (mechanism.bodies, mechanism.joints, mechanism.forces, mechanism.markers):
-        assert all(found.count(word) >= 1 for word in known)
+    parts = parts_of(mechanism.beams)
     named = [*mechanism.bodies, *mechanism.joints, *mechanism.forces, *mechanism.markers]
+    named = [name for name in named if name not in parts] + list(mechanism.beams)
+    assert all(found.count(word) >= 1 for word in named)
     assert len(found) == len(named) + 1 + bool(any(mechanism.gravity))  # the scale and g
 
 

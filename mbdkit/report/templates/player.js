@@ -80,6 +80,16 @@ function go(on) {
   roll();
 }
 
+// --- the scale of the bending moments of beams ---
+function scale(names) {
+  const item = document.createElement("li"), swatch = document.createElement("span");
+  const most = power(run.bending.largest);
+  swatch.className = "scale";
+  const who = names.length > 3 ? `${names.length} beams` : names.join(", ");
+  item.append(`${who}: bending moment, \u2212${most} to ${most} N m`, swatch);
+  return item;
+}
+
 // --- a film ---
 function load(number) {
   run = films[number];
@@ -89,17 +99,18 @@ function load(number) {
   stage.show(run);
   canvas.setAttribute("aria-label", `The mechanism in motion${run.label ? `: ${run.label}` : ""}`);
   shown.textContent = run.label ? `Shown: ${run.label}` : "";
-  const few = run.bodies.length <= 6;
+  const few = run.links.length <= 6, bent = run.bending ? run.beams.map(beam => beam.name) : [];
   const entry = (name, color) => {
     const item = document.createElement("li"), swatch = document.createElement("span");
     swatch.style.background = `var(--${color})`;
     item.append(swatch, name);
     return item;
   };
-  legend.replaceChildren(...(few ? run.bodies : []).map((name, body) => entry(name, run.colors[body])));
+  legend.replaceChildren(...(few ? run.links : []).filter(([name]) => !bent.includes(name)).map(link => entry(...link)));
+  if (bent.length) legend.append(scale(bent));
   for (const [kind, text] of Object.entries(run.arrows?.texts ?? {})) legend.append(entry(text, Stage.FORCES[kind]));
   if (run.arrows) legend.append(`longest arrow ${Number(run.arrows.longest.toPrecision(3))} N`);
-  legend.hidden = !few && !run.arrows;
+  legend.hidden = !few && !run.arrows && !bent.length;
   forces.parentElement.hidden = !run.arrows;
   const chosen = speed.selectedIndex;
   speed.replaceChildren(...[0.1, 0.25, 0.5, 1, 2, 4].map(factor => {

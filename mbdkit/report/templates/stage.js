@@ -17,7 +17,7 @@ class Stage {
   show(film) {
     this.film = film;
     this.bodies = film.bodies.length;
-    this.crowd = this.bodies > 40;
+    this.crowd = film.links.length > 40;
     [this.left, this.right, this.bottom, this.top] = film.view;
     this.size = Math.max(this.right - this.left, this.top - this.bottom);
     this.centre = [(this.left + this.right) / 2, (this.bottom + this.top) / 2];
@@ -169,6 +169,7 @@ class Stage {
     film.grounds.forEach(index => this.ground(index));
     for (const ends of film.guides) this.stroke(colors.faint, 1.8, () => this.line(ends.map(end => this.at(end))));
     film.outlines.forEach((outline, body) => this.body(outline, film.colors[body]));
+    this.beams(frame);
     for (const ends of film.bars) this.stroke(colors.ink, 1.8, () => this.line(ends.map(end => this.at(end))));
     film.springs.forEach(ends => this.spring(ends));
     if (!this.crowd) this.marks();
@@ -237,7 +238,36 @@ class Stage {
     });
   }
 
+  /* Thickness of bodies [px]. */
+  weight() { return this.crowd ? 1.6 : this.width < 300 ? 3 : this.width < 600 ? 4 : 5.5; }
+
+  /* Draw beams as curves through their nodes, coloured by their bending moments. */
+  beams(frame) {
+    const { beams, bending, colors } = this.film, { pen } = this;
+    const count = beams.reduce((sum, beam) => sum + beam.elements, 0);
+    let first = frame * count;
+    for (const beam of beams) {
+      beam.element.forEach((element, k) => {
+        const [start, out, into, end] = [0, 1, 2, 3].map(step => this.at(beam.corners[3 * k + step]));
+        if (![...start, ...out, ...into, ...end].every(Number.isFinite)) return;
+        const color = bending ? this.tone(bending.percent[first + element]) : this.color(colors[beam.body]);
+        this.stroke(color, this.weight(), () => { pen.moveTo(...start); pen.bezierCurveTo(...out, ...into, ...end); });
+      });
+      first += beam.elements;
+    }
+  }
+
+  /* Colour of a bending moment, given in percent of the largest one. */
+  tone(percent) {
+    const [from, to] = ["edge", percent < 0 ? "c0" : "c1"].map(key => Stage.rgb(this.colors[key]));
+    const share = Math.abs(percent) / 100;
+    return `rgb(${from.map((value, k) => Math.round(value + share * (to[k] - value))).join(" ")})`;
+  }
+
+  static rgb(color) { return [1, 3, 5].map(start => parseInt(color.slice(start, start + 2), 16)); }
+
   body(outline, key) {
+    if (!outline.length) return;
     const { pen } = this, color = this.color(key), corners = outline.map(index => this.at(index));
     if (corners.length === 1) {
       pen.beginPath();
@@ -246,8 +276,7 @@ class Stage {
       pen.fill();
       return;
     }
-    const weight = this.crowd ? 1.6 : this.width < 300 ? 3 : this.width < 600 ? 4 : 5.5;
-    this.stroke(color, weight, () => this.line(corners, corners.length > 2));
+    this.stroke(color, this.weight(), () => this.line(corners, corners.length > 2));
     if (corners.length > 2) { pen.globalAlpha = 0.25; pen.fillStyle = color; pen.fill(); pen.globalAlpha = 1; }
   }
 

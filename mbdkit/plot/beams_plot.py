@@ -1,0 +1,200 @@
+"""The plot `beams`: bending moment, shear force and axial force along beams at some times, and over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.archive.history import UnknownNameError
+from mbdkit.errors import SpecError
+from mbdkit.plot.beam_curves import has_beams
+from mbdkit.plot.chart_images import draw_chart
+from mbdkit.plot.downsampling import Array, bands
+from mbdkit.plot.element_quantity import MOST, Names
+from mbdkit.plot.panel import Panel, dress_over_time, panel_title
+from mbdkit.plot.scene import nearest_rows
+from mbdkit.plot.style import PALETTE
+from mbdkit.text import listed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mbdkit.archive.run import Run
+
+Component = Literal["moment", "shear", "axial"]
+_TITLES = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
+_TIMES = 5
+_ALONG = Axis("distance from the end a / length")
+_TIME = Axis("time", "s")
+
+
+@dataclass(frozen=True)
+class BeamPeak:
+    """Largest magnitude of an internal force of a beam.
+
+    Parameters
+    ----------
+    value
+        The value with its sign [N or N m]; nan if no value is finite.
+    time
+        Its time [s].
+    place
+        Middle of its element, as a share of the length from the end a.
+    row
+        Its row.
+    """
+
+    value: float
+    time: float
+    place: float
+    row: int
+
+
+def beam_peak(run: Run, beam: str, component: Component) -> BeamPeak:
+    """Return the largest magnitude of an internal force of a beam over all elements and rows."""
+    values: Array = getattr(run.beams[beam], component)
+    size = np.where(np.isfinite(values), np.abs(values), -1.0)
+    row, element = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
+    value = float(values[row, element]) if size[row, element] >= 0 else float("nan")
+    return BeamPeak(value, float(run.time[row]), (element + 0.5) / values.shape[1], row)
+
+
+def panels(run: Run) -> list[Panel]:
+    """Return panels of each internal force along the beams, and over time."""
+    if not run.beams:
+        return [Panel(_draw_nothing)]
+    along = [Panel(partial(_draw, chart=_along(run, which)), over_time=False) for which in get_args(Component)]
+    return [*along, *(Panel(partial(_draw, chart=_over_time(run, which))) for which in get_args(Component))]
+
+
+def charts(run: Run) -> list[Figure]:
+    """Return the charts of each internal force along the beams, and over time; none if the run has no beams."""
+    if not has_beams(run):
+        return []
+    return [draw(run, which) for draw in (_along, _over_time) for which in get_args(Component)]
+
+
+def chart(
+    run: Run,
+    *,
+    beams: Names = None,
+    components: Component = "moment",
+    times: float | Sequence[float] | None = None,
+    most: int = MOST,
+) -> Figure:
+    """Return the chart of an internal force along beams at some times or, unless times are given, over time.
+
+    Parameters
+    ----------
+    beams
+        Names of beams; by default those with the largest values.
+    components
+        ``moment``, ``shear`` or ``axial``.
+    times
+        Times [s] of curves along the beams; the nearest recorded rows are drawn.
+
+    Raises
+    ------
+    SpecError
+        The component is unknown, the run has no beams, or a time lies outside of the run.
+    UnknownNameError
+        There is no such beam.
+    NotRecordedError
+        The run did not record the internal forces of beams.
+    """
+    if components not in get_args(Component):
+        known = listed(get_args(Component), "or")
+        raise SpecError(f"components is {components!r}; a plot of beams shows {known}")
+    if not run.beams:
+        raise SpecError("this run has no beams")
+    names = _picked(run, beams, components, most)
+    if times is None:
+        return _over_time(run, components, names)
+    return _along(run, components, names, np.atleast_1d(np.asarray(times, dtype=float)))
+
+
+def _picked(run: Run, wanted: Names, component: Component, most: int) -> list[str]:
+    """Return the wanted beams or, if None, at most `most` with the largest values."""
+    known = list(run.beams)
+    if wanted is None:
+        size = [abs(beam_peak(run, name, component).value) for name in known]
+        return [known[k] for k in sorted(np.argsort(-np.nan_to_num(size), kind="stable")[:most].tolist())]
+    names = [wanted] if isinstance(wanted, str) else list(dict.fromkeys(wanted))
+    for name in names:
+        if name not in known:
+            raise UnknownNameError("beam", name, known)
+    return names
+
+
+def _axis(component: Component) -> Axis:
+    return Axis(_TITLES[component].lower(), "N m" if component == "moment" else "N")
+
+
+def _along(run: Run, component: Component, names: Sequence[str] | None = None, times: Array | None = None) -> Figure:
+    """Return the chart of curves along beams; by default of the beam with the largest value, at five times."""
+    if names is None:
+        names = _picked(run, None, component, 1)
+    rows = _rows(run, names[0], component) if times is None else _rows_at(run, times)
+    lines = []
+    for name in names:
+        values: Array = getattr(run.beams[name], component)
+        place = (np.arange(values.shape[1]) + 0.5) / values.shape[1]
+        lines += [
+            Line(f"{name}, {run.time[row]:.4g} s" if len(names) > 1 else f"{run.time[row]:.4g} s", place, values[row],
+                 group=f"{run.time[row]:.4g} s", color=PALETTE[k] if k < len(PALETTE) else "")
+            for k, row in enumerate(rows)
+        ]  # fmt: skip
+    where = f" along {names[0]}" if len(names) == 1 else " along beams"
+    caption = f"In the middle of each element{where}; positive moments turn the far part counter-clockwise."
+    if component != "moment":
+        caption = f"In the middle of each element{where}, in the frame of its cross-section."
+    return Figure(f"beams-{component}", f"{_TITLES[component]}{where}", caption, _ALONG, _axis(component), tuple(lines))
+
+
+def _rows(run: Run, name: str, component: Component) -> list[int]:
+    """Return five rows spread over the run, one of which is that of the largest value of a beam."""
+    spread = nearest_rows(run.time, np.linspace(run.time[0], run.time[-1], _TIMES)).tolist()
+    peak = beam_peak(run, name, component).row
+    spread[min(range(len(spread)), key=lambda k: abs(spread[k] - peak))] = peak
+    return list(dict.fromkeys(spread))
+
+
+def _rows_at(run: Run, times: Array) -> list[int]:
+    first, last = float(run.time[0]), float(run.time[-1])
+    for time in times.tolist():
+        if not first <= time <= last:
+            raise SpecError(f"times has {time:g} s; the run recorded {first:g} to {last:g} s")
+    return list(dict.fromkeys(nearest_rows(run.time, times).tolist()))
+
+
+def _over_time(run: Run, component: Component, names: Sequence[str] | None = None) -> Figure:
+    """Return the chart of the largest magnitude in a beam over time, for several beams."""
+    chosen = _picked(run, None, component, MOST) if names is None else names
+    time = np.asarray(run.time)
+    largest = np.stack([np.max(np.abs(getattr(run.beams[name], component)), axis=1) for name in chosen], axis=1)
+    found = bands(time, largest)
+    axis = _axis(component)
+    return Figure(
+        f"beams-{component}-over-time",
+        f"Largest {axis.label} over time",
+        "Largest magnitude over all elements of a beam.",
+        _TIME,
+        axis,
+        tuple(Line(name, *found.curve(k), group=name) for k, name in enumerate(chosen)),
+    )
+
+
+def _draw(axes: Axes, chart: Figure) -> None:
+    draw_chart(axes, chart)
+    title = f"{chart.title}: {chart.lines[0].label}" if len(chart.lines) == 1 else chart.title
+    panel_title(axes, title)
+
+
+def _draw_nothing(axes: Axes) -> None:
+    dress_over_time(axes, "bending moment\n[N m]")
+    panel_title(axes, "Bending moment: there are no beams")
