@@ -160,7 +160,9 @@ class Pose:
         """Show the scale of the bending moments beside the axes, if beams are coloured by them."""
         if self._bending is None:
             return
-        bar = axes.figure.colorbar(self._bending, ax=axes, location="bottom", shrink=0.4, aspect=30, pad=0.02)
+        bar = axes.figure.colorbar(
+            self._bending, ax=axes, location="bottom", shrink=0.4, aspect=30, pad=0.02, format="%.3g"
+        )
         bar.outline.set_visible(False)
         bar.set_label(f"bending moment of beams {when} [N m]".replace("  ", " "), size=8.5, color=INK)
         bar.ax.tick_params(colors=FAINT, labelcolor=INK, labelsize=8)

@@ -19,16 +19,21 @@ NAMES = [
     "crank-press",
     "double-pendulum",
     "double-wishbone",
+    "flexible-slider-crank",
+    "flying-spaghetti",
     "four-bar",
     "gravity-balanced-arm",
     "jump",
     "knee",
+    "leaf-spring",
     "limit-stop",
     "n-four-bar",
     "pendulum",
     "quick-return",
+    "roll-up",
     "sit-to-stand",
     "slider-crank",
+    "spin-up-beam",
     "spring-pendulum",
     "squat",
     "sway",
@@ -248,3 +253,50 @@ def test_jump_ends_when_the_ground_no_longer_pushes():
         assert falls == pytest.approx(-9.81, abs=1e-6)
         speed = sum(mass * run[name].velocity[-1, 1] for name, mass in masses.items()) / sum(masses.values())
         assert speed > 1.0
+
+
+def test_spun_up_beam_stretches_as_published():
+    # expected: Simo and Vu-Quoc (1986): steady extension of 5.14e-4 m; the tip lags by about 0.58 m in their figure
+    with mbdkit.run("spin-up-beam") as run:
+        at = run.beams["blade"].position
+        late = run.time > 18.0
+    along = np.hypot(at[late, -1, 0], at[late, -1, 1]) - 10.0
+    assert along.mean() == pytest.approx(5.14e-4, abs=2e-6)
+    lag = at[:, -1, 1] * np.cos(at[:, 0, 2]) - at[:, -1, 0] * np.sin(at[:, 0, 2])
+    assert lag.min() == pytest.approx(-0.58, abs=0.02)
+
+
+def test_flying_spaghetti_keeps_the_momentum_of_its_push_and_its_energy():
+    # expected: the impulse of 8 N over 2.5 s, which falls to zero within 1 ms
+    with mbdkit.run("flying-spaghetti") as run:
+        masses = np.array([body.mass for body in load_spec("flying-spaghetti").mechanism().bodies.values()])
+        momentum = np.einsum("b,tbi->ti", masses, run.array("trajectory/velocity")[:, :, :2])
+        free = run.time > 2.51
+        energy = run.energy.total[free]
+    np.testing.assert_allclose(momentum[free], [[8 * 2.5005, 0.0]] * int(free.sum()), atol=1e-9)
+    assert np.ptp(energy) < 1e-3 * abs(energy).max()
+
+
+def test_rolled_up_strip_is_a_circle():
+    with mbdkit.run("roll-up") as run:
+        x, y, angle = run.beams["strip"].position[-1].T
+    assert angle[-1] == pytest.approx(2 * np.pi, abs=1e-4)
+    # expected: the corners of a regular polygon of 16 sides of 1/16 m
+    radius = np.hypot(x - x[:-1].mean(), y - y[:-1].mean())
+    np.testing.assert_allclose(radius, 1 / 32 / np.sin(np.pi / 16), rtol=1e-3)
+
+
+def test_slider_on_a_flexible_rod_ends_where_the_published_solution_ends():
+    # expected: Test Set for IVP Solvers, "Slider crank": 0.169737 m; its rod has fewer modes along its axis, whose
+    # oscillations stretch the rod by some 1e-5 m
+    with mbdkit.run("flexible-slider-crank") as run:
+        assert run["slider"].position[-1, 0] == pytest.approx(0.169737, abs=2e-5)
+
+
+def test_leaf_spring_has_the_stiffness_of_linear_theory_at_small_angles():
+    # expected: the tip of a cantilever is displaced by angle length/2, and its force acts at length/2 from the knee
+    spec = load_spec("leaf-spring").model_dump(mode="json")
+    spec["model"]["joints"]["motor"]["motion"] = "-0.001*(1 - cos(2*pi*t/10))"
+    with mbdkit.run(spec) as run:
+        bending = 2.1e11 * 0.03 * 1.5e-3**3 / 12
+        assert run.measures["stiffness"] == pytest.approx(3 * bending / (4 * 0.3), rel=0.002)

@@ -37,6 +37,10 @@ STUDIES = (
     ),
     _packaged("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),
     _packaged("drift", "Order, drift, energy and cost of formulations and stabilizations."),
+    _packaged(
+        "flexible-slider-crank",
+        "Joint forces and misalignment of a slider-crank with a flexible rod, by explicit and implicit methods.",
+    ),
     _packaged("knee-spring", "Sobol indices of the knee force for stiffness and ends of a support, and body mass."),
     _packaged("no-drift", "Misalignment over 100,000 steps with projected methods and index-reduced formulations."),
     _packaged(
