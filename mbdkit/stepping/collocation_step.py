@@ -248,8 +248,7 @@ def increments(c, m, h):
 
 @subkernel
 def keep_stages(c, m, t, h):
-    """Keep the stages of a step as nodes of integrals; `m` are the stages of a collocation method or Lobatto pair."""
-    stage_states(c, m, h)
+    """Keep the states of the stages of a step, of a collocation method or a Lobatto pair, as nodes of integrals."""
     for i in range(len(m.rk.c)):
         keep_node(c, t + m.rk.c[i] * h, h * m.rk.b[i], m.q_stage[i], m.v_stage[i])
 
@@ -257,7 +256,9 @@ def keep_stages(c, m, t, h):
 @entry
 def keep(run, method, t, h, unused):
     """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
-    keep_stages(load_run_state(run), load_stages(method), t, h)
+    c, m = load_run_state(run), load_stages(method)
+    evaluate_stages(c, m, h)
+    keep_stages(c, m, t, h)
     return OK
 
 

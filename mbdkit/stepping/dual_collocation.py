@@ -7,6 +7,8 @@ the stages no longer change.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from mbdkit.engine.jit import dual_complex  # noqa: F401  arithmetic that the kernels of this module use
@@ -156,9 +158,20 @@ def _constrained_changes(c, n, m, k, t, h):
     return OK
 
 
+class _Formulation(NamedTuple):
+    """The parts of a formulation that `_step` calls; Numba compiles it once for each of these records."""
+
+    changes: Any
+    """``(c, n, m, k, t, h)``: write the changes of the derivatives by one iteration; return a status."""
+    sizes: Any
+    """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
+    powers: Any
+    """``(c, m, t, h)``: evaluate the powers of the stages; return a status."""
+
+
 @inlined
-def _step(dual, run, method, plain, t, h, row, changes, sizes, powers):
-    """Differentiate a step; `changes`, `sizes` and `powers` belong to the formulation."""
+def _step(dual, run, method, plain, t, h, row, formulation):
+    """Differentiate a step."""
     c, n, m, k = load_dual_run(dual), load_run_state(run), load_dual_stages(method), load_stages(plain)
     take_base(c, n)
     _predict(m, t, h)
@@ -167,11 +180,11 @@ def _step(dual, run, method, plain, t, h, row, changes, sizes, powers):
     converged = False
     for iteration in range(MOST_ITERATIONS):
         evaluate_stages(c, m, h)
-        status = changes(c, n, m, k, t, h)
+        status = formulation.changes(c, n, m, k, t, h)
         if status != OK:
             return status
         _change_accelerations(m, k)
-        now, moved = sizes(c, m, h)
+        now, moved = formulation.sizes(c, m, h)
         ratio = now / before
         converges_to_it = ratio < 1.0 and now * ratio / (1.0 - ratio) < SMALL
         is_round_off = ratio > STALLED and (now < NEGLIGIBLE or moved < FEW_ROUNDINGS)
@@ -183,13 +196,17 @@ def _step(dual, run, method, plain, t, h, row, changes, sizes, powers):
         return DIVERGED
     evaluate_stages(c, m, h)
     if c.has_power[0] != 0:
-        status = powers(c, m, t, h)
+        status = formulation.powers(c, m, t, h)
         if status != OK:
             return status
         dense_gains(h, m.rk.b, m.power, c.gain)
     increments(c, m, h)
     keep_stages(c, m, t, h)
     return advance(c, n, row)
+
+
+_INDEX_1 = _Formulation(_index1_changes, _index1_sizes, collocation_index1.stage_powers)
+_CONSTRAINED = _Formulation(_constrained_changes, _constrained_sizes, collocation_constrained.stage_powers)
 
 
 @kernel
@@ -203,11 +220,10 @@ def index1_step(dual, run, method, plain, t, h, row):
     row
         Place where the end of the step is recorded; -1 if it is not.
     """
-    return _step(dual, run, method, plain, t, h, row, _index1_changes, _index1_sizes, collocation_index1.stage_powers)
+    return _step(dual, run, method, plain, t, h, row, _INDEX_1)
 
 
 @kernel
 def constrained_step(dual, run, method, plain, t, h, row):
     """Differentiate a step on the constraints themselves: index 2, index 3 or ggl; see `index1_step`."""
-    powers = collocation_constrained.stage_powers
-    return _step(dual, run, method, plain, t, h, row, _constrained_changes, _constrained_sizes, powers)
+    return _step(dual, run, method, plain, t, h, row, _CONSTRAINED)

@@ -310,7 +310,9 @@ def attempt(run, method, t, h, want_error):
 @entry
 def keep(run, method, t, h, unused):
     """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
-    keep_stages(load_run_state(run), load_pair(method), t, h)
+    c, m = load_run_state(run), load_pair(method)
+    stage_states(c, m, h)
+    keep_stages(c, m, t, h)
     return OK
 
 
