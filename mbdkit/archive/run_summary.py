@@ -54,13 +54,12 @@ def summary(run: Run) -> str:
 def summary_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary of a run, each with its label; a line that continues another has none."""
     spec = run.spec
-    bodies, joints = len(run.bodies), len(run.joints)
     lines = [
         *verdict_lines(run),
         ("accuracy", accuracy_sentence(run)),
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
-        ("model", ", ".join((_named(spec, "model"), counted(bodies, "body", "bodies"), counted(joints, "joint")))),
+        ("model", ", ".join((_named(spec, "model"), *_elements(run)))),
         (
             "redundancy",
             run.redundancy and f"{run.redundancy}; reactions are not unique, those of least norm recorded",
@@ -381,6 +380,17 @@ def _measures(run: Run) -> list[tuple[str, str]]:
         text = f"{value:.6g} {unit.removesuffix('1')}".rstrip() if math.isfinite(value) else reason
         lines.append(("" if lines else "measures", f"{name} {text}"))
     return lines
+
+
+def _elements(run: Run) -> list[str]:
+    """Return the numbers of bodies, beams and joints; the nodes of recorded beams do not count as bodies."""
+    beams = run.beams.values()
+    bodies = len(run.bodies) - sum(len(beam.nodes) for beam in beams)
+    return [
+        *([counted(bodies, "body", "bodies")] if bodies or not beams else []),
+        *([counted(len(beams), "beam")] if beams else []),
+        counted(len(run.joints), "joint"),
+    ]
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:

@@ -121,3 +121,7 @@ def test_wrong_options_are_named(run, options, error, words):
 def test_a_run_without_beams_says_so():
     with pytest.raises(SpecError, match="no beams"):
         mbdkit.run("pendulum", time={"end": 0.01, "step": 0.01}).plot.beams()
+
+
+def test_the_summary_counts_a_beam_and_not_its_nodes(run):
+    assert "mechanism, 1 body, 1 beam, 2 joints" in run.summary()
