@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from mbdkit.errors import SpecError
 from mbdkit.mechanism.beam_shape import INTEGRATION, NODE_SHARES, Place, curved, straight
@@ -279,17 +279,23 @@ class Beam(StrictModel):
         starts = self.places if self.start is None else [Place(*one) for one in self.start]
         if self.start is not None:
             first = starts[0]
-        return {
-            node: Body(
-                mass=mass * length,
-                inertia=inertia * length,
-                position=(at.x, at.y),
-                angle=at.angle,
-                velocity=(self.velocity[0] - omega * (at.y - first.y), self.velocity[1] + omega * (at.x - first.x)),
-                angular_velocity=omega,
-            )
-            for node, length, at in zip(self.node_names(name), self.node_lengths, starts, strict=True)
-        }
+        try:
+            return {
+                node: Body(
+                    mass=mass * length,
+                    inertia=inertia * length,
+                    position=(at.x, at.y),
+                    angle=at.angle,
+                    velocity=(self.velocity[0] - omega * (at.y - first.y), self.velocity[1] + omega * (at.x - first.x)),
+                    angular_velocity=omega,
+                )
+                for node, length, at in zip(self.node_names(name), self.node_lengths, starts, strict=True)
+            }
+        except ValidationError:
+            raise SpecError(
+                "the masses, moments of inertia or velocities of its nodes are zero, negative or too large for numbers",
+                key=f"beams.{name}",
+            ) from None
 
     def loads(self, name: str) -> dict[str, PointForce]:
         """Return the forces on the nodes that replace the distributed load of the beam `name`, by their names."""

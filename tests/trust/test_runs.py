@@ -31,7 +31,8 @@ DOPRI5 = {"name": "dopri5", "adaptive": True}
 @pytest.mark.parametrize("name", example_names("run"))
 def test_no_example_is_flagged(name: str) -> None:
     with mbdkit.run(name) as run:
-        assert (run.verdict, run.verdict_reasons, run.warnings) == ("unknown", [], [])
+        warnings = [one for one in run.warnings if not (run.beams and one.startswith("the elements of beam"))]
+        assert (run.verdict, run.verdict_reasons, warnings) == ("unknown", [], [])
 
 
 @pytest.mark.parametrize(("integrator", "step"), [(RK4, 0.1), (LSODA, None)], ids=["rk4", "scipy-lsoda"])
