@@ -384,8 +384,8 @@ def _measures(run: Run) -> list[tuple[str, str]]:
 
 def _elements(run: Run) -> list[str]:
     """Return the numbers of bodies, beams and joints; the nodes of recorded beams do not count as bodies."""
-    beams = run.beams.values()
-    bodies = len(run.bodies) - sum(len(beam.nodes) for beam in beams)
+    nodes = [beam for beam in (name.rpartition(".")[0] for name in run.bodies) if beam and beam in run.beams]
+    beams, bodies = set(nodes), len(run.bodies) - len(nodes)
     return [
         *([counted(bodies, "body", "bodies")] if bodies or not beams else []),
         *([counted(len(beams), "beam")] if beams else []),
