@@ -1,35 +1,25 @@
-"""Blocks: HDF5 files that hold many runs of a study, with an axis ``run`` in front of the arrays of a run archive.
-
-Runs of one mechanism and method have the same arrays; they are a *structure* of the block. The groups of the first
-structure are those of a run archive, the groups of others are in ``structure-2``, ``structure-3`` and so on.
-`schemas/block.md` describes the format.
-"""
+"""Reads blocks; see `mbdkit.archive.block_format`."""
 
 from __future__ import annotations
 
-import itertools
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, get_args
+from typing import Any
 
 import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.columns import read_column, write_column, write_hashes
+from mbdkit.archive.block_format import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
+from mbdkit.archive.columns import read_column
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets, is_text
 from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
-from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
+from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.measured_values import MeasuredValues
-from mbdkit.archive.part_file import LIBVER, write_image
-from mbdkit.archive.run_writer import ArchiveNames, SharedForces, name_texts
+from mbdkit.archive.run_writer import ArchiveNames, SharedForces
 from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.errors import SpecError
@@ -37,352 +27,8 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.trust.criteria import LEVELS, Judgement, Level
 
-FORMAT = "mbdkit-block"
-FORMAT_VERSION = "1.0"
-
-Store = Literal["hashes", "summary", "histories", "all"]
-STORES: tuple[Store, ...] = get_args(Store)
-
-HISTORIES = frozenset(
-    (
-        "trajectory/time",
-        "trajectory/position",
-        "trajectory/velocity",
-        "joints/misalignment",
-        "joints/reaction_force",
-        "joints/reaction_torque",
-    )
-)
-"""Arrays that ``store: histories`` keeps."""
-
 OBJECTS = 100_000
 """Largest number of groups and arrays in a block, about 60 for each structure."""
-
-_BY_RUN = {
-    "status": "complete, failed, interrupted, missing or left-out",
-    "status_reason": "why it is not complete, or the event that ended it",
-    "verdict": "good, unknown, doubtful or bad; empty without results",
-    "worst_joint": "joint with the largest misalignment",
-    "base": "spec before the values of the run are set, JSON",
-    "plugins": "model, integrator and force laws with their versions, JSON",
-}
-_OF_SUMMARY = {
-    "verdict_reasons": "reasons for the verdict, JSON",
-    "warnings": "warnings about spec and run, JSON",
-    "assembly": "how the start was made consistent",
-}
-_HASHES = {
-    "run_id": "identifier of the run",
-    "spec_sha256": "hash of its spec",
-    "data_sha256": "hash of all its arrays, kept or not",
-}
-
-_COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"))
-"""Growing axes of a run archive, and the group that holds their number of rows by run."""
-
-
-@dataclass(frozen=True, eq=False)
-class BlockRun:
-    """One run to be written into a block.
-
-    Parameters
-    ----------
-    number
-        Number of the run in the study, from 1.
-    base
-        Spec before its values are set, as JSON.
-    values
-        Values that are set in it, by dotted key.
-    status, reason
-        Its outcome.
-    spec_sha256, run_id
-        Hash and identifier of its spec; empty if that is not valid.
-    plugins
-        Attributes of ``/provenance`` that depend on the spec, as JSON.
-    result
-        Its results; None if there are none.
-    measures
-        Values of its measures.
-    """
-
-    number: int
-    base: str
-    values: Mapping[str, Any]
-    status: str
-    reason: str
-    spec_sha256: str = ""
-    run_id: str = ""
-    plugins: str = ""
-    result: FinishedRun | None = None
-    measures: Mapping[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class BlockHeading:
-    """What all runs of a block have in common.
-
-    Parameters
-    ----------
-    study_sha256
-        Hash of the study spec.
-    store
-        What is kept of each run.
-    provenance
-        Attributes of ``/provenance``.
-    measures
-        Unit and description of each measure.
-    compress
-        Whether arrays are compressed.
-    """
-
-    study_sha256: str
-    store: Store
-    provenance: Mapping[str, str | int | float]
-    measures: Mapping[str, tuple[str, str]]
-    compress: bool = False
-
-
-def kept(finished: FinishedRun, store: Store) -> FinishedRun:
-    """Return a run with the arrays that are kept, and those of names."""
-    if store == "all":
-        return finished
-    arrays, keys = _kept_of(finished.layout, store)
-    return replace(finished, layout=arrays, arrays={key: finished.arrays[key] for key in keys}, accuracy=None)
-
-
-@lru_cache(maxsize=16)
-def _kept_of(recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
-    """Return the arrays of a layout that are kept, and those of names; and the keys of those with rows."""
-    wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
-    arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
-    return arrays, frozenset(one.key for one in arrays if one.grows)
-
-
-def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> None:
-    """Write a block, and replace an earlier one of this name.
-
-    Raises
-    ------
-    SpecError
-        If no file may be written at `path`.
-    ResourceError
-        If the disk is full.
-    """
-    # Made in memory: HDF5 crashes the interpreter if the disk is full when it closes a file.
-    name = f"block-{next(_NUMBERS)}"
-    with h5py.File(name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
-        _Writer(file, heading, runs).write()
-        file.flush()
-        image = file.id.get_file_image()
-    write_image(path, image, overwrite=True)
-
-
-_NUMBERS = itertools.count(1)
-
-
-class _Writer:
-    def __init__(self, file: h5py.File, heading: BlockHeading, runs: Sequence[BlockRun]):
-        self.file, self.heading, self.runs = file, heading, runs
-        self.has_summary = heading.store != "hashes"
-        self.structures: dict[tuple[str, str, str], list[int]] = {}  # rows of the block by structure
-        rows: list[int] = []
-        last: FinishedRun | None = None
-        for row, run in enumerate(runs):
-            if run.result is not None:
-                if last is None or not _is_alike(last, run.result):
-                    rows = self.structures.setdefault(_structure(run.result), [])
-                rows.append(row)
-                last = run.result
-
-    def write(self) -> None:
-        heading, now = self.heading, datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        for name, text in (
-            ("format", FORMAT),
-            ("format_version", FORMAT_VERSION),
-            ("created_utc", now),
-            ("study_sha256", heading.study_sha256),
-            ("store", heading.store),
-        ):
-            set_text(self.file, name, text)
-        provenance = self.file.create_group("provenance")
-        for name, value in heading.provenance.items():
-            provenance.attrs[name] = value
-        self.by_run()
-        self.values()
-        self.measures()
-        self.names_of_structures()
-        for number, rows in enumerate(self.structures.values()):
-            self.structure(prefix(number), rows)
-        set_text(self.file, "data_sha256", data_sha256(self.file))
-        set_text(self.file, layout.ATTRIBUTES_HASH, attributes_sha256(self.file))
-
-    def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
-        """Write a column with one row for each run of the block; its group is created with the first one."""
-        group = path.partition("/")[0]
-        if group not in self.file:
-            self.scale("", group, "run", [run.number for run in self.runs], "number of the run in the study, from 1")
-        array = Array(path, ("run",), units, what, dtype)
-        return write_column(self.file, array, values, compress=self.heading.compress)
-
-    def scale(self, under: str, group: str, name: str, numbers: Sequence[int], what: str) -> None:
-        """Write the numbers along an axis; the group is created if it does not exist."""
-        self.file.require_group(f"{under}{group}")
-        create(
-            self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
-        )
-
-    def by_run(self) -> None:
-        """Write the columns with one row for each run."""
-        runs, results = self.runs, [run.result for run in self.runs]
-        texts = {
-            "status": [run.status for run in runs],
-            "status_reason": [run.reason for run in runs],
-            "verdict": [result.judgement.level if result else "" for result in results],
-            "worst_joint": [_worst_joint(result) if result else "" for result in results],
-            "base": [run.base for run in runs],
-            "plugins": [run.plugins for run in runs],
-            "verdict_reasons": [_json(result.judgement.reasons if result else ()) for result in results],
-            "warnings": [_json(result.warnings if result else ()) for result in results],
-            "assembly": [result.assembly if result else "" for result in results],
-        }
-        for name, what in {**_BY_RUN, **(_OF_SUMMARY if self.has_summary else {})}.items():
-            self.add(f"runs/{name}", texts[name], TEXT, "1", what)
-        hashes = {
-            "run_id": [run.run_id for run in runs],
-            "spec_sha256": [run.spec_sha256 for run in runs],
-            "data_sha256": [result.data_sha256 if result else "" for result in results],
-        }
-        for name, what in _HASHES.items():
-            array = Array(f"runs/{name}", ("run",), "1", what)
-            write_hashes(self.file, array, hashes[name], compress=self.heading.compress)
-        largest = [_largest(result) if result else np.nan for result in results]
-        self.add("runs/misalignment_max", largest, FLOAT, "m", "largest misalignment of any joint over every step")
-        structure, place = np.zeros((2, len(runs)), INTEGER)
-        for number, rows in enumerate(self.structures.values(), start=1):
-            structure[rows], place[rows] = number, np.arange(1, len(rows) + 1)
-        self.add("runs/structure", structure, INTEGER, "1", "number of its structure; 0 without results")
-        self.add("runs/place", place, INTEGER, "1", "number of the run in the arrays of its structure")
-        if self.has_summary:
-            for name in (*COUNTERS, *TIMINGS):
-                numbers = [float(result.stats.get(name, np.nan)) if result else np.nan for result in results]
-                self.add(f"stats/{name}", numbers, FLOAT, "s" if name in TIMINGS else "1", name.replace("_", " "))
-
-    def values(self) -> None:
-        """Write the values that distinguish the runs: numbers as numbers, anything else as JSON."""
-        for key in dict.fromkeys(key for run in self.runs for key in run.values):
-            given = [run.values.get(key, _UNSET) for run in self.runs]
-            path, what = f"values/{key.replace('/', '|')}", f"value of {key}"
-            kinds = {type(value) for value in given}
-            if kinds == {int} and all(-(2**63) <= value < 2**63 for value in given):
-                item = self.add(path, given, INTEGER, "1", what)
-            elif kinds <= {int, float}:
-                item = self.add(path, given, FLOAT, "1", what)
-            else:
-                texts = ["" if value is _UNSET else _json(value) for value in given]
-                item = self.add(path, texts, TEXT, "1", f"{what}, JSON")
-            set_text(item, "key", key)
-
-    def measures(self) -> None:
-        """Write the measures."""
-        for name, (units, what) in self.heading.measures.items():
-            taken = [np.nan if run.measures is None else run.measures.get(name, np.nan) for run in self.runs]
-            self.add(f"measures/{name}", taken, FLOAT, units, what)
-
-    def names_of_structures(self) -> None:
-        """Write the names of bodies and joints, the recorded arrays, and the redundant joints of each structure."""
-        self.scale("", "structures", "structure", range(1, len(self.structures) + 1), "number of the structure")
-        for place, (name, what) in enumerate(
-            (
-                ("names", "names of bodies, joints and other elements, JSON"),
-                ("recorded", "paths of the arrays that the runs recorded, JSON"),
-                ("shared", "redundant joints, JSON"),
-            )
-        ):
-            array = Array(f"structures/{name}", ("structure",), "1", what, TEXT)
-            create(self.file, array, np.array([key[place] for key in self.structures], object))
-
-    def structure(self, under: str, rows: Sequence[int]) -> None:
-        """Write the arrays of the runs with one structure."""
-        found = [result for row in rows if (result := self.runs[row].result) is not None]
-        numbers = [self.runs[row].number for row in rows]
-        first, count = found[0], len(found)
-        sizes = first.names.sizes
-        texts = name_texts(first.names)
-        groups = dict.fromkeys(one.group for one in first.layout if self.has_summary)
-        lengths = {dim: [result.rows(dim) for result in found] for dim, _ in _COUNTS}
-        for group in groups:
-            self.scale(under, group, "run", numbers, "number of the run in the study, from 1")
-            for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
-                whole = range(1, max(lengths[dim]) + 1)
-                self.scale(under, group, _AXIS[dim], whole, f"number of the {_AXIS[dim]}, from 1")
-        for one in sorted(first.layout, key=lambda one: not one.is_scale):
-            if not one.grows and one.group in groups:
-                create(self.file, one, np.array(texts[one.path], object), under=under)
-        for one in first.layout:
-            if one.grows and (not one.is_scale or one.path in ("trajectory/time",)):
-                self.array(under, one, found, (count, max(lengths[one.dims[0]]), *(sizes[dim] for dim in one.dims[1:])))
-        if not self.has_summary:
-            return
-        for dim, group in _COUNTS:
-            if any(one.grows and one.dims[0] == dim for one in first.layout):
-                counted = Array(f"{group}/rows", ("run",), "1", f"number of {_AXIS[dim]}s of the run", INTEGER)
-                write_column(self.file, counted, np.array(lengths[dim]), under=under)
-        largest = np.array([result.misalignment_max for result in found]).reshape(count, -1)
-        array = Array(
-            "joints/misalignment_max", ("run", "joint"), "m", "largest misalignment of the joint over every step"
-        )
-        write_column(self.file, array, largest, compress=self.heading.compress, under=under)
-        if first.shared is not None:
-            length = [result.shared.length if result.shared else np.nan for result in found]
-            array = Array("joints/characteristic_length", ("run",), "m", "length in the norm of redundant reactions")
-            write_column(self.file, array, np.array(length), under=under)
-
-    def array(self, under: str, one: Array, found: Sequence[FinishedRun], shape: tuple[int, ...]) -> None:
-        """Write one array of all runs of a structure; rows that a run does not have are nan, 0 or empty."""
-        empty: Any = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
-        values = np.full(shape, empty, object if one.dtype == TEXT else one.dtype)
-        for place, result in enumerate(found):
-            mine = result.arrays[one.key]
-            values[place, : len(mine)] = mine
-        dims = ("run", _AXIS[one.dims[0]], *one.dims[1:])
-        stored = Array(one.path, dims, one.units, one.long_name, one.dtype, one.row_units)
-        if one.dtype == TEXT:
-            create(self.file, stored, values, under=under)
-        else:
-            write_column(self.file, stored, values, compress=self.heading.compress, under=under)
-
-
-_UNSET = object()
-_AXIS = {"time": "row", "interval": "interval", "event": "event"}
-"""Names of the growing axes in a block: times differ from run to run."""
-
-
-def prefix(structure: int) -> str:
-    """Return the path, with a slash at the end, of the groups of a structure, counted from 0; empty for the first."""
-    return f"structure-{structure + 1}/" if structure else ""
-
-
-def _structure(result: FinishedRun) -> tuple[str, str, str]:
-    shared = None if result.shared is None else asdict(result.shared) | {"length": 0.0}
-    return _json(asdict(result.names)), _json([one.path for one in result.layout]), _json(shared)
-
-
-def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
-    """Return whether two runs share their structure, without comparing what is in it."""
-    return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-
-
-def _worst_joint(result: FinishedRun) -> str:
-    largest = result.misalignment_max
-    return result.names.joints[int(np.argmax(largest))] if len(largest) and np.max(largest) > 0 else ""
-
-
-def _largest(result: FinishedRun) -> float:
-    return float(np.max(result.misalignment_max, initial=0.0))
 
 
 class Block:
@@ -527,7 +173,7 @@ class Block:
         arrays, present = {}, []
         for one in (layout.BY_PATH[path] for path in recorded):
             if one.grows and one.key not in arrays:
-                counts = self.file.get(f"{under}{dict(_COUNTS)[one.dims[0]]}/rows")
+                counts = self.file.get(f"{under}{dict(COUNTS)[one.dims[0]]}/rows")
                 if counts is None or f"{under}{one.path}" not in self.file:
                     continue
                 item, rows = self.file[f"{under}{one.path}"], int(counts[place])

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbdkit.archive.blocks import Block, prefix
+from mbdkit.archive.block_format import prefix
+from mbdkit.archive.blocks import Block
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.stored_run import StoredRun
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.blocks import Store
+from mbdkit.archive.block_format import Store
 from mbdkit.archive.missing_plugins import advised
 from mbdkit.errors import SpecError
 from mbdkit.logs import logger_of

@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from mbdkit.archive.blocks import BlockHeading, BlockRun, kept, write_block
+from mbdkit.archive.block_writer import BlockHeading, BlockRun, kept, write_block
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.batch import CHUNK, Refused, refusal, simulate_batch

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.blocks import HISTORIES, Block, Store
+from mbdkit.archive.block_format import HISTORIES, Store
+from mbdkit.archive.blocks import Block
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.recorder import archive_names
