@@ -141,8 +141,19 @@ class RunIntegrals:
         none = np.zeros(count)
         stretch = Stretch(nodes.time, q, v, none, none, np.zeros((count, 6)))
         states = RecordedStates(stretch, observed, none, 0.0, self._rows, self._joints)
-        keys = {one.key for one in self._layout if one.grows and one.dims[0] == "time" and one.key in COLUMNS}
-        arrays = {key: COLUMNS[key](states) for key in keys}
-        finished = FinishedRun(self._names, self._layout, arrays, None, "running", "", {}, none, UNJUDGED, (), "")
+        columns = _Columns(states)
+        finished = FinishedRun(self._names, self._layout, columns, None, "running", "", {}, none, UNJUDGED, (), "")
         run = StoredRun(finished, Heading(self.spec, ""))
         return [np.broadcast_to(x, (*x.shape[:-1], count)) for x in (one.values(run) for one in self.integrands)]
+
+
+class _Columns(dict[str, np.ndarray]):
+    """Columns of the archive at given states, each computed when it is first asked for."""
+
+    def __init__(self, states: RecordedStates):
+        super().__init__()
+        self._states = states
+
+    def __missing__(self, key: str) -> np.ndarray:
+        self[key] = found = COLUMNS[key](self._states)
+        return found

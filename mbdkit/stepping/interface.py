@@ -226,19 +226,44 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss
 """Gauss-Legendre quadrature of order 8 on [0, 1], for steps whose stages are not known."""
 
 
-def nodes_between(t0: float, t1: float, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> Nodes:
-    """Return the nodes of Gauss-Legendre quadrature of order 8 in a step.
+class KeptNodes:
+    """Nodes of integrals that a stepper keeps which does not know the stages of its method.
 
     Parameters
     ----------
-    t0, t1
-        Start and end of the step [s].
-    state
-        Returns positions and velocities (3 (B + 1),) at a share of the step.
+    size
+        Number of coordinates, those of the ground included.
+    sides
+        (2,) earliest and latest time at which motions are evaluated in the present step [s]; see `Timetable.sides`.
     """
-    q, v = zip(*map(state, _GAUSS_NODES.tolist()), strict=True)
-    h = t1 - t0
-    return Nodes(t0 + h * _GAUSS_NODES, h * _GAUSS_WEIGHTS, np.array(q), np.array(v))
+
+    def __init__(self, size: int, sides: np.ndarray):
+        self._size, self._sides = size, sides
+        self._steps: list[Nodes] = []
+
+    def keep(self, t0: float, t1: float, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> None:
+        """Keep the nodes of Gauss-Legendre quadrature of order 8 in a step.
+
+        Parameters
+        ----------
+        t0, t1
+            Start and end of the step [s].
+        state
+            Returns positions and velocities (3 (B + 1),) at a share of the step.
+        """
+        q, v = zip(*map(state, _GAUSS_NODES.tolist()), strict=True)
+        h = t1 - t0
+        time = np.clip(t0 + h * _GAUSS_NODES, *self._sides)
+        self._steps.append(Nodes(time, h * _GAUSS_WEIGHTS, np.array(q), np.array(v)))
+
+    def drop_last(self) -> None:
+        """Forget the nodes of the last step, which is taken again or cut."""
+        self._steps.pop()
+
+    def taken(self) -> Nodes:
+        """Return the nodes of the steps since the last call."""
+        taken, self._steps = self._steps, []
+        return Nodes.joined([Nodes.none(self._size), *taken])
 
 
 @dataclass(frozen=True)
@@ -342,7 +367,7 @@ class Advancing(Protocol):
     def taken_nodes(self) -> Nodes:
         """Return the nodes of integrals of the steps since the last call; none unless ``Timetable.nodes``.
 
-        Compiled methods return their stages and weights; others return those of `nodes_between`.
+        Compiled methods return their stages and weights; others return those of `KeptNodes`.
         """
         ...
 

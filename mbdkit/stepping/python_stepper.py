@@ -23,12 +23,12 @@ from mbdkit.stepping.interface import (
     SAME_TIME,
     Failure,
     Impact,
+    KeptNodes,
     Nodes,
     StepEvidence,
     StepTaken,
     Stretch,
     Timetable,
-    nodes_between,
 )
 from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
@@ -120,7 +120,7 @@ class PythonStepper:
         self.impacts: list[Impact] = []
         self.time = timetable.start
         self._before = self.now
-        self._nodes: list[Nodes] = []
+        self._nodes = KeptNodes(workspace.mechanism.size, workspace.scratch.sides)
         _load_kernels()
         self._watch = StepWatch.loaded(workspace, timetable.guards, self.worst_pairs, method.hint)
 
@@ -211,7 +211,7 @@ class PythonStepper:
                 interval=before.interval.after(theta * self._next(before).size, 0, np.zeros(4)),
             )
         if table.nodes:
-            self._nodes.pop()
+            self._nodes.drop_last()
             if theta > 0.0:
                 self._keep_nodes(before, there)
         self._go_to(replace(there, time=self.last_step.time(theta)))
@@ -224,8 +224,7 @@ class PythonStepper:
 
     def taken_nodes(self) -> Nodes:
         """See `Stepper.taken_nodes`."""
-        taken, self._nodes = self._nodes, []
-        return Nodes.joined(taken) if taken else Nodes.none(self.workspace.mechanism.size)
+        return self._nodes.taken()
 
     def _keep_nodes(self, before: Reached, there: Reached) -> None:
         """Keep nodes of integrals in a step, on the quintic through positions, velocities and accelerations."""
@@ -238,9 +237,7 @@ class PythonStepper:
             with_ground(self.equations.accelerations(t, state.q, state.v)[0])
             for t, state in ((begin, before.state), (end, there.state))
         )
-        kept = nodes_between(begin, end, StepTaken(begin, end, *ends).quintic(*accelerations))
-        first, last = self.workspace.scratch.sides
-        self._nodes.append(replace(kept, time=np.clip(kept.time, first, last)))
+        self._nodes.keep(begin, end, StepTaken(begin, end, *ends).quintic(*accelerations))
 
     def _next(self, begin: Reached) -> _Planned:
         """Return the step from `begin`."""

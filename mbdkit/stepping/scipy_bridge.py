@@ -11,7 +11,6 @@ import math
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,12 +29,12 @@ from mbdkit.stepping.interface import (
     STRETCH,
     Failure,
     Impact,
+    KeptNodes,
     Nodes,
     StepEvidence,
     StepTaken,
     Stretch,
     Timetable,
-    nodes_between,
 )
 from mbdkit.stepping.step_control import unit_of_length
 from mbdkit.stepping.step_watch import StepWatch
@@ -103,7 +102,7 @@ class SciPyStepper:
         self._y0 = y0
         self._row_times: list[float] = []
         self._effort_so_far = self._since.copy()
-        self._nodes: list[Nodes] = []
+        self._nodes = KeptNodes(workspace.mechanism.size, workspace.scratch.sides)
 
     @property
     def evidence(self) -> StepEvidence:
@@ -260,7 +259,7 @@ class SciPyStepper:
         """See `Stepper.cut`."""
         assert self.last_step is not None
         if self.timetable.nodes:
-            self._nodes.pop()
+            self._nodes.drop_last()
             if theta > 0.0:
                 self._keep_nodes(self.last_step.t0, self.last_step.time(theta), self._dense)
         self.y, self.time = self._interpolated(theta), self.last_step.time(theta)
@@ -284,7 +283,7 @@ class SciPyStepper:
         """Return y as a function of time in the last step, from `y0`, by dense output or the cubic through its ends."""
         try:
             dense: Callable[[float], np.ndarray] = self.solver.dense_output()
-        except (NotImplementedError, _StoppedError):
+        except (NotImplementedError, _StoppedError):  # a solver without one; DOP853's takes stages that may be singular
             step, y1 = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y)), self.y
 
             def dense(t: float) -> np.ndarray:
@@ -297,13 +296,11 @@ class SciPyStepper:
 
     def _keep_nodes(self, t0: float, t1: float, dense: Callable[[float], np.ndarray]) -> None:
         """Keep nodes of integrals from `t0` to `t1` in the last step."""
-        kept = nodes_between(t0, t1, lambda theta: self._state(dense(t0 + theta * (t1 - t0))))
-        self._nodes.append(replace(kept, time=np.clip(kept.time, *self.workspace.scratch.sides)))
+        self._nodes.keep(t0, t1, lambda theta: self._state(dense(t0 + theta * (t1 - t0))))
 
     def taken_nodes(self) -> Nodes:
         """See `Stepper.taken_nodes`."""
-        taken, self._nodes = self._nodes, []
-        return Nodes.joined(taken) if taken else Nodes.none(self.workspace.mechanism.size)
+        return self._nodes.taken()
 
     def _state(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return with_ground(y[: self.n3]), with_ground(y[self.n3 : 2 * self.n3])
