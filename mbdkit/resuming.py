@@ -41,7 +41,8 @@ from mbdkit.recorded_columns import ObservedRows
 from mbdkit.recorder import archive_names, shared_forces
 from mbdkit.run_checkpoint import INTERVAL, Continuation, why_without
 from mbdkit.run_preparation import make_method, optional_arrays
-from mbdkit.simulation import Progress, simulate_on
+from mbdkit.simulated_run import Progress
+from mbdkit.simulation import simulate_on
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.stepping.warm_up import to_stderr
 from mbdkit.text import listed, shown

@@ -17,7 +17,8 @@ from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.run_preparation import build
-from mbdkit.simulation import Progress, simulate
+from mbdkit.simulated_run import Progress
+from mbdkit.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.start import start_method

@@ -81,11 +81,11 @@ def test_the_accuracy_is_reached_on_ten_problems(name, asked):
 def test_the_last_pilot_is_the_run_and_the_others_check_it(name, monkeypatch):
     # expected: no companion, and as many evaluations as three runs of this tolerance take at most
     known = PROBLEMS[name]
-    monkeypatch.setattr("mbdkit.simulation.check_run", None)
+    monkeypatch.setattr("mbdkit.simulated_run.check_run", None)
     with counted() as work:
         made = run(1e-6, model=known.model, time={"end": known.end})
     assert made.verdict == "good"
-    assert (work["simulation"], work["companion"]) == (0, 0)
+    assert (work["simulated_run"], work["companion"]) == (0, 0)
     assert work["recorded_pilot"] < 3 * made.stats["rhs_evaluations"]
     assert made.accuracy is not None
     assert "coarser run" in made.accuracy.method

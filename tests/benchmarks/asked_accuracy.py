@@ -9,7 +9,6 @@ whole calls, in which setting up the mechanism and writing the rows weigh most i
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from unittest import mock
 import numpy as np
 
 import mbdkit
+from mbdkit import simulated_run
 from mbdkit.accuracy import companion, pilot_run, recorded_pilot, step_interpolation
 from mbdkit.accuracy.pilot_run import run_pilot, work_of
 from mbdkit.accuracy.position_measure import PositionMeasure
@@ -97,8 +97,7 @@ def counted() -> Iterator[dict[str, float]]:
 
         return mock.patch.object(module, "start_method", start)
 
-    simulation = importlib.import_module("mbdkit.simulation")
-    with patch(simulation), patch(companion), patch(pilot_run), patch(recorded_pilot), observed(work):
+    with patch(simulated_run), patch(companion), patch(pilot_run), patch(recorded_pilot), observed(work):
         yield work
     for name, method, stepper in started:
         work[name] += work_of(method, stepper.counters.rhs_evaluations)
@@ -160,7 +159,7 @@ def line(known: Known, asked: float, runs: list[Tuned]) -> tuple[str, bool, Rati
     measure = PositionMeasure.of(spec, build(spec)[0])
     true = float(np.max(measure.share(run.array("trajectory/position") - known.solve(run.time)[0])))
     best = min((one for one in runs if one.error <= asked), key=lambda one: one.work)
-    steps = work["pilot_run"] + work["recorded_pilot"] + work["simulation"]
+    steps = work["pilot_run"] + work["recorded_pilot"] + work["simulated_run"]
     total = steps + work["companion"]
     wall = fastest(given) / fastest(best.spec)
     ratios = steps / best.work, total / best.work, (total + work["states"]) / best.work, wall

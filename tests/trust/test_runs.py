@@ -63,13 +63,13 @@ def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: i
     from mbdkit.archive.writer import ArchiveWriter
     from mbdkit.recorder import archive_names
     from mbdkit.run_preparation import build
-    from mbdkit.simulation import _Simulation
+    from mbdkit.simulated_run import SimulatedRun
 
     given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())
     workspace, _ = build(given)
     names = archive_names(workspace.mechanism)
     writer = ArchiveWriter(None, names, given.canonical_json(), given.sha256(), "a-run", {})
-    simulation = _Simulation(given, workspace, Exploding(), writer, 0.0, (), None)
+    simulation = SimulatedRun(given, workspace, Exploding(), writer, 0.0, (), None)
     simulation.integrate(None)
     simulation.finish()
     with simulation.run() as run:
