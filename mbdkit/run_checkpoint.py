@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
 from mbdkit.errors import SpecError
-from mbdkit.events.watch import Watch
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.recorded_columns import ObservedRows
@@ -31,6 +30,7 @@ from mbdkit.text import one_line
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.events.watch import Watch
     from mbdkit.spec import RunSpec
 
 INTERVAL = 5.0

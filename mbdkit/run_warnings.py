@@ -17,6 +17,7 @@ from mbdkit.mechanism.parameters import evaluate, names_in
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.plain_data import Path, path_text
 from mbdkit.spec import RunSpec
+from mbdkit.strict_model import description
 from mbdkit.text import did_you_mean, listed
 
 FAR = 0.1
@@ -147,9 +148,7 @@ def _is_flat(values: Sequence[object]) -> bool:
 @lru_cache(maxsize=256)
 def _fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
     """Return the names of the fields of a model, and whether their unit is the radian."""
-    return tuple(
-        (name, _ANGLE.search(field.description or "") is not None) for name, field in model.model_fields.items()
-    )
+    return tuple((name, _ANGLE.search(description(model, name)) is not None) for name in model.model_fields)
 
 
 def _long_step(spec: RunSpec) -> Iterator[str]:

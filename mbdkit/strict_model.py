@@ -2,13 +2,75 @@
 
 from __future__ import annotations
 
-from pydantic import BaseModel, ConfigDict
+import ast
+import inspect
+import linecache
+from collections.abc import Mapping
+from functools import cache, lru_cache
+from itertools import pairwise
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
+from pydantic_core import CoreSchema
 
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 """Reject unknown keys, infinities and NaN; do not allow assignment; do not convert text or booleans to numbers."""
 
 
 class StrictModel(BaseModel):
-    """Base class of elements, options and sections of a spec; attribute docstrings are descriptions in the schema."""
+    """Base class of elements, options and sections of a spec; attribute docstrings are descriptions in the schema.
 
-    model_config = ConfigDict(**STRICT, use_attribute_docstrings=True)
+    They are read from the source when they are needed. Pydantic's ``use_attribute_docstrings`` reads them whenever a
+    class is defined, which took 0.2 s at every start of the program.
+    """
+
+    model_config = ConfigDict(**STRICT)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """Return the JSON schema with the docstrings of the attributes as descriptions."""
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for name, field in cls.model_fields.items():
+            key = field.alias or name
+            if key in properties and (text := description(cls, name)):
+                properties[key]["description"] = text
+        return schema
+
+
+def description(model: type[BaseModel], name: str) -> str:
+    """Return the description of a field: that given to pydantic, or the docstring below it; empty without both."""
+    given = model.model_fields[name].description
+    return given if given is not None else _docstrings(model).get(name, "")
+
+
+@cache
+def _docstrings(model: type[BaseModel]) -> Mapping[str, str]:
+    """Return the docstrings of the attributes of a model and of its bases."""
+    found: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        if issubclass(base, StrictModel) and (definition := _definition(base)) is not None:
+            for statement, following in pairwise(definition.body):
+                match statement, following:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                        found[name] = inspect.cleandoc(text)
+    return found
+
+
+def _definition(model: type) -> ast.ClassDef | None:
+    """Return the source of a class; None if it has none, like classes that are made at run time."""
+    try:
+        file = inspect.getsourcefile(model)
+    except TypeError:
+        return None
+    node: ast.AST = _tree("".join(linecache.getlines(file))) if file else ast.Module([], [])
+    for part in model.__qualname__.split("."):
+        if part != "<locals>":
+            inside = (one for one in ast.walk(node) if isinstance(one, ast.ClassDef | ast.FunctionDef))
+            node = next((one for one in inside if one.name == part), ast.Module([], []))
+    return node if isinstance(node, ast.ClassDef) else None
+
+
+@lru_cache(maxsize=64)
+def _tree(source: str) -> ast.Module:
+    return ast.parse(source)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +13,18 @@ import pytest
 from mbdkit.studies import executor_pool
 from mbdkit.studies.pool import Pool
 from tests.pool_in_this_process import PoolInThisProcess
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let processes of tests share compiled modules even where the environment forbids Python to write them.
+
+    Hundreds of tests start a process, which otherwise compiles all modules that it imports. They are kept in a folder
+    of their own, which is removed at the end.
+    """
+    if os.environ.pop("PYTHONDONTWRITEBYTECODE", None) and "PYTHONPYCACHEPREFIX" not in os.environ:
+        folder = tempfile.mkdtemp(prefix="mbdkit-pycache-")
+        os.environ["PYTHONPYCACHEPREFIX"] = folder
+        config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
 
 
 @pytest.fixture

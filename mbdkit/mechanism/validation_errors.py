@@ -16,6 +16,7 @@ from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.time_expression import Expression
 from mbdkit.plain_data import Path, found, parse_path, path_text
+from mbdkit.strict_model import description
 from mbdkit.text import did_you_mean, listed, message_of, shortened, shown
 
 WANTED = {
@@ -191,8 +192,9 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
 def _purpose(owner: type[BaseModel] | None, key: str) -> str:
     if key in ("mbdkit", "mbdkit_study"):
         return f"; write `{key}: 1`, the version of the spec"
-    info = None if owner is None else owner.model_fields.get(key)
-    text = " ".join((info.description or "").split()).rstrip(".") if info else ""
+    if owner is None or key not in owner.model_fields:
+        return ""
+    text = " ".join(description(owner, key).split()).rstrip(".")
     return f": {text[:1].lower()}{text[1:]}" if text else ""
 
 

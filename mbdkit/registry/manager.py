@@ -145,7 +145,8 @@ def _accept(
     identifier = f"{origin.distribution}:{name if isinstance(name, str) else '?'}"
     try:
         item = Registered(kind, _checked(kind, thing), origin)
-        named_options(item).model_json_schema()
+        if origin.distribution != hookspecs.PROJECT:  # the tests of mbdkit do the same for its own
+            named_options(item).model_json_schema()
         if any(other.kind == kind and other.id == item.id for other in known):
             raise PluginError(f"its distribution has another {KINDS[kind].label()} of the same name")
     except KeyboardInterrupt:
@@ -175,7 +176,7 @@ def _origin(entry_point: EntryPoint) -> Origin:
 
 def _order(entry_point: EntryPoint) -> tuple[bool, str, str]:
     distribution = _origin(entry_point).distribution
-    return distribution != "mbdkit", distribution, entry_point.name
+    return distribution != hookspecs.PROJECT, distribution, entry_point.name
 
 
 def _sentence(error: BaseException) -> str:

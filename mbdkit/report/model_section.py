@@ -16,6 +16,7 @@ from mbdkit.plot.quantity_text import count
 from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
 from mbdkit.report.section import Drawing, Section
 from mbdkit.spec.key_words import described_unit
+from mbdkit.strict_model import description
 from mbdkit.text import listed
 
 if TYPE_CHECKING:
@@ -226,13 +227,13 @@ def _force_details(force: Any, shown: NamedPose) -> str:
 def _options(force: Any) -> list[str]:
     """Return the options of a spring, damper or force law that are not zero, with units where these are known."""
     told = []
-    for name, field in type(force).model_fields.items():
+    for name in type(force).model_fields:
         value = getattr(force, name)
         if name in _PLACE or value is None or value == 0:
             continue
         words = [name.replace("_", " "), _motion(value)]
         if isinstance(value, float):
-            words.append(described_unit(field.description or "", force.pathway.length_unit))
+            words.append(described_unit(description(type(force), name), force.pathway.length_unit))
         told.append(" ".join(filter(None, words)))
     return told
 

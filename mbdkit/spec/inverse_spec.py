@@ -19,6 +19,7 @@ from mbdkit.spec.inverse_sections import Actuator, Load, MeasuredMotion, Span
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.named_actuators import actuators_of
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
+from mbdkit.strict_model import description
 
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:
@@ -93,8 +94,8 @@ def is_inverse(data: Mapping[str, Any]) -> bool:
 
 def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
     """Return an InverseSpec class that selects from the given registry instead of the installed plugins."""
-    description = InverseSpec.model_fields["model"].description
-    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=description))
+    words = description(InverseSpec, "model")
+    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
     return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)
 
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from mbdkit.errors import MbdkitError
 from mbdkit.plain_data import Path
 from mbdkit.spec.reading import parse_key
+from mbdkit.strict_model import description
 
 _WORDS = {
     "time.step": "step",
@@ -106,4 +107,4 @@ def _field(holder: BaseModel, key: str) -> tuple[str, str]:
     """Return the name of the field that a key sets, and its description."""
     fields = type(holder).model_fields
     name = {one.alias: name for name, one in fields.items()}.get(key, key)
-    return name, fields[name].description or ""
+    return name, description(type(holder), name)

@@ -21,6 +21,7 @@ from mbdkit.spec.sections import LARGEST_COUNT, Event, Limits, Output, Time, nam
 from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
 from mbdkit.spec.stabilization_section import Choice as StabilizationChoice
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
+from mbdkit.strict_model import description
 from mbdkit.text import listed
 
 if TYPE_CHECKING:
@@ -291,7 +292,7 @@ class RunSpec(ModelSpec):
 def spec_type(installed: Registry) -> type[RunSpec]:
     """Return a RunSpec class that selects from the given registry instead of the installed plugins."""
     fields: dict[str, Any] = {
-        kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=RunSpec.model_fields[kind].description))
+        kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=description(RunSpec, kind)))
         for kind in _CHOSEN
     }
     return create_model("RunSpec", __base__=RunSpec, __doc__=RunSpec.__doc__, **fields)

@@ -8,8 +8,11 @@ Every file begins with the SHA-256 digest of its name and content, which is chec
 damaged machine code would crash the process or compute wrong numbers. A damaged file is replaced. A folder that cannot
 be written is read only; a run never fails because of its cache.
 
-`KernelCache` uses internals of Numba: the attribute `_cache` of compiled functions, `Cache._index_key`, and the reduced
-form of a `CompileResult`.
+Numba stores the LLVM bitcode of a function beside its machine code, for other functions that may be compiled later and
+include it. No kernel does, and reading it takes most of the time of loading, so that only its symbols are kept.
+
+`KernelCache` uses internals of Numba: the attribute `_cache` of compiled functions, `Cache._index_key`, the reduced
+form of a `CompileResult`, and the module for linking of its library.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
+from llvmlite import ir
 from numba.core.caching import FunctionCache
 from numba.core.ccallback import CFunc
 from numba.core.compiler import CompileResult
@@ -161,13 +165,32 @@ class KernelCache(FunctionCache):
         """Return the compiled function for a signature; None if it is not in the cache."""
         target_context.refresh()
         content = stored(self._file(sig, target_context.codegen()))
-        return None if content is None else CompileResult._rebuild(target_context, *pickle.loads(content))
+        if content is None:
+            return None
+        result = CompileResult._rebuild(target_context, *pickle.loads(content))
+        result.library._shared_module = None  # symbols only: Numba then refuses to include it in another function
+        return result
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the compiled function for a signature."""
         parts = data._asdict()
         if not parts["lifted"] and not parts["library"].has_dynamic_globals:  # other functions cannot be stored
-            store(self._file(sig, data.codegen), dumps(data._reduce()))
+            (name, kind, (machine_code, _)), *others = data._reduce()
+            symbols = _symbols(data.library._get_module_for_linking())
+            store(self._file(sig, data.codegen), dumps(((name, kind, (machine_code, symbols)), *others)))
+
+
+def _symbols(module: llvm.ModuleRef) -> bytes:
+    """Return the bitcode of a module that defines the same names, without their contents."""
+    empty = ir.Module()
+    for function in module.functions:
+        if not function.is_declaration:
+            body = ir.Function(empty, ir.FunctionType(ir.VoidType(), ()), function.name).append_basic_block()
+            ir.IRBuilder(body).unreachable()
+    for variable in module.global_variables:
+        if not variable.is_declaration:
+            ir.GlobalVariable(empty, ir.IntType(8), variable.name).initializer = ir.Constant(ir.IntType(8), 0)
+    return bytes(llvm.parse_assembly(str(empty)).as_bitcode())
 
 
 def cached(compiled: Any) -> Any:
