@@ -16,7 +16,7 @@ from mbdkit.spec.model_spec import ModelSpec
 
 @cache
 def _versions() -> dict[str, str]:
-    packages = ("numpy", "scipy", "numba", "llvmlite", "h5py", "pydantic", "pluggy")
+    packages = ("mbdkit", "numpy", "scipy", "numba", "llvmlite", "h5py", "pydantic", "pluggy")
     return {name: version(name) for name in packages}
 
 
@@ -28,9 +28,8 @@ def provenance(spec: RunSpec) -> dict[str, str | int | float]:
 def surroundings() -> dict[str, str | int | float]:
     """Return the versions, platform and command, which all runs of a process have in common."""
     return {
-        "mbdkit": version("mbdkit"),
-        "python": platform.python_version(),
         **_versions(),
+        "python": platform.python_version(),
         "platform": platform.platform(),
         "processor": platform.machine(),
         "cpu_count": os.cpu_count() or 0,
