@@ -25,7 +25,8 @@ from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
 from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants
 from mbdkit.stepping.interface import Stepper, Stretch, joined
-from mbdkit.stepping.start import compiled_for_derivatives, require_derivatives, start_method
+from mbdkit.stepping.start import start_method
+from mbdkit.stepping.start_differentiated import compiled_for_derivatives, require_derivatives
 
 
 @dataclass(frozen=True)

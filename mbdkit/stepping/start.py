@@ -7,7 +7,6 @@ from functools import singledispatch
 from typing import Any
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import (
     ExplicitRungeKutta,
@@ -22,18 +21,12 @@ from mbdkit.methods.tableau import TableauError
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.diagonally_implicit import DiagonallyImplicit
-from mbdkit.stepping.differentiated_stepper import NoDerivativeError
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
-
-WITHOUT_DERIVATIVES = (
-    "steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; methods of "
-    "SciPy, methods in Python and Lobatto pairs have none"
-)
 
 
 def _control(tolerances: Tolerances, mechanism: CompiledMechanism, **parameters: Any) -> Control:
@@ -61,7 +54,7 @@ def explicit_control(method: ExplicitRungeKutta, mechanism: CompiledMechanism) -
     )
 
 
-def _implicit_control(method: ImplicitRungeKutta, workspace: Workspace) -> Control | None:
+def implicit_control(method: ImplicitRungeKutta, workspace: Workspace) -> Control | None:
     """Return the step-size control of a collocation method; None for fixed steps."""
     if method.tolerances is None:
         return None
@@ -69,7 +62,7 @@ def _implicit_control(method: ImplicitRungeKutta, workspace: Workspace) -> Contr
     return _control(method.tolerances, workspace.mechanism, order=order, estimate_order=stages + 1)
 
 
-def _require_stiffly_accurate(method: ImplicitRungeKutta, workspace: Workspace) -> None:
+def require_stiffly_accurate(method: ImplicitRungeKutta, workspace: Workspace) -> None:
     """Raise TableauError unless a method can be used with the formulation of a workspace."""
     tableau = method.tableau
     if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
@@ -77,36 +70,6 @@ def _require_stiffly_accurate(method: ImplicitRungeKutta, workspace: Workspace) 
             f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "
             "accurate tableau with a regular matrix, and the stage solver 'newton'"
         )
-
-
-def require_derivatives(method: Method, stabilization: Stabilization) -> None:
-    """Raise NoDerivativeError unless the steps of a method can be differentiated."""
-    if not (
-        isinstance(method, ExplicitRungeKutta)
-        or (isinstance(method, ImplicitRungeKutta) and method.tableau.is_diagonalisable)
-    ):
-        raise NoDerivativeError(WITHOUT_DERIVATIVES)
-    if stabilization.symmetric:
-        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
-
-
-def compiled_for_derivatives(
-    method: Method, workspace: Workspace
-) -> tuple[CompiledExplicit | CompiledCollocation, Control | None]:
-    """Return a method whose steps can be differentiated, and its step-size control, which is None for fixed steps.
-
-    Raises
-    ------
-    mbdkit.stepping.differentiated_stepper.NoDerivativeError
-        If the steps of the method cannot be differentiated.
-    """
-    require_derivatives(method, workspace.stabilization)
-    if isinstance(method, ExplicitRungeKutta):
-        return CompiledExplicit(method, workspace), explicit_control(method, workspace.mechanism)
-    assert isinstance(method, ImplicitRungeKutta)
-    _require_stiffly_accurate(method, workspace)
-    control = _implicit_control(method, workspace)
-    return CompiledCollocation(method, workspace, control), control
 
 
 @singledispatch
@@ -148,8 +111,8 @@ def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) ->
                 "one after the other, which is implemented for index-1"
             )
         return PythonStepper(DiagonallyImplicit(method), workspace, timetable)
-    _require_stiffly_accurate(method, workspace)
-    control = _implicit_control(method, workspace)
+    require_stiffly_accurate(method, workspace)
+    control = implicit_control(method, workspace)
     return CompiledStepper(CompiledCollocation(method, workspace, control), workspace, timetable, control)
 
 
