@@ -336,6 +336,26 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     return scratch, offsets
 
 
+def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scratch]) -> Scratch:
+    """Return working arrays of dual numbers or of lanes.
+
+    Parameters
+    ----------
+    converted
+        Returns arrays of these numbers with the shapes of the given ones, and a last axis for the parts of a number.
+    """
+    plain, offsets = new_scratch(mechanism)
+    scratch = converted(plain)
+    views = {}
+    for name, begin in offsets.items():
+        if name != "mass":
+            rows, columns = getattr(plain, name).shape
+            views[name] = scratch.source[begin : begin + rows * columns].reshape(
+                rows, columns, *scratch.source.shape[1:]
+            )
+    return scratch._replace(**views)
+
+
 def _scatter(terms: MatrixTerms, target: np.ndarray) -> Scatter:
     """Sort terms by the class of their factor into the lists that `gather_values` reads; `target` (N,) is the place."""
     both = np.column_stack([terms.source, target]).astype(np.int64)

@@ -18,11 +18,11 @@ from mbdkit.engine.jit.dual_types import with_value
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.stepping import collocation_constrained, collocation_index1
 from mbdkit.stepping.collocation_stages import GGL, INDEX_3, NEWTON, Stages, example_stages, load_stages
-from mbdkit.stepping.collocation_step import evaluate_stages, increments, keep_stages
+from mbdkit.stepping.collocation_step import complete_step, evaluate_stages, keep_stages
 from mbdkit.stepping.dual_run import advance, load_dual_run, relative_change, take_base, with_derivatives
 from mbdkit.stepping.run_state import load_run_state
 from mbdkit.stepping.simplified_newton import newton_changes
-from mbdkit.stepping.stage_polynomials import dense_gains, extrapolate, extrapolation_weights
+from mbdkit.stepping.stage_polynomials import extrapolate, extrapolation_weights
 
 MOST_ITERATIONS = 100
 SMALL = 1e-14
@@ -195,12 +195,9 @@ def _step(dual, run, method, plain, t, h, row, formulation):
     if not converged:
         return DIVERGED
     evaluate_stages(c, m, h)
-    if c.has_power[0] != 0:
-        status = formulation.powers(c, m, t, h)
-        if status != OK:
-            return status
-        dense_gains(h, m.rk.b, m.power, c.gain)
-    increments(c, m, h)
+    status = complete_step(c, m, t, h, formulation)
+    if status != OK:
+        return status
     keep_stages(c, m, t, h)
     return advance(c, n, row)
 

@@ -15,14 +15,14 @@ import numpy as np
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.dual_arrays import ITEM, Duals, new_complex_duals, new_duals
+from mbdkit.engine.jit.dual_arrays import Duals, new_complex_duals, new_duals
 from mbdkit.engine.jit.dual_types import larger_derivatives, largest_quotient, value_of, with_value
 from mbdkit.engine.kernels.dual_observe import DualStates
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import DIVERGED, OK, Engine, Scratch, Topology, solve_system, solved_rows
-from mbdkit.engine.workspace import Workspace, new_scratch
+from mbdkit.engine.workspace import Workspace, scratch_of
 from mbdkit.stepping.run_state import MODIFIED
 
 MOST_PROJECTIONS = 50
@@ -149,14 +149,8 @@ def dual_topology(top: Topology, seeds: Seeds, laws: np.ndarray) -> Topology:
 
 def dual_scratch(workspace: Workspace) -> Scratch:
     """Return working arrays of dual numbers; times are numbers, and share the clamps of motions with the workspace."""
-    plain, offsets = new_scratch(workspace.mechanism)
-    scratch: Scratch = with_derivatives(plain)
-    views = {}
-    for name, begin in offsets.items():
-        if name != "mass":
-            rows, columns = getattr(plain, name).shape
-            views[name] = scratch.source[begin : begin + rows * columns].reshape(rows, columns, ITEM)
-    return scratch._replace(time=plain.time, sides=workspace.scratch.sides, **views)
+    scratch = scratch_of(workspace.mechanism, with_derivatives)
+    return scratch._replace(time=np.zeros(1), sides=workspace.scratch.sides)
 
 
 def new_dual_run(workspace: Workspace, seeds: Seeds, laws: np.ndarray, rows: int, nodes: int) -> DualRun:

@@ -8,14 +8,14 @@ import numpy as np
 
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.lane_arrays import Lanes, new_lanes
+from mbdkit.engine.jit.lane_arrays import new_lanes
 from mbdkit.engine.jit.lane_complex import new_complex_lanes
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.motions import MAX_DEPTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS
 from mbdkit.engine.kernels.system import LaneSolver, Scratch, Topology
-from mbdkit.engine.workspace import Workspace, new_scratch
+from mbdkit.engine.workspace import Workspace, scratch_of
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.step_guards import new_guard_state
@@ -118,16 +118,9 @@ def widened(given: Any) -> Any:
 
 def _widened_scratch(workspace: Workspace, motions: int) -> Scratch:
     """Return working arrays of lanes; the arrays of terms are views of `Scratch.source`, as for a single run."""
-    plain, offsets = new_scratch(workspace.mechanism)
-    scratch: Scratch = widened(plain)
-    views = {}
-    for name, begin in offsets.items():
-        if name != "mass":
-            rows, columns = getattr(plain, name).shape
-            view = scratch.source[begin : begin + rows * columns].reshape(rows, columns, WIDTH)
-            views[name] = view.view(Lanes)
+    scratch = scratch_of(workspace.mechanism, widened)
     scratch.cs[-1, 0] = 1.0
-    return scratch._replace(sides=np.array([-np.inf, np.inf]), stack=np.zeros((MAX_DEPTH + motions, 3)), **views)
+    return scratch._replace(sides=np.array([-np.inf, np.inf]), stack=np.zeros((MAX_DEPTH + motions, 3)))
 
 
 def explicit_in_lanes(method: ExplicitRungeKutta, workspace: Workspace) -> Explicit:
