@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.point import DesignPoint, Notify, point_of
 from mbdkit.designs.problem import Problem
@@ -30,7 +32,7 @@ class Comparison:
     is_feasible
         Whether it satisfies all limits, by the design's own settings.
     reason
-        Why there is no point; empty otherwise.
+        Why there is no point, or that it violates limits by these settings, too; empty otherwise.
     """
 
     name: str
@@ -38,6 +40,11 @@ class Comparison:
     actual: DesignPoint | None
     is_feasible: bool
     reason: str = ""
+
+    @property
+    def fails(self) -> bool:
+        """Whether a run with the design's own settings fails at the point."""
+        return self.actual is not None and any(map(np.isnan, self.actual.goals.values()))
 
     @classmethod
     def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Comparison:
@@ -57,14 +64,16 @@ def compare(evaluator: Evaluator, name: str, notify: Notify) -> Comparison:
     """Search the best point of a design with the other settings of this name."""
     other = compared_with(evaluator, name)
     try:
-        end = searches(Problem(other), evaluator.spec.optimizer, evaluator.first)[0].end
+        found = searches(Problem(other), evaluator.spec.optimizer, evaluator.first)[0]
     except RunError as error:
         notify(f"{name}: {error}")
         return Comparison(name, None, None, False, f"There is no best point with {name}: {str(error).rstrip('.')}.")
+    end = found.end
     notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
            f"{other.totals(end)[0]:.6g}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)
-    return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible)
+    reason = "" if found.feasible else f"With {name}, the search found no point that satisfies all limits."
+    return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible, reason)
 
 
 def comparison_table(best: DesignPoint, compared: Sequence[Comparison]) -> str:
@@ -77,6 +86,7 @@ def comparison_table(best: DesignPoint, compared: Sequence[Comparison]) -> str:
     for one in compared:
         if one.believed is not None and one.actual is not None:
             values = (f"{value:.6g}" for value in one.believed.variables.values())
-            found = f"{one.believed.goals[goal]:.6g}", f"{one.actual.goals[goal]:.6g}"
-            rows.append((one.name, *values, *found, "" if one.is_feasible else "violates limits"))
+            actual = "unknown" if one.fails else f"{one.actual.goals[goal]:.6g}"
+            note = "a run fails" if one.fails else "" if one.is_feasible else "violates limits"
+            rows.append((one.name, *values, f"{one.believed.goals[goal]:.6g}", actual, note))
     return table(rows)

@@ -38,8 +38,8 @@ class Design:
         How far the best point can be trusted.
     is_feasible
         Whether the best point satisfies all limits.
-    runs
-        Number of runs.
+    runs, failures
+        Number of runs, and of those that failed.
     searches
         Number of searches that ended at the best point to 0.1 % of its goal, and of all searches.
     message
@@ -62,6 +62,7 @@ class Design:
     trust: Trust
     is_feasible: bool
     runs: int
+    failures: int
     searches: tuple[int, int]
     message: str
     derivatives: str = ""
@@ -79,6 +80,7 @@ class Design:
                 "trust": asdict(self.trust),
                 "is_feasible": self.is_feasible,
                 "runs": self.runs,
+                "failures": self.failures,
                 "searches": {"at_best": self.searches[0], "all": self.searches[1]},
                 "message": self.message,
                 "derivatives": self.derivatives,
@@ -104,9 +106,11 @@ class Design:
                 dict(trust["is_gain"]),
                 str(trust["verdict"]),
                 str(trust["reason"]),
+                tuple(map(str, trust["failures"])),
             ),
             is_feasible=bool(data["is_feasible"]),
             runs=int(data["runs"]),
+            failures=int(data["failures"]),
             searches=(int(data["searches"]["at_best"]), int(data["searches"]["all"])),
             message=str(data["message"]),
             derivatives=str(data["derivatives"]),
@@ -125,7 +129,7 @@ class Design:
             told = "unknown" if np.isnan(error) else f"{error:.1g}"
             rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told))
         at_best, every = self.searches
-        lines = [table(rows), f"{counted(self.runs, 'run')}, {at_best} of {every} searches ended here: {self.message}"]
+        lines = [table(rows), f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
         if self.derivatives:
             lines.append(self.derivatives)
         if not self.is_feasible:
@@ -135,6 +139,11 @@ class Design:
         if self.compared:
             lines += [comparison_table(self.best, self.compared), *(one.reason for one in self.compared if one.reason)]
         return "\n".join([*lines, *self.warnings])
+
+    @property
+    def counted_runs(self) -> str:
+        """Number of runs, and of those that failed, in words."""
+        return counted(self.runs, "run") + (f" ({self.failures} failed)" if self.failures else "")
 
     @property
     def warnings(self) -> list[str]:
@@ -172,6 +181,7 @@ def solve(evaluator: Evaluator, notify: Notify) -> Design:
         trust=trust,
         is_feasible=best.feasible,
         runs=evaluator.runs,
+        failures=evaluator.failures,
         searches=(near, len(found)),
         message=best.message,
         derivatives=told(evaluator),

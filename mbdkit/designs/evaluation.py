@@ -189,8 +189,8 @@ class Evaluator:
         Names of the goals, then of the limits.
     scenarios
         The runs of each scenario.
-    runs
-        Number of runs so far.
+    runs, failures
+        Number of runs so far, and of those that failed.
     gradients
         Number of points so far at which exact derivatives were computed.
     why_differences
@@ -203,7 +203,7 @@ class Evaluator:
     """
 
     def __init__(self, spec: DesignSpec, source: Source | None = None, compared: str = ""):
-        self.spec, self.runs, self.gradients, self.why_differences = spec, 0, 0, ""
+        self.spec, self.runs, self.failures, self.gradients, self.why_differences = spec, 0, 0, 0, ""
         self.names = tuple(one.name for one in spec.defined_measures())
         specs = spec.compared_specs[compared] if compared else spec.specs
         self.scenarios = tuple(ScenarioRuns(one) for one in specs.values())
@@ -256,10 +256,17 @@ class Evaluator:
             self._known |= {key: tuple(islice(found, len(self.scenarios))) for key in new}
         return [self._known[key] for key in keys]
 
+    @property
+    def evaluated(self) -> list[np.ndarray]:
+        """All points (n,) that were evaluated, in order."""
+        return [np.frombuffer(key) for key in self._known]
+
     def run(self, jobs: Sequence[Job]) -> list[Outcome]:
         """Return the outcome of jobs, and count them."""
+        found = self.source(jobs)
         self.runs += len(jobs)
-        return self.source(jobs)
+        self.failures += sum(one.verdict == "failed" for one in found)
+        return found
 
     def values(self, points: np.ndarray) -> np.ndarray:
         """Return goals and limits (N, S, K) of S scenarios at points (N, n); nan where a run failed."""

@@ -85,9 +85,10 @@ class Problem:
         self.weights = goal_weights(evaluator, goal)
         self.bounds = [*_limits(evaluator), *(_cap(evaluator, *cap) for cap in (caps or {}).items())]
         outcome = evaluator.outcomes(evaluator.first[None])[0]
-        failed = next((one for one in outcome if one.verdict == "failed"), None)
-        if failed is not None:
-            raise RunError(f"a run fails at the start of the variables: {failed.reason}")
+        for scenario, one in zip(evaluator.spec.specs, outcome, strict=True):
+            if one.verdict == "failed":
+                where = f" in the scenario '{scenario}'" if scenario else ""
+                raise RunError(f"a run fails at the start of the variables{where}: {one.reason}")
         first = evaluator.values(evaluator.first[None])
         self.scale = float(abs(self._goal(first)[0])) or 1.0
         self._sizes = [_size(bound, float(bound.of(first)[0])) for bound in self.bounds]
@@ -146,9 +147,19 @@ class Problem:
             rows += [side * slope / size for side, _ in _sides(bound)]
         return np.array(rows) if rows else np.zeros((0, len(x)))
 
+    def worth(self, points: np.ndarray) -> list[tuple[float, float]]:
+        """Return the violation of limits and the cost of points (N, n); smaller ones are better, in this order.
+
+        The violation is 0 where all limits are satisfied, and at least `FAILED` where a run fails.
+        """
+        costs = self.costs(points, failed=np.nan)
+        violation = np.sum(np.maximum(-self.all_margins(points) - FEASIBLE, 0.0), axis=1)
+        violation += np.where(np.isnan(costs), FAILED, 0.0)
+        return list(zip(violation.tolist(), np.nan_to_num(costs, nan=FAILED).tolist(), strict=True))
+
     def is_feasible(self, x: np.ndarray) -> bool:
-        """Return whether a point satisfies all limits."""
-        return bool(np.all(self.margins(x) >= -FEASIBLE))
+        """Return whether no run fails at a point, and all limits are satisfied."""
+        return self.worth(x[None])[0][0] == 0.0
 
     def _derivatives(self, x: np.ndarray) -> np.ndarray:
         return np.asarray(np.nan_to_num(self._jacobian(self.evaluator, x)))

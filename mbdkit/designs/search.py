@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -11,7 +13,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution, least_squares, minimize
 from scipy.stats import qmc
 
-from mbdkit.designs.problem import FEASIBLE, Problem
+from mbdkit.designs.problem import Problem
 from mbdkit.errors import SpecError
 from mbdkit.spec import DesignSpec
 from mbdkit.spec.design_spec import EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
@@ -25,19 +27,24 @@ class Search:
     ----------
     start, end
         First and last point (n,), as shares of the bounds.
+    violation
+        By how much the end violates limits, relative to these; 0 if it satisfies all of them.
     cost
         Goal at the end, relative to that at the start of the design.
-    feasible
-        Whether the end satisfies all limits.
     message
         Why the search ended, in the words of the package that made it.
     """
 
     start: np.ndarray
     end: np.ndarray
+    violation: float
     cost: float
-    feasible: bool
     message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the end satisfies all limits."""
+        return self.violation == 0.0
 
 
 def check_installed(spec: DesignSpec) -> None:
@@ -48,7 +55,7 @@ def check_installed(spec: DesignSpec) -> None:
 
 
 def searches(problem: Problem, optimizer: Optimizer, first: np.ndarray) -> list[Search]:
-    """Return searches from all starts, the best one first: feasible ones by their cost, and then all others.
+    """Return searches from all starts, the best one first: feasible ones by their cost, then others by violation.
 
     Parameters
     ----------
@@ -56,12 +63,12 @@ def searches(problem: Problem, optimizer: Optimizer, first: np.ndarray) -> list[
         (n,) first start.
     """
     if isinstance(optimizer, GlobalOptimizer):
-        return [_evolution(problem, optimizer, first)]
+        return [_search(problem, first, lambda: _evolution(problem, optimizer, first))]
     if isinstance(optimizer, EvolutionStrategy):
-        return [_strategy(problem, optimizer, first)]
-    search = _squares if problem.sums_squares else _descent
-    found = [search(problem, optimizer, start) for start in _starts(optimizer, first)]
-    return sorted(found, key=lambda one: (not one.feasible, one.cost))
+        return [_search(problem, first, lambda: _strategy(problem, optimizer, first))]
+    method = _squares if problem.sums_squares else _descent
+    found = [_search(problem, start, partial(method, problem, optimizer, start)) for start in _starts(optimizer, first)]
+    return sorted(found, key=lambda one: (one.violation, one.cost))
 
 
 def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:
@@ -73,8 +80,27 @@ def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:
     return [first, *sobol[:more]]
 
 
-def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> Search:
-    """Return a search along gradients."""
+def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeResult]) -> Search:
+    """Return the search of a method.
+
+    If the method ends at a point that is worse than the start, such as one at which a run fails, the best point that
+    was evaluated since the start is the end.
+    """
+    before = len(problem.evaluator.evaluated)
+    result = method()
+    end, message = np.clip(result.x, 0.0, 1.0), str(result.message)
+    worth, at_start = problem.worth(np.array([end, start]))
+    if worth > at_start:
+        points = np.array([start, *problem.evaluator.evaluated[before:]])
+        found = problem.worth(points)
+        worth = min(found)
+        end = points[found.index(worth)]
+        message = f"{message.rstrip('.')}; its last point is worse than this one"
+    return Search(start, end, *worth, message)
+
+
+def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:
+    """Return the result of a search along gradients."""
     n, is_slsqp = len(start), optimizer.name == "slsqp"
     options: dict[str, float] = {"maxiter": optimizer.max_iterations}
     if is_slsqp:
@@ -85,7 +111,7 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
         options |= {"xtol": optimizer.tolerance, "gtol": optimizer.tolerance}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of trust-constr, where a goal or limit is linear
-        result = minimize(
+        return minimize(
             problem.cost,
             start,
             jac=problem.slope,
@@ -94,13 +120,12 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
             constraints=limits if problem.bounds else (),
             options=options,
         )
-    return _search(problem, start, result)
 
 
-def _squares(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> Search:
-    """Return a search for the least sum of squares, by a trust region and the Jacobian of the terms."""
+def _squares(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:
+    """Return the least sum of squares, by a trust region and the Jacobian of the terms."""
     tolerance = max(optimizer.tolerance, 2 * np.finfo(float).eps)  # SciPy accepts no smaller one
-    result = least_squares(
+    return least_squares(
         problem.residuals,
         start,
         problem.residual_slopes,
@@ -110,13 +135,12 @@ def _squares(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
         gtol=tolerance,
         max_nfev=optimizer.max_iterations,
     )
-    return _search(problem, start, result)
 
 
-def _evolution(problem: Problem, optimizer: GlobalOptimizer, first: np.ndarray) -> Search:
-    """Return a search by differential evolution, whose generations are evaluated at once."""
+def _evolution(problem: Problem, optimizer: GlobalOptimizer, first: np.ndarray) -> OptimizeResult:
+    """Return the result of differential evolution, whose generations are evaluated at once."""
     limits = NonlinearConstraint(lambda x: problem.all_margins(_points(x)).T, 0.0, np.inf)
-    result = differential_evolution(
+    return differential_evolution(
         lambda x: problem.costs(_points(x)),
         [(0.0, 1.0)] * len(first),
         x0=first,
@@ -129,11 +153,10 @@ def _evolution(problem: Problem, optimizer: GlobalOptimizer, first: np.ndarray) 
         updating="deferred",
         constraints=(limits,) if problem.bounds else (),
     )
-    return _search(problem, first, result)
 
 
-def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray) -> Search:
-    """Return a search by CMA-ES, whose generations are evaluated at once.
+def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray) -> OptimizeResult:
+    """Return the result of CMA-ES, whose generations are evaluated at once.
 
     Points that violate limits are ranked by their violation, after all others (K. Deb, An efficient constraint handling
     method for genetic algorithms, Comput. Methods Appl. Mech. Eng. 186 (2000) 311-338).
@@ -155,31 +178,19 @@ def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray)
     if optimizer.population is not None:
         options["popsize"] = optimizer.population
     strategy = cma.CMAEvolutionStrategy(first, optimizer.spread, options)
-    best, least = first, _worth(problem, first[None])[0]
+    best, least = first, problem.worth(first[None])[0]
     while not strategy.stop():
         points = np.array(strategy.ask())
-        worth = _worth(problem, points)
+        worth = problem.worth(points)
         beyond = 1.0 + max((cost for violation, cost in worth if not violation), default=0.0)
         strategy.tell(list(points), [beyond + violation if violation else cost for violation, cost in worth])
         place = worth.index(min(worth))
         if worth[place] < least:
             best, least = points[place], worth[place]
     ended = ", ".join(f"{name} {value:g}" for name, value in strategy.stop().items())
-    return _search(problem, first, OptimizeResult(x=best, message=f"CMA-ES ended by {ended}"))
-
-
-def _worth(problem: Problem, points: np.ndarray) -> list[tuple[float, float]]:
-    """Return the violation of limits, 0 if there is none, and the cost of points (N, n); smaller ones are better."""
-    costs = problem.costs(points)
-    violation = np.sum(np.maximum(-problem.all_margins(points) - FEASIBLE, 0.0), axis=1)
-    return list(zip(violation.tolist(), costs.tolist(), strict=True))
+    return OptimizeResult(x=best, message=f"CMA-ES ended by {ended}")
 
 
 def _points(x: np.ndarray) -> np.ndarray:
     """Return points (N, n) from the array (n, N), or the single point (n,), of SciPy."""
     return np.atleast_2d(x.T)
-
-
-def _search(problem: Problem, start: np.ndarray, result: OptimizeResult) -> Search:
-    end: np.ndarray = np.clip(result.x, 0.0, 1.0)
-    return Search(start, end, problem.cost(end), problem.is_feasible(end), str(result.message))

@@ -41,6 +41,8 @@ class Trust:
         Worst verdict of the runs at the best point, which estimate their errors (``check: true``).
     reason
         Why this is doubtful or bad; empty otherwise.
+    failures
+        The first run at the start, and at the best point, that was to estimate errors and failed, as sentences.
     """
 
     errors: dict[str, float]
@@ -48,6 +50,7 @@ class Trust:
     is_gain: dict[str, bool | None]
     verdict: str
     reason: str = ""
+    failures: tuple[str, ...] = ()
 
     def sentences(self) -> list[str]:
         """Return what a user should know: goals without a gain, or of unknown error, and a verdict below good."""
@@ -63,6 +66,7 @@ class Trust:
         unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]
         if unknown:
             told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
+        told += self.failures
         if self.verdict in ("failed", "bad", "doubtful"):
             why = self.reason.rstrip(".")
             told.append(f"The worst verdict on a run at the best point is {self.verdict}: {why}.")
@@ -72,17 +76,19 @@ class Trust:
 def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
     """Return how far the best point (n,) can be trusted, by runs with shorter steps and with another method."""
     goals = evaluator.spec.totals
-    errors = {x.tobytes(): _errors(evaluator, x) for x in (start, best)}
+    errors_at_start, failures_at_start = _errors(evaluator, start, "start")
+    errors, failures = _errors(evaluator, best, "best point")
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
-    both = errors[start.tobytes()] + errors[best.tobytes()]
+    both = errors_at_start + errors
     worst = min(_checked(evaluator, best), key=lambda one: WORST.index(one.verdict))
     return Trust(
-        errors=dict(zip([*goals, *evaluator.spec.subject_to], errors[best.tobytes()].tolist(), strict=True)),
+        errors=dict(zip([*goals, *evaluator.spec.subject_to], errors.tolist(), strict=True)),
         gain=gain,
         is_gain={name: None if np.isnan(both[k]) else bool(gain[name] > both[k]) for k, name in enumerate(goals)},
         verdict=worst.verdict,
         reason=worst.reason,
+        failures=(*failures_at_start[:1], *failures[:1]),
     )
 
 
@@ -98,32 +104,47 @@ def check_of(spec: RunSpec | InverseSpec) -> Settings:
     return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.estimates_errors else []
 
 
-def _errors(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
-    """Return the estimated error (K,) of goals, summed over the scenarios, and of limits, their largest."""
+def _errors(evaluator: Evaluator, x: np.ndarray, point: str) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the estimated errors at a point (n,), which sentences call `point`, and sentences on runs that fail.
+
+    The errors (K,) are those of goals, summed over the scenarios, and of limits, their largest.
+    """
     settings, differences = evaluator.settings(x), []
     changes = [_changes(runs.at(settings)) for runs in evaluator.scenarios]
     jobs = [
         Job(name, [*settings, *change])
         for name, each in zip(evaluator.spec.specs, changes, strict=True)
-        for change in each
+        for change in each.values()
     ]
     outcomes = iter(evaluator.run(jobs))
-    for found, each in zip(evaluator.outcomes(x[None])[0], changes, strict=True):
-        others = [np.abs(np.subtract(next(outcomes).values, found.values)) for _ in each]
-        differences.append(np.max(others, axis=0) if others else np.full(len(found.values), np.nan))
+    failures = []
+    for scenario, found, each in zip(evaluator.spec.specs, evaluator.outcomes(x[None])[0], changes, strict=True):
+        others = dict(zip(each, outcomes, strict=False))
+        where = f" in the scenario '{scenario}'" if scenario else ""
+        failures += [
+            f"The run at the {point} with {change}{where} fails, so that errors there are unknown: "
+            f"{one.reason.rstrip('.')}."
+            for change, one in others.items()
+            if one.verdict == "failed"
+        ]
+        away = [np.abs(np.subtract(one.values, found.values)) for one in others.values()]
+        differences.append(np.max(away, axis=0) if away else np.full(len(found.values), np.nan))
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
     table = np.array(differences)
     of_goals = table[:, :count]
     if evaluator.spec.sums_squares:  # (r + e)^2 - r^2
         values = np.abs(evaluator.values(x[None])[0][:, :count])
         of_goals = np.sum(of_goals * (2 * values + of_goals), axis=1, keepdims=True)
-    return np.concatenate([weights @ of_goals, np.max(table[:, count:], axis=0, initial=-np.inf)])
+    return np.concatenate([weights @ of_goals, np.max(table[:, count:], axis=0, initial=-np.inf)]), tuple(failures)
 
 
-def _changes(spec: Any) -> list[Settings]:
-    """Return the changes of a run spec that give a finer run and one of another method; none for inverse dynamics."""
+def _changes(spec: Any) -> dict[str, Settings]:
+    """Return the changes of a run spec that give a finer run and one of another method, by what they do.
+
+    There are none for inverse dynamics.
+    """
     if not isinstance(spec, RunSpec):
-        return []
+        return {}
     step = spec.time.step
     other = RADAU if spec.integrator_item.name == "gauss" else GAUSS
     try:
@@ -132,10 +153,10 @@ def _changes(spec: Any) -> list[Settings]:
         adaptive = False
     if not adaptive and step is not None:
         halved: tuple[Path, Any] = (("time", "step"), step / FINER)
-        return [[halved], [(("integrator",), other), halved]]
+        return {"half the step": [halved], f"half the step and {other['name']}": [(("integrator",), other), halved]}
     tolerances = [
         (("integrator", name), getattr(spec.integrator, name) / TIGHTER)
         for name in ("rtol", "atol")
         if getattr(spec.integrator, name, None) is not None
     ]
-    return [tolerances] if tolerances else []
+    return {"tighter tolerances": tolerances} if tolerances else {}

@@ -29,7 +29,6 @@ from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.studies.executor_pool import Engine
 from mbdkit.terminal import say
-from mbdkit.text import counted
 
 if TYPE_CHECKING:
     from mbdkit.designs.design import Design
@@ -80,7 +79,7 @@ def _page(
     figures = (*load_charts(design, pairs), *front_charts(design, units), *landscape_charts(design, around, units))
     return ReportPage(
         title=design.spec.title or path.resolve().name,
-        settings=f"{counted(design.runs, 'run')} \u00b7 {design.spec.optimizer.name} \u00b7 {design.message}",
+        settings=f"{design.counted_runs} \u00b7 {design.spec.optimizer.name} \u00b7 {design.message}",
         verdict=replace(design_verdict(design), figures=figures),
         films=tuple(_films(pairs)),
         methods=methods([pair["best"].spec for pair in pairs.values()]),

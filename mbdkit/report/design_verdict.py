@@ -105,15 +105,16 @@ def _compared(design: Design, one: Comparison) -> Claim:
     )
     size = max(abs(best), abs(design.start.goals[goal]))
     same = moved <= SAME and abs(believed - best) <= SAME * size and one.is_feasible
-    told = f"goal there {believed:.6g}{unit}, in fact {actual:.6g}{unit}; best {best:.6g}{unit}"
+    in_fact = "a run fails there" if one.fails else f"it is {actual:.6g}{unit}"
+    told = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
     if same:
-        return Claim(name, statement, "", told, Answer.YES, "")
-    beyond = "" if one.is_feasible else ", and limits are violated there"
+        return Claim(name, statement, "", told, Answer.YES, one.reason)
+    beyond = "" if one.is_feasible or one.fails else ", and limits are violated there"
     sentence = (
         f"With {one.name}, a designer would believe in a {goal_words(goal)} of {believed:.6g}{unit}; "
-        f"in fact it is {actual:.6g}{unit}{beyond}."
+        f"in fact {in_fact}{beyond}. {one.reason}"
     )
-    return Claim(name, statement, "", told, Answer.NO, sentence)
+    return Claim(name, statement, "", told, Answer.NO, sentence.rstrip())
 
 
 def _tables(design: Design) -> Iterator[Table]:
@@ -159,8 +160,9 @@ def _comparison_table(design: Design) -> Table:
         if one.believed is None or one.actual is None:
             rows.append((one.name, *(None for _ in best.variables), None, None, "no best point"))
         else:
-            found = one.believed.goals[goal], one.actual.goals[goal]
-            rows.append((one.name, *one.believed.variables.values(), *found, "yes" if one.is_feasible else "no"))
+            actual = None if one.fails else one.actual.goals[goal]
+            limits = "a run fails" if one.fails else "yes" if one.is_feasible else "no"
+            rows.append((one.name, *one.believed.variables.values(), one.believed.goals[goal], actual, limits))
     unit = goal_units(design)[goal]
     columns = (
         Column("best point with"),
