@@ -25,8 +25,8 @@ class _Bar(Protocol):
 
 
 @contextmanager
-def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
-    """Yield a function of (time reached, end time) [s] that draws a progress bar after `PATIENCE` seconds.
+def _drawing(what: str, quiet: bool, patience: float = 0.0) -> Iterator[Callable[[float | None, str], None] | None]:
+    """Yield a function that draws a bar from a share, None if that is not known, and a note.
 
     Yields None if `quiet` is set, or if this is no notebook and stderr is not a terminal.
     """
@@ -35,63 +35,64 @@ def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, fl
         yield None
         return
     begin = time.perf_counter()
-    first: float | None = None
-    bar: _Bar | None = None
+    bar: _Bar | None = None if patience else make(shown(what))
 
-    def advance(now: float, end: float) -> None:
-        nonlocal bar, first
-        if first is None:
-            first = now
-        if bar is None:
-            if time.perf_counter() - begin < PATIENCE:
-                return
+    def draw(share: float | None, note: str) -> None:
+        nonlocal bar
+        if bar is None and time.perf_counter() - begin >= patience:
             bar = make(shown(what))
-        done = (now - first) / (end - first) if end > first else 1.0
-        bar.draw(done, f"t = {now:.4g} of {end:.4g} s")
+        if bar is not None:
+            bar.draw(share, note)
 
     try:
-        yield advance
+        yield draw
     finally:
         if bar is not None:
             bar.close()
 
 
 @contextmanager
+def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
+    """Yield a function of (time reached, end time) [s] that draws a bar after `PATIENCE` seconds; see `_drawing`."""
+    first: float | None = None
+    with _drawing(what, quiet, PATIENCE) as draw:
+
+        def advance(now: float, end: float) -> None:
+            nonlocal first
+            assert draw is not None
+            if first is None:
+                first = now
+            draw((now - first) / (end - first) if end > first else 1.0, f"t = {now:.4g} of {end:.4g} s")
+
+        yield None if draw is None else advance
+
+
+@contextmanager
 def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
-    """Yield a function of (items done, total items, failed runs) that draws a progress bar.
+    """Yield a function of (items done, total items, failed runs) that draws a bar; see `_drawing`."""
+    with _drawing(what, quiet) as draw:
 
-    Yields None if `quiet` is set, or if this is no notebook and stderr is not a terminal.
-    """
-    make = None if quiet else _kind_of_bar()
-    if make is None:
-        yield None
-        return
-    bar = make(shown(what))
+        def advance(done: int, total: int, failed: int) -> None:
+            assert draw is not None
+            draw(done / total if total else 1.0, f"{done}/{total}{_failed(failed)}")
 
-    def advance(done: int, total: int, failed: int) -> None:
-        bar.draw(done / total if total else 1.0, f"{done}/{total}{f', {failed} failed' if failed else ''}")
-
-    try:
-        yield advance
-    finally:
-        bar.close()
+        yield None if draw is None else advance
 
 
 @contextmanager
 def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield a function of (runs done, failed runs) that draws a bar of work whose end is not known.
+    """Yield a function of (runs done, failed runs) that draws a bar of work whose end is not known; see `_drawing`."""
+    with _drawing(what, quiet) as draw:
 
-    Yields None if `quiet` is set, or if this is no notebook and stderr is not a terminal.
-    """
-    make = None if quiet else _kind_of_bar()
-    if make is None:
-        yield None
-        return
-    bar = make(shown(what))
-    try:
-        yield lambda done, failed: bar.draw(None, f"{counted(done, 'run')}{f', {failed} failed' if failed else ''}")
-    finally:
-        bar.close()
+        def advance(done: int, failed: int) -> None:
+            assert draw is not None
+            draw(None, f"{counted(done, 'run')}{_failed(failed)}")
+
+        yield None if draw is None else advance
+
+
+def _failed(count: int) -> str:
+    return f", {count} failed" if count else ""
 
 
 def in_notebook() -> bool:

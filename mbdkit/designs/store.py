@@ -10,10 +10,8 @@ report.html     the page of `mbdkit design --report`
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,122 +20,49 @@ from mbdkit.designs.design import Design
 from mbdkit.designs.evaluation import ScenarioRuns
 from mbdkit.designs.point import DesignPoint
 from mbdkit.designs.trust import check_of
-from mbdkit.errors import SpecError, file_error
-from mbdkit.files import check_folder, check_writable, replacing
+from mbdkit.errors import SpecError
+from mbdkit.files import replacing
 from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.plain_data import canonical_text
 from mbdkit.simulation import simulate
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
-from mbdkit.spec.design_spec import FILE, variable_path
+from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import read_file
-from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit.studies import folder_lock
-from mbdkit.studies.folder_lock import LOCK
-from mbdkit.studies.study_folder import JOBS
+from mbdkit.studies.owned_folder import OwnedFolder
 
 WHICH = ("start", "best")
 """Points of which there are archives."""
 
 
-class DesignFolder:
+class DesignFolder(OwnedFolder[DesignSpec]):
     """Paths in the folder of a design, and its lock."""
 
+    KIND = "design"
+
     def __init__(self, path: Path):
-        self.path = path
-        self.spec = path / FILE
         self.points = path / "points.jsonl"
         self.result = path / "design.json"
-        self.page = path / "report.html"
+        super().__init__(path, self.points, self.result)
 
     def archive(self, which: str, scenario: str) -> Path:
         """Return the path of the archive of a point, ``start`` or ``best``, in a scenario."""
         return self.path / (f"{which}-{scenario}.h5" if scenario else f"{which}.h5")
 
-    def check(self, spec: DesignSpec, *, overwrite: bool) -> None:
-        """Check that the folder can be used for this design, without changing anything.
+    def is_same(self, spec: DesignSpec) -> bool:
+        """See `OwnedFolder.is_same`."""
+        return canonical_text(written_out(load_design_spec(self.spec))) == canonical_text(written_out(spec))
 
-        Parameters
-        ----------
-        overwrite
-            Whether the folder may contain another design, which `clear` then removes.
+    def plain_spec(self, spec: DesignSpec) -> dict[str, Any]:
+        """See `OwnedFolder.plain_spec`."""
+        return written_out(spec)
 
-        Raises
-        ------
-        SpecError
-            If the folder belongs to another design, contains other files but no design, or cannot be created.
-        ResourceError
-            If writing into it is not permitted.
-        """
-        path = self.path
-        if not os.path.lexists(path):
-            check_folder(path.parent, path)
-            check_writable(path.parent, path)
-            return
-        if not os.path.isdir(path):
-            raise SpecError("this is not a folder; name a folder for the design with -o", file=path)
-        check_writable(path, path)
-        if self.spec.is_file():
-            if overwrite:
-                self._check_design()
-            else:
-                self._check_same(spec)
-        elif not all(entry.name.startswith((LOCK, JOBS)) for entry in path.iterdir()):
-            raise SpecError(
-                "this folder contains other files and no design.yaml; choose another folder with -o", file=path
-            )
-
-    def _check_same(self, spec: DesignSpec) -> None:
-        if canonical_text(written_out(load_design_spec(self.spec))) != canonical_text(written_out(spec)):
-            raise SpecError(
-                "this folder belongs to another design, or to an earlier version of this one: its design.yaml "
-                "differs; choose another folder with -o, or start it anew with --overwrite",
-                file=self.path,
-            )
-
-    def _check_design(self) -> None:
-        """Raise SpecError if design.yaml is not that of a design, so that nothing in the folder may be removed."""
-        if "mbdkit_design" not in read_file(self.spec).data:
-            raise SpecError("this is not the spec of a design, so its folder is not overwritten", file=self.spec)
-
-    def clear(self) -> None:
-        """Remove what a design writes into the folder; all other files are kept.
-
-        Raises
-        ------
-        ResourceError
-            If another call uses the folder, or the system refuses to remove a file.
-        """
-        if not self.spec.is_file():
-            return
-        self._check_design()
-        archives = [path for which in WHICH for path in self.path.glob(f"{which}*.h5") if path.is_file()]
-        with self.locked():
-            try:
-                for path in (self.result, self.points, self.page, *archives, self.spec):
-                    path.unlink(missing_ok=True)
-            except OSError as error:
-                raise file_error(error.errno, f"cannot be removed: {error.strerror or error}", file=path) from error
-
-    def prepare(self, spec: DesignSpec) -> None:
-        """Create the folder and design.yaml, unless they exist."""
-        try:
-            self.path.mkdir(exist_ok=True)
-        except OSError as error:
-            raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error
-        if self.spec.is_file():
-            self._check_same(spec)  # it may have appeared since `check`
-            return
-        with replacing(self.spec, overwrite=False) as temporary:
-            temporary.write_text(write_yaml(written_out(spec)), encoding="utf-8")
-
-    @contextlib.contextmanager
-    def locked(self) -> Iterator[None]:
-        """Lock the folder against other calls; raise ResourceError if another one holds the lock."""
-        if sys.platform == "win32":
-            yield
-            return
-        with folder_lock.locked(self.path, self.spec, command="design"):
-            yield
+    def remove_results(self) -> None:
+        """Remove the archives of the start and of the best point."""
+        scenarios = read_file(self.spec).data.get("scenarios")
+        names = [str(name) for name in scenarios] if isinstance(scenarios, dict) and scenarios else [""]
+        for archive in (self.archive(which, name) for which in WHICH for name in names):
+            if archive.parent == self.path and not archive.is_dir():
+                archive.unlink(missing_ok=True)
 
     def read(self) -> Design:
         """Return the design and its result.

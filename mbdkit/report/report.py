@@ -15,7 +15,6 @@ from mbdkit.plot.chart_images import image_files, write_chart_images
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_report import run_report
 from mbdkit.report.verdict_text import markdown_text
-from mbdkit.spec.design_spec import FILE as DESIGN
 
 SUFFIXES = (".html", ".htm", ".md")
 
@@ -63,7 +62,7 @@ def write_report(
     """
     source = Path(path)
     is_folder = os.path.isdir(source)
-    is_study = is_folder and not (source / DESIGN).is_file()
+    is_study = is_folder and not (source / "design.yaml").is_file()
     if output is None:
         target = source / "report.html" if is_folder else source.with_name(f"{source.stem}-report.html")
         figures = source / "figures" if is_study and figures is None else figures
@@ -91,7 +90,7 @@ def _document(source: Path, workers: int) -> Iterator[ReportPage]:
     if not os.path.isdir(source):
         with load(source) as run:
             yield run_report(run)
-    elif (source / DESIGN).is_file():
+    elif (source / "design.yaml").is_file():
         from mbdkit.report.design_report import design_report
 
         with design_report(source, workers) as page:

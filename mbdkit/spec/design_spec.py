@@ -20,8 +20,6 @@ from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.study_measures import DefinedMeasure, defined
 from mbdkit.spec.study_spec import Base, Overrides
 
-FILE = "design.yaml"
-"""Name of the spec in the folder of a design."""
 GOAL = "goal"
 """Name of the only goal if `minimize` is an expression."""
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mbdkit.errors import SpecError
-from mbdkit.studies.study_folder import JOBS
+from mbdkit.studies.owned_folder import JOBS
 from mbdkit.studies.submitit_executor import JOBS as MOST_JOBS
 from mbdkit.studies.submitit_executor import SubmititExecutor
 from mbdkit.text import one_line, shown

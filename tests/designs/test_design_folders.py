@@ -174,13 +174,27 @@ def test_a_folder_is_used_by_one_call_at_a_time(whole: Path) -> None:
 def test_the_folder_of_another_design_is_refused_and_started_anew_on_demand(whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(whole, folder)
-    (folder / "notes.txt").write_text("mine")
+    own = {"notes.txt", "best-of-all.h5", "report.html"}  # which mbdkit has not written
+    for name in own:
+        (folder / name).write_text("mine")
     with pytest.raises(SpecError, match="belongs to another design"):
         mbdkit.design(tuned(minimize="final(wheel.angle)**2 + 1"), out=folder)
     assert (folder / "design.json").read_bytes() == (whole / "design.json").read_bytes()
     other = mbdkit.design(tuned(minimize="final(wheel.angle)**2 + 1"), out=folder, overwrite=True)
     assert mbdkit.load_design(folder).to_dict() == other.to_dict() != mbdkit.load_design(whole).to_dict()
-    assert (folder / "notes.txt").read_text() == "mine"
+    assert all((folder / name).read_text() == "mine" for name in own)
+
+
+def test_starting_anew_removes_nothing_outside_the_folder(whole: Path, tmp_path: Path) -> None:
+    folder, outside = tmp_path / "copy", tmp_path / "start-b.h5"
+    shutil.copytree(whole, folder)
+    (folder / "start-a").mkdir()
+    outside.write_text("mine")
+    spec = (folder / "design.yaml").read_text("utf-8")
+    (folder / "design.yaml").write_text(f"{spec}\nscenarios: {{a/../../start-b: {{}}}}\n")
+    DesignFolder(folder).clear()
+    assert outside.read_text() == "mine"
+    assert not (folder / "design.yaml").exists()
 
 
 def test_a_folder_with_other_files_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,197 @@
+"""A folder that belongs to one study or design: its spec, its locks, and how it is started anew."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar, Generic, TypeVar
+
+from mbdkit.errors import SpecError, file_error
+from mbdkit.files import check_folder, check_writable, rename_new
+from mbdkit.spec.reading import read_file
+from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit.studies import folder_lock
+from mbdkit.studies.folder_lock import LOCK
+from mbdkit.studies.shard import WHOLE, Shard
+
+JOBS = ".jobs-"
+"""Beginning of the name of the folder for the files of submitted jobs."""
+
+_GENERATOR = b'<meta name="generator" content="mbdkit '
+"""What every page of mbdkit contains near its beginning."""
+
+Spec = TypeVar("Spec")
+
+
+class OwnedFolder(ABC, Generic[Spec]):
+    """Paths in the folder of a study or design, and its locks.
+
+    Attributes
+    ----------
+    KIND
+        ``study`` or ``design``: the command, and the name of the spec in the folder.
+    files
+        Files that are written into it, beside the spec and the report.
+    """
+
+    KIND: ClassVar[str]
+
+    def __init__(self, path: Path, *files: Path):
+        self.path, self.files = path, files
+        self.spec = path / f"{self.KIND}.yaml"
+        self.report = path / "report.html"
+        self._begun = f".{self.spec.name}-"  # beginning of the name of the spec while it is written
+
+    @abstractmethod
+    def is_same(self, spec: Spec) -> bool:
+        """Return whether the spec in the folder is this one."""
+
+    @abstractmethod
+    def plain_spec(self, spec: Spec) -> dict[str, Any]:
+        """Return what is written into the folder as its spec."""
+
+    @abstractmethod
+    def remove_results(self) -> None:
+        """Remove what a study or design writes into the folder, apart from `files`, spec and report."""
+
+    def check(self, spec: Spec, *, overwrite: bool = False) -> None:
+        """Check that the folder can be used for this study or design, without changing anything.
+
+        Parameters
+        ----------
+        overwrite
+            Whether the folder may contain another one, which `clear` then removes.
+
+        Raises
+        ------
+        SpecError
+            If the folder belongs to another one, contains other files but no spec, or cannot be created.
+        ResourceError
+            If writing into it is not permitted.
+        """
+        path, kind = self.path, self.KIND
+        if not os.path.lexists(path):
+            check_folder(path.parent, path)
+            check_writable(path.parent, path)
+            return
+        if not os.path.isdir(path):
+            raise SpecError(f"this is not a folder; name a folder for the {kind} with -o", file=path)
+        check_writable(path, path)
+        has_others = not all(entry.name.startswith((self._begun, LOCK, JOBS)) for entry in path.iterdir())
+        if self.spec.is_file():  # asked last: another call may be creating it, before any other file
+            if overwrite:
+                self._check_own()
+            else:
+                self.check_same(spec)
+        elif has_others:
+            raise SpecError(
+                f"this folder contains other files and no {self.spec.name}; choose another folder with -o", file=path
+            )
+        for file in self.files:
+            if os.path.isdir(file):
+                raise SpecError(f"this is a folder, where the {kind} writes a file; rename or remove it", file=file)
+
+    def check_same(self, spec: Spec) -> None:
+        """Raise SpecError unless the spec in the folder is this one."""
+        if not self.is_same(spec):
+            raise SpecError(
+                f"this folder belongs to another {self.KIND}, or to an earlier version of this one: its "
+                f"{self.spec.name} differs; choose another folder with -o, or start it anew with --overwrite",
+                file=self.path,
+            )
+
+    def _check_own(self) -> None:
+        """Raise SpecError if the spec is not that of a study or design, so that nothing beside it may be removed."""
+        if f"mbdkit_{self.KIND}" not in read_file(self.spec).data:
+            message = f"this is not the spec of a {self.KIND}, so its folder is not overwritten"
+            raise SpecError(message, file=self.spec)
+
+    def clear(self) -> None:
+        """Remove the spec, the results and the report.
+
+        All other files are kept, and so is a report.html that mbdkit has not written.
+
+        Raises
+        ------
+        ResourceError
+            If another call uses the folder, or the system refuses to remove a file.
+        """
+        if not self.spec.is_file():
+            return
+        self._check_own()
+        with self.locked():
+            try:
+                for path in self.files:
+                    path.unlink(missing_ok=True)
+                self.remove_results()
+                if contains(self.report, _GENERATOR):
+                    self.report.unlink()
+                self.spec.unlink()
+            except OSError as error:
+                message = f"cannot be removed: {error.strerror or error}"
+                raise file_error(error.errno, message, file=error.filename or self.path) from error
+
+    def prepare(self, spec: Spec) -> None:
+        """Create the folder and the spec in it, unless they exist.
+
+        Several calls may do this at the same time: the spec appears with its whole content, and before any other file.
+
+        Raises
+        ------
+        SpecError
+            If another call has just begun another study or design in this folder.
+        ResourceError
+            If the system refuses a file or folder.
+        """
+        try:
+            self.path.mkdir(exist_ok=True)
+            if not self.spec.exists():
+                begun = self.path / f"{self._begun}{secrets.token_hex(4)}"
+                try:
+                    begun.write_text(write_yaml(self.plain_spec(spec)), encoding="utf-8")
+                    with contextlib.suppress(FileExistsError, FileNotFoundError):  # another call was faster
+                        rename_new(begun, self.spec)
+                finally:
+                    begun.unlink(missing_ok=True)
+            self.check_same(spec)  # it may have appeared since `check`
+            self.create_more(spec)
+        except OSError as error:
+            raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error
+
+    def create_more(self, spec: Spec) -> None:
+        """Create what the folder needs beside the spec."""
+
+    @contextlib.contextmanager
+    def locked(self, shard: Shard | None = None) -> Iterator[None]:
+        """Lock the folder against other calls, and remove what killed ones have left.
+
+        Parameters
+        ----------
+        shard
+            The part of a study that is computed; calls for parts without runs in common may work at the same time.
+
+        Raises
+        ------
+        ResourceError
+            If another call holds the lock.
+        """
+        with folder_lock.locked(self.path, self.spec, shard or WHOLE, self.KIND):
+            if shard is None:
+                for begun in self.path.glob(f"{self._begun}*"):
+                    begun.unlink(missing_ok=True)
+                for jobs in self.path.glob(f"{JOBS}*"):
+                    shutil.rmtree(jobs, ignore_errors=True)
+            yield
+
+
+def contains(path: Path, mark: bytes) -> bool:
+    """Return whether a regular file has a mark of mbdkit near its beginning."""
+    if not path.is_file() or path.is_symlink():
+        return False
+    with path.open("rb") as file:
+        return mark in file.read(4096)
