@@ -6,13 +6,21 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from mbdkit.designs.computing import is_passing, plain_outcome, told
 from mbdkit.designs.evaluation import Job, Outcome
+from mbdkit.designs.format_version import read_versioned
+from mbdkit.designs.point import Notify
 from mbdkit.errors import SpecError, file_error
+from mbdkit.files import replacing
+from mbdkit.text import counted, shown
 
-FORMAT = {"mbdkit_points": 1}
-"""First line of the file."""
+VERSION = "mbdkit_points"
+"""Name of the format version in the first line of the file."""
+FIRST = json.dumps({VERSION: 1}).encode()
+SUM = "crc32"
+"""Name of the check sum of a line: that of the JSON text without it."""
 
 Compute = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
 
@@ -21,17 +29,20 @@ class PointFile:
     """A text file with a line of JSON for each evaluated scenario and point: ``points.jsonl``.
 
     A line has the ``scenario``, the ``settings`` of its keys, the ``values`` of goals and limits by name (null if the
-    run failed), the ``verdict`` on the run, and the ``reason`` of a failure. Lines are added at the end, so that a
-    killed process leaves one unfinished line at most, which is removed by the next one.
+    run failed), the ``verdict`` on the run, the ``reason`` of a failure, and a check sum. Lines are added at the end,
+    so that a killed process leaves one unfinished line at most, which is removed by the next one. Damaged lines are
+    removed, too, so that their points are computed again.
 
     Parameters
     ----------
     names
         Names of goals and limits, in order.
+    notify
+        Called with a sentence if lines are damaged.
     """
 
-    def __init__(self, path: Path, names: Sequence[str]):
-        self.path, self._names = path, names
+    def __init__(self, path: Path, names: Sequence[str], notify: Notify):
+        self.path, self._names, self._notify = path, names, notify
 
     def read(self) -> dict[str, Outcome]:
         """Return the outcomes in the file by the key of their job, and make the file ready for more.
@@ -39,44 +50,54 @@ class PointFile:
         Raises
         ------
         SpecError
-            If the file is not one of these.
+            If the file is not one of these, or that of a later version of mbdkit.
         ResourceError
             If the system refuses to read or write it.
         """
         try:
             text = self.path.read_bytes() if self.path.exists() else b""
-            whole = text[: text.rfind(b"\n") + 1]
-            if not whole:
-                self.path.write_text(json.dumps(FORMAT) + "\n", encoding="utf-8")
-            elif len(whole) < len(text):
-                with self.path.open("r+b") as file:
-                    file.truncate(len(whole))
         except OSError as error:
             raise _refused(error, self.path) from error
-        first, *lines = whole.splitlines() or [json.dumps(FORMAT).encode()]
-        try:
-            if json.loads(first) != FORMAT:
-                raise ValueError
-            return dict(map(self._parsed, lines))
-        except (ValueError, KeyError, TypeError, AttributeError):
+        first, *lines = text[: text.rfind(b"\n") + 1].split(b"\n")[:-1] or [FIRST]
+        if not read_versioned(first, VERSION, self.path):
             message = "this is not a list of evaluated points of this design; start the folder anew with --overwrite"
-            raise SpecError(message, file=self.path) from None
+            raise SpecError(message, file=self.path)
+        known = {line: point for line in lines if (point := self._parsed(line)) is not None}
+        if damaged := len(lines) - len(known):
+            told = (
+                "is damaged and was removed; its run is"
+                if damaged == 1
+                else "are damaged and were removed; their runs are"
+            )
+            self._notify(f"{counted(damaged, 'line')} of {shown(self.path)} {told} made again")
+        sound = b"".join(line + b"\n" for line in (first, *known))
+        if sound != text:
+            with replacing(self.path) as temporary:
+                temporary.write_bytes(sound)
+        return dict(known.values())
 
     def add(self, job: Job, outcome: Outcome) -> None:
         """Add a line; raise ResourceError if the system refuses it."""
         told_of = plain_outcome(outcome)
         told_of["values"] = dict(zip(self._names, told_of["values"], strict=True))
-        line = json.dumps({"scenario": job.scenario, "settings": job.values, **told_of})
+        data = {"scenario": job.scenario, "settings": job.values, **told_of}
+        line = json.dumps(data | {SUM: crc32(json.dumps(data).encode())})
         try:
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(line + "\n")
         except OSError as error:
             raise _refused(error, self.path) from error
 
-    def _parsed(self, line: bytes) -> tuple[str, Outcome]:
-        data: dict[str, Any] = json.loads(line)
-        values = [data["values"][name] for name in self._names]
-        return json.dumps([data["scenario"], data["settings"]]), told(data | {"values": values})
+    def _parsed(self, line: bytes) -> tuple[str, Outcome] | None:
+        """Return key and outcome of a line; None if it is damaged."""
+        try:
+            data: dict[str, Any] = json.loads(line)
+            if data.pop(SUM) != crc32(json.dumps(data).encode()):
+                return None
+            values = [data["values"][name] for name in self._names]
+            return json.dumps([data["scenario"], data["settings"]]), told(data | {"values": values})
+        except (ValueError, KeyError, TypeError, AttributeError):
+            return None
 
 
 class KnownPoints:

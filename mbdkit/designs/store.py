@@ -18,6 +18,7 @@ from typing import Any
 
 from mbdkit.designs.design import Design
 from mbdkit.designs.evaluation import ScenarioRuns
+from mbdkit.designs.format_version import read_versioned
 from mbdkit.designs.point import DesignPoint
 from mbdkit.designs.trust import check_of
 from mbdkit.errors import SpecError
@@ -30,6 +31,8 @@ from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import read_file
 from mbdkit.studies.owned_folder import OwnedFolder
 
+VERSION = "mbdkit_result"
+"""Name of the format version in the result."""
 WHICH = ("start", "best")
 """Points of which there are archives."""
 
@@ -80,8 +83,9 @@ class DesignFolder(OwnedFolder[DesignSpec]):
                 "this design has no result yet; `mbdkit design` with the same spec and this folder goes on with it"
             )
             raise SpecError(message, file=self.path)
+        data = read_versioned(self.result.read_bytes(), VERSION, self.result)
         try:
-            return Design.from_dict(spec, json.loads(self.result.read_text(encoding="utf-8")))
+            return Design.from_dict(spec, data)
         except (ValueError, KeyError, TypeError, AttributeError):
             raise SpecError("this is not the result of the design.yaml beside it", file=self.result) from None
 
@@ -89,7 +93,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         """Write archives of the start and of the best point and then the result, and return these files."""
         archives = [path for which in WHICH for path in self._archives(design, which)]
         with replacing(self.result) as temporary:
-            temporary.write_text(json.dumps(design.to_dict(), indent=2) + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps({VERSION: 1, **design.to_dict()}, indent=2) + "\n", encoding="utf-8")
         return [self.result, *archives]
 
     def _archives(self, design: Design, which: str) -> Iterator[Path]:

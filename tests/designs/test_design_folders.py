@@ -47,7 +47,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_result_of_a_folder_is_that_of_the_design(whole: Path) -> None:
     found = mbdkit.load_design(whole)
-    assert found.to_dict() == mbdkit.design(tuned()).to_dict() == json.loads((whole / "design.json").read_text("utf-8"))
+    written = json.loads((whole / "design.json").read_text("utf-8"))
+    assert written.pop("mbdkit_result") == 1
+    assert found.to_dict() == mbdkit.design(tuned()).to_dict() == written
     assert sorted(path.name for path in whole.iterdir()) == [
         "best.h5", "design.json", "design.yaml", "points.jsonl", "start.h5"]  # fmt: skip
     with mbdkit.load(whole / "best.h5") as run:
@@ -152,7 +154,7 @@ def test_a_point_that_kills_its_process_twice_fails_alone(tmp_path: Path, monkey
     engine = Engine(1, None, WORKER)
     with Computer(spec, engine, print, tmp_path / "points.jsonl") as computer:
         monkeypatch.setattr(Computer, "_uses_workers", True)
-        known = KnownPoints(computer, PointFile(tmp_path / "points.jsonl", ["goal"]))
+        known = KnownPoints(computer, PointFile(tmp_path / "points.jsonl", ["goal"], print))
         good, bad = known(jobs)
     assert good.values == pytest.approx([np.cos(np.sqrt(2.0)) ** 2], rel=1e-8)
     assert bad.verdict == "failed"
@@ -212,15 +214,53 @@ def test_a_wrong_design_writes_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("text", ["[]\n", '{"mbdkit_points": 1}\n{"scenario": ""}\n', "points\n"])
-def test_points_that_are_none_are_told(whole: Path, tmp_path: Path, text: str) -> None:
-    folder = tmp_path / "copy"
+def begun(whole: Path, folder: Path, points: str) -> Path:
+    """Return the folder of a design that was interrupted, with these points."""
     folder.mkdir()
     shutil.copy(whole / "design.yaml", folder)
-    (folder / "points.jsonl").write_text(text)
+    (folder / "points.jsonl").write_text(points, "utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("text", ["[]\n", '{"mbdkit_points": "a"}\n', "points\n"])
+def test_points_that_are_none_are_told(whole: Path, tmp_path: Path, text: str) -> None:
+    folder = begun(whole, tmp_path / "copy", text)
     with pytest.raises(SpecError, match=r"points\.jsonl: this is not a list of evaluated points of this design"):
         mbdkit.design(tuned(), out=folder)
     assert (folder / "points.jsonl").read_text() == text
+
+
+def test_files_of_a_later_version_are_refused(whole: Path, tmp_path: Path) -> None:
+    later = '{"mbdkit_points": 2}\n{"more": 1}\n'
+    folder = begun(whole, tmp_path / "copy", later)
+    words = "this file has format version 2, this mbdkit reads 1; install a later version of mbdkit"
+    done = command("design", str(folder / "design.yaml"), "-o", str(folder))
+    assert done.exit_code == 2
+    assert f"points.jsonl: {words}" in done.stderr
+    assert (folder / "points.jsonl").read_text() == later
+    (folder / "design.json").write_text('{"mbdkit_result": 2}')
+    with pytest.raises(SpecError, match=rf"design\.json: {words}"):
+        mbdkit.load_design(folder)
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "zeros", "other"])
+def test_damaged_points_are_computed_again(whole: Path, tmp_path: Path, damage: str) -> None:
+    points, told = lines(whole), []  # type: list[str], list[str]
+    line = points[3]
+    digit = line.index("0.") + 5
+    harmed = {
+        "flip": line[:digit] + str((int(line[digit]) + 1) % 10) + line[digit + 1 :],
+        "cut": line[: len(line) // 2],
+        "zeros": "\0" * 40,
+        "other": '{"scenario": ""}',
+    }[damage]
+    folder = begun(whole, tmp_path / "copy", "\n".join([*points[:3], harmed, *points[4:]]) + "\n")
+    seen: list[int] = []
+    mbdkit.design(tuned(), out=folder, notify=told.append, progress=lambda done, failed: seen.append(done))
+    assert told[0] == f"1 line of {folder / 'points.jsonl'} is damaged and was removed; its run is made again"
+    assert len(seen) == 1
+    assert sorted(lines(folder)) == sorted(points)
+    assert (folder / "design.json").read_bytes() == (whole / "design.json").read_bytes()
 
 
 def test_the_report_of_a_folder_needs_no_spec_and_no_new_runs_the_second_time(whole: Path, tmp_path: Path) -> None:
