@@ -2,6 +2,9 @@
 
 The sum of the weighted values at the stages is what the method itself gives for an additional equation ``z' = f(t, q,
 v)``, so an integral has the order of the method, however few states are recorded.
+
+The values of an integrand that contains other integrals, as in ``rms(x - mean(x))``, are known at the end of the run
+only. The quantities that it reads are kept at all nodes until then.
 """
 
 from __future__ import annotations
@@ -18,7 +21,9 @@ from mbdkit.archive.run_writer import UNJUDGED
 from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.measures.measure_expression import Integrand, MeasureExpression
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.measured_quantities import is_vector, recorded
+from mbdkit.measures.reductions import Integrand, Series
 from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
 from mbdkit.recorder import archive_names
 from mbdkit.stepping.interface import Nodes, Stretch
@@ -72,8 +77,12 @@ class RunIntegrals:
         self._names = archive_names(mechanism)
         self._layout = layout.recorded(self._names.present(spec.output.recorded))
         self._waiting = [Nodes.none(mechanism.size)]
+        self._direct = [one for one in integrands if not one.is_nested]
+        self._nested = [one for one in integrands if one.is_nested]
         self._sums: list[np.ndarray] | None = None
         self._low: list[np.ndarray] = []
+        self._read = tuple(dict.fromkeys(quantity for one in self._nested for quantity in one.read))
+        self._kept: list[list[np.ndarray]] = []
 
     def add(self, nodes: Nodes) -> None:
         """Add the nodes of further steps."""
@@ -84,9 +93,16 @@ class RunIntegrals:
     def totals(self) -> Integrals:
         """Return the integrals of all nodes by the texts of the integrands, in SI units; nan where undefined."""
         self._take(whole=False)
-        sums = self._sums or [np.zeros(1)] * len(self.integrands)
-        found = [tuple(x.tolist()) if len(x) > 1 else float(x[0]) for x in sums]
-        return dict(zip((one.text for one in self.integrands), found, strict=True))
+        found: dict[str, float | tuple[float, float]] = {}
+        for one, total in zip(self._direct, self._sums or [np.zeros(1)] * len(self._direct), strict=True):
+            found[one.text] = _plain(total)
+        if self._nested:
+            time, weight, *values = self._joined_kept()
+            series, duration = Series(time, dict(zip(self._read, values, strict=True)).__getitem__), float(weight.sum())
+            for one in self._nested:
+                at_nodes = one.values(series, found, duration)
+                found[one.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
+        return found
 
     def stored(self) -> dict[str, Any]:
         """Return the sums and the waiting nodes as plain values, for a checkpoint."""
@@ -96,6 +112,7 @@ class RunIntegrals:
             "sums": self._sums,
             "low": self._low,
             "waiting": [waiting.time, waiting.weight, waiting.q, waiting.v],
+            "kept": self._joined_kept(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -108,9 +125,12 @@ class RunIntegrals:
         shapes = [x.shape for x in (waiting.time, waiting.weight, waiting.q, waiting.v)]
         if shapes != [(count,), (count,), (count, size), (count, size)]:
             raise ValueError("its nodes have other shapes")
-        if sums is not None and not len(sums) == len(low) == len(self.integrands):
+        if sums is not None and not len(sums) == len(low) == len(self._direct):
             raise ValueError("it has other integrals")
-        self._waiting, self._sums, self._low = [waiting], sums, list(low)
+        kept, empty = list(state["kept"]), self._joined_kept()
+        if [x.shape[:-1] for x in kept] != [x.shape[:-1] for x in empty] or len({x.shape[-1] for x in kept}) > 1:
+            raise ValueError("its nodes have other shapes")
+        self._waiting, self._sums, self._low, self._kept = [waiting], sums, list(low), [kept]
 
     def _take(self, *, whole: bool) -> None:
         """Add up the waiting nodes in blocks; if `whole`, those that do not fill a block wait."""
@@ -121,8 +141,22 @@ class RunIntegrals:
             self._add_block(nodes.part(slice(first, min(first + BLOCK, done))))
         self._waiting = [nodes.part(slice(done, None))]
 
+    def _joined_kept(self) -> list[np.ndarray]:
+        """Return times, weights and quantities that nested integrands read at all nodes; empty arrays without them."""
+        if not self._kept:
+            return [np.zeros((2, 0) if vector else 0) for vector in (False, False, *map(is_vector, self._read))]
+        return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]
+
     def _add_block(self, nodes: Nodes) -> None:
-        values = self._values(nodes)
+        run, count = self._run_at(nodes), len(nodes.time)
+        values = [np.full(count, np.nan)] * len(self._direct)
+        kept = [np.full((2, count) if is_vector(one) else count, np.nan) for one in self._read]
+        if run is not None:
+            series = Series(run.time, lambda one: recorded(one, run))
+            values = [np.broadcast_to(x, (*x.shape[:-1], count)) for x in self._values(series)]
+            kept = [series.of(one) for one in self._read]
+        if self._nested:
+            self._kept.append([nodes.time, nodes.weight, *kept])
         gains = [np.atleast_1d(np.sum(x * nodes.weight, axis=-1)) for x in values]
         if self._sums is None:
             self._sums, self._low = ([np.zeros_like(x) for x in gains] for _ in range(2))
@@ -131,20 +165,22 @@ class RunIntegrals:
             total = self._sums[place] + y
             self._low[place], self._sums[place] = y - (total - self._sums[place]), total
 
-    def _values(self, nodes: Nodes) -> list[np.ndarray]:
-        """Return the values of the integrands at nodes; nan in all of them if one has no unique accelerations."""
+    def _values(self, series: Series) -> list[np.ndarray]:
+        return [one.values(series, {}, 0.0) for one in self._direct]
+
+    def _run_at(self, nodes: Nodes) -> StoredRun | None:
+        """Return a run whose rows are nodes; None if a node has no unique accelerations."""
         count = len(nodes.time)
         observed = self._observer.arrays(count)
         q, v = np.ascontiguousarray(nodes.q), np.ascontiguousarray(nodes.v)
         if self._observer.observe(nodes.time, q, v, observed) is not None:
-            return [np.full(count, np.nan)] * len(self.integrands)
+            return None
         none = np.zeros(count)
         stretch = Stretch(nodes.time, q, v, none, none, np.zeros((count, 6)))
         states = RecordedStates(stretch, observed, none, 0.0, self._rows, self._joints)
         columns = _Columns(states)
         finished = FinishedRun(self._names, self._layout, columns, None, "running", "", {}, none, UNJUDGED, (), "")
-        run = StoredRun(finished, Heading(self.spec, ""))
-        return [np.broadcast_to(x, (*x.shape[:-1], count)) for x in (one.values(run) for one in self.integrands)]
+        return StoredRun(finished, Heading(self.spec, ""))
 
 
 class _Columns(dict[str, np.ndarray]):
@@ -157,3 +193,7 @@ class _Columns(dict[str, np.ndarray]):
     def __missing__(self, key: str) -> np.ndarray:
         self[key] = found = COLUMNS[key](self._states)
         return found
+
+
+def _plain(total: np.ndarray) -> float | tuple[float, float]:
+    return (float(total[0]), float(total[1])) if len(total) > 1 else float(total[0])

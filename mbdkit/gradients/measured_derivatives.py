@@ -10,10 +10,8 @@ from mbdkit.events.event_expression import Quantity
 from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
 from mbdkit.gradients.differentiated_run import DifferentiatedRun
 from mbdkit.gradients.differentiated_states import quantity_of
-from mbdkit.measures.measure_expression import REDUCE, MeasureExpression
-
-OF_NODES = ("integral", "mean", "rms")
-"""Reductions that are integrals over time, by the weights of the method at the stages of its steps."""
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.reductions import OF_INTEGRAL, REDUCE
 
 UNIQUE = 1e-9
 """Two extrema that differ by less than this share of the range of a quantity count as equal."""
@@ -21,7 +19,11 @@ UNIQUE = 1e-9
 
 @dataclass(frozen=True)
 class _Operand:
-    """An operand of an expression on the recorded rows, and on the nodes of integrals, where that is known."""
+    """An operand of an expression on the recorded rows, and on the nodes of integrals.
+
+    It is not known on the nodes (None) where the integrals of runs use the rows, too; see
+    `mbdkit.run_integrals`. So a run and its gradient have the same numbers.
+    """
 
     rows: Value
     nodes: Value | None
@@ -33,7 +35,7 @@ def _same(one: Value) -> _Operand:
 
 def uses_nodes(expression: MeasureExpression) -> bool:
     """Return whether a measure is, or contains, an integral over time."""
-    return any(operation.removeprefix(REDUCE) in OF_NODES for operation, _ in expression.program)
+    return any(operation.removeprefix(REDUCE) in OF_INTEGRAL for operation, _ in expression.program)
 
 
 class MeasureOfRun:
@@ -90,16 +92,18 @@ class MeasureOfRun:
         elif operation == "get":
             quantity = expression.quantities[int(number)]
             if quantity.kind == "events":
-                stack.append(_same(self._of_event(quantity)))
+                stack.append(_Operand(self._of_event(quantity), None))
                 return
             rows, nodes = quantity_of(self.run.rows, quantity), self.run.nodes
             known = nodes is not None and quantity.attribute not in ("work", "dissipated", "balance")
             stack.append(_Operand(rows, quantity_of(nodes, quantity) if known else None))  # type: ignore[arg-type]
         elif operation == REDUCE + "at":
             time, operand = stack.pop().rows, stack.pop().rows
-            stack.append(_same(self._at(time, operand)))
+            stack.append(_Operand(self._at(time, operand), None))
         elif operation.startswith(REDUCE):
-            stack.append(_same(self._reduced(operation.removeprefix(REDUCE), stack.pop(), expression)))
+            name, given = operation.removeprefix(REDUCE), stack.pop()
+            found = self._reduced(name, given, expression)
+            stack.append(_Operand(found, found if name in OF_INTEGRAL and given.nodes is not None else None))
         elif operation in IS_BINARY:
             right, left = stack.pop(), stack.pop()
             known_there = left.nodes is not None and right.nodes is not None

@@ -10,7 +10,7 @@ compare these at each time. Units are checked.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, ClassVar
@@ -21,6 +21,16 @@ from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import SpecError
 from mbdkit.events.event_expression import Code, Quantity, RunCompiler
 from mbdkit.measures.measured_quantities import ATTRIBUTES, is_over_time, is_vector, recorded, unit_of
+from mbdkit.measures.reductions import (
+    OF_INTEGRAL,
+    REDUCE,
+    REDUCTIONS,
+    Integrand,
+    Series,
+    execute,
+    from_integral,
+    interpolated,
+)
 from mbdkit.mechanism.time_expression import FUNCTIONS, Program
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import QUANTITIES
@@ -35,62 +45,10 @@ _RADIAN = read_unit("rad")
 _SECOND = read_unit("s")
 
 
-def _mean(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the mean over time by the trapezoidal rule; the value itself if there is one row only."""
-    duration = time[-1] - time[0]
-    return np.trapezoid(values, time, axis=-1) / duration if duration > 0 else values[..., 0]
-
-
-REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
-    "max": lambda time, values: np.max(values, axis=-1),
-    "min": lambda time, values: np.min(values, axis=-1),
-    "mean": _mean,
-    "rms": lambda time, values: np.sqrt(_mean(time, values * values)),
-    "final": lambda time, values: values[..., -1],
-    "integral": lambda time, values: np.trapezoid(values, time, axis=-1),
-}
-"""Functions of times (T,) and values (..., T) that return a value for all rows together, (...).
-
-``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. In measures of a run, their integrals
-are computed with the run instead, by the weights of its method; see `Integrand`.
-"""
-_OF_INTEGRAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
-    "mean": lambda integral, duration: integral / duration,
-    "rms": lambda integral, duration: np.sqrt(integral / duration),
-    "integral": lambda integral, duration: integral,
-}
-"""Reductions as functions of an integral over time, of the square for ``rms``, and of the duration [s]."""
 _OF_HISTORY = ("work", "dissipated", "balance")
 """Energies that are integrals over time themselves, and so are known in the recorded states only."""
 _OF_VECTORS = ("mean", "final", "integral", "at")
 """Reductions that apply to each component of a vector."""
-REDUCE = "over time: "
-"""Begin of the operations of a program that reduce over time."""
-
-
-@dataclass(frozen=True)
-class Integrand:
-    """A quantity over time whose integral a measure needs.
-
-    Attributes
-    ----------
-    text
-        The quantity as an expression.
-    program, quantities
-        See `MeasureExpression`.
-    """
-
-    text: str
-    program: Program
-    quantities: tuple[Quantity, ...]
-
-    def values(self, run: Run) -> np.ndarray:
-        """Return the values in the T rows of a run: (T,), or (2, T) of a vector."""
-        stack: list[np.ndarray] = []
-        with np.errstate(all="ignore"):
-            for operation, number in self.program:
-                execute(operation, number, stack, run, self.quantities)
-        return stack.pop()
 
 
 @dataclass(frozen=True)
@@ -207,10 +165,10 @@ class MeasureExpression:
         return value if np.isfinite(value) else float("nan")
 
     def _execute(self, operation: str, number: float, stack: list[np.ndarray], run: Run) -> None:
-        """Apply an instruction to the stack. Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1)."""
+        """Apply an instruction to the stack; see `execute`."""
         if operation == REDUCE + "at":
             time, values = stack.pop(), stack.pop()
-            stack.append(_interpolated(float(time[0]), run.time, values))
+            stack.append(interpolated(float(time[0]), run.time, values))
         elif operation.startswith(REDUCE):
             values, name = stack.pop(), operation.removeprefix(REDUCE)
             integral = run.integrals.get(self.integrands[int(number) - 1].text) if number else None
@@ -218,9 +176,9 @@ class MeasureExpression:
             if integral is None or not duration > 0.0:
                 stack.append(REDUCTIONS[name](run.time, values)[..., None])
             else:
-                stack.append(_OF_INTEGRAL[name](np.atleast_1d(integral), duration).reshape(*values.shape[:-1], 1))
+                stack.append(from_integral(name, integral, duration, values))
         else:
-            execute(operation, number, stack, run, self.quantities)
+            execute(operation, number, stack, self.quantities, Series(run.time, lambda one: recorded(one, run)))
 
 
 @dataclass(frozen=True)
@@ -250,55 +208,6 @@ class SeriesExpression(MeasureExpression):
         return stack.pop() / self.unit.factor
 
 
-def execute(operation: str, number: float, stack: list[np.ndarray], run: Run, quantities: Sequence[Quantity]) -> None:
-    """Apply an instruction that does not reduce over time to the stack; see `MeasureExpression._execute`."""
-    if operation == "const":
-        stack.append(np.array([number]))
-    elif operation == "t":
-        stack.append(run.time)
-    elif operation == "get":
-        stack.append(recorded(quantities[int(number)], run))
-    elif operation == "powi":
-        stack.append(stack.pop() ** number)
-    elif operation in _BINARY:
-        right, left = stack.pop(), stack.pop()
-        stack.append(_BINARY[operation](left, right))
-    else:
-        stack.append(_UNARY[operation](stack.pop()))
-
-
-def _interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values (..., T) at a time, interpolated linearly between the rows around it, (..., 1); nan outside."""
-    if not time[0] <= at <= time[-1]:
-        return np.full((*values.shape[:-1], 1), np.nan)
-    return np.apply_along_axis(lambda row: np.interp([at], time, row), -1, values)
-
-
-_BINARY: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "pow": np.power,
-    "atan2": np.arctan2,
-    "min": np.minimum,
-    "max": np.maximum,
-}
-_UNARY: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
-    "neg": np.negative,
-    "norm": lambda values: np.hypot(values[0], values[1]),
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "exp": np.exp,
-    "log": np.log,
-    "sqrt": np.sqrt,
-    "abs": np.abs,
-    "tanh": np.tanh,
-}
 _VECTORS_OF = {"neg": ([True],), "mul": ([True, False], [False, True]), "div": ([True, False],)}
 """Which operands of an operation may be vectors."""
 _SYMBOLS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "pow": "**"}
@@ -338,7 +247,10 @@ class _MeasureCompiler(RunCompiler):
 
     def integrands(self) -> tuple[Integrand, ...]:
         """Return what the expression integrates over time, apart from what is known only at the end of a run."""
-        return tuple(Integrand(text, program, tuple(self.quantities)) for text, program in self._integrated)
+        found: tuple[Integrand, ...] = ()
+        for text, program in self._integrated:
+            found += (Integrand(text, program, tuple(self.quantities), found),)
+        return found
 
     def series(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number in each recorded row; raise SpecError otherwise."""
@@ -429,14 +341,14 @@ class _MeasureCompiler(RunCompiler):
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
-        place = self._place_of_integrand(program, node.args[0], squared=name == "rms") if name in _OF_INTEGRAL else 0
+        place = self._place_of_integrand(program, node.args[0], squared=name == "rms") if name in OF_INTEGRAL else 0
         return _Code([*program, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
 
     def _place_of_integrand(self, program: Code, node: ast.expr, *, squared: bool) -> int:
         """Return the place of a quantity among the integrands, from 1; 0 if it is not known before the end of a run."""
         read = [self.quantities[int(number)] for operation, number in program if operation == "get"]
-        reduces = any(operation.startswith(REDUCE) for operation, _ in program)
-        if reduces or any(one.kind == "events" or one.attribute in _OF_HISTORY for one in read):
+        of_rows = any(operation.startswith(REDUCE) and not place for operation, place in program)
+        if of_rows or any(one.kind == "events" or one.attribute in _OF_HISTORY for one in read):
             return 0
         text = ast.unparse(node)
         entry = (f"({text})**2", (*program, ("powi", 2.0))) if squared else (text, tuple(program))

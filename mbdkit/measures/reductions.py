@@ -1,0 +1,171 @@
+"""Functions over time in expressions of measures, and what they integrate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.events.event_expression import Quantity
+from mbdkit.mechanism.time_expression import Program
+
+REDUCE = "over time: "
+"""Begin of the operations of a program that reduce over time."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Quantities of a run over time: in its rows, or at the nodes of integrals.
+
+    Parameters
+    ----------
+    time
+        (T,) times [s].
+    of
+        Returns the values of a quantity, (T,), or (2, T) of a vector.
+    """
+
+    time: np.ndarray
+    of: Callable[[Quantity], np.ndarray]
+
+
+def _mean(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the mean over time by the trapezoidal rule; the value itself if there is one row only."""
+    duration = time[-1] - time[0]
+    return np.trapezoid(values, time, axis=-1) / duration if duration > 0 else values[..., 0]
+
+
+REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "max": lambda time, values: np.max(values, axis=-1),
+    "min": lambda time, values: np.min(values, axis=-1),
+    "mean": _mean,
+    "rms": lambda time, values: np.sqrt(_mean(time, values * values)),
+    "final": lambda time, values: values[..., -1],
+    "integral": lambda time, values: np.trapezoid(values, time, axis=-1),
+}
+"""Functions of times (T,) and values (..., T) that return a value for all rows together, (...).
+
+``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. In measures of a run, their integrals
+are computed with the run instead, by the weights of its method; see `Integrand`.
+"""
+OF_INTEGRAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
+    "mean": lambda integral, duration: integral / duration,
+    "rms": lambda integral, duration: np.sqrt(integral / duration),
+    "integral": lambda integral, duration: integral,
+}
+"""Reductions as functions of an integral over time, of the square for ``rms``, and of the duration [s]."""
+
+
+def from_integral(name: str, integral: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
+    """Return ``mean``, ``rms`` or ``integral`` of values (..., T) from the integral that was computed with the run."""
+    return OF_INTEGRAL[name](np.atleast_1d(integral), duration).reshape(*values.shape[:-1], 1)
+
+
+@dataclass(frozen=True)
+class Integrand:
+    """A quantity over time whose integral a measure needs.
+
+    Attributes
+    ----------
+    text
+        The quantity as an expression.
+    program, quantities
+        See `mbdkit.measures.measure_expression.MeasureExpression`.
+    inner
+        Integrands to whose places, counted from 1, reductions of the program refer, as those of ``x - mean(x)`` do.
+    """
+
+    text: str
+    program: Program
+    quantities: tuple[Quantity, ...]
+    inner: tuple[Integrand, ...] = ()
+
+    @cached_property
+    def is_nested(self) -> bool:
+        """Whether it contains other integrals, so that its values are known at the end of a run only."""
+        return any(operation.startswith(REDUCE) for operation, _ in self.program)
+
+    @property
+    def read(self) -> list[Quantity]:
+        """The quantities that it reads."""
+        return [self.quantities[int(number)] for operation, number in self.program if operation == "get"]
+
+    def values(self, series: Series, integrals: Integrals, duration: float) -> np.ndarray:
+        """Return the values at T times: (T,), or (2, T) of a vector.
+
+        Parameters
+        ----------
+        integrals
+            The integrals of `inner`, by their texts.
+        duration
+            Duration of the run [s].
+        """
+        stack: list[np.ndarray] = []
+        with np.errstate(all="ignore"):
+            for operation, number in self.program:
+                if operation.startswith(REDUCE):
+                    text = self.inner[int(number) - 1].text
+                    reduced = from_integral(operation.removeprefix(REDUCE), integrals[text], duration, stack.pop())
+                    stack.append(reduced)
+                else:
+                    execute(operation, number, stack, self.quantities, series)
+        return stack.pop()
+
+
+def execute(
+    operation: str, number: float, stack: list[np.ndarray], quantities: Sequence[Quantity], series: Series
+) -> None:
+    """Apply an instruction that does not reduce over time to the stack.
+
+    Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1).
+    """
+    if operation == "const":
+        stack.append(np.array([number]))
+    elif operation == "t":
+        stack.append(series.time)
+    elif operation == "get":
+        stack.append(series.of(quantities[int(number)]))
+    elif operation == "powi":
+        stack.append(stack.pop() ** number)
+    elif operation in _BINARY:
+        right, left = stack.pop(), stack.pop()
+        stack.append(_BINARY[operation](left, right))
+    else:
+        stack.append(_UNARY[operation](stack.pop()))
+
+
+def interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values (..., T) at a time, interpolated linearly between the rows around it, (..., 1); nan outside."""
+    if not time[0] <= at <= time[-1]:
+        return np.full((*values.shape[:-1], 1), np.nan)
+    return np.apply_along_axis(lambda row: np.interp([at], time, row), -1, values)
+
+
+_BINARY: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "pow": np.power,
+    "atan2": np.arctan2,
+    "min": np.minimum,
+    "max": np.maximum,
+}
+_UNARY: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "neg": np.negative,
+    "norm": lambda values: np.hypot(values[0], values[1]),
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "exp": np.exp,
+    "log": np.log,
+    "sqrt": np.sqrt,
+    "abs": np.abs,
+    "tanh": np.tanh,
+}
