@@ -121,7 +121,11 @@ def differentiated_run(
 
 
 def plain_run(spec: RunSpec) -> DifferentiatedRun:
-    """Run a spec without events, and return its recorded states, without derivatives and nodes; raise RunError."""
+    """Run a spec without events, and return its recorded states, without derivatives and nodes; raise RunError.
+
+    The check of a gradient needs such runs. It cannot use `simulate`, which imports this room to store gradients; the
+    steps, the evaluation of states and the method are those of a simulation.
+    """
     method = make_method(spec)
     workspace, _ = build(spec)
     stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))

@@ -1,4 +1,9 @@
-"""Evaluates states with derivatives: accelerations, reactions, forces, energies and powers."""
+"""Evaluates states with derivatives: accelerations, reactions, forces, energies and powers.
+
+The formulas are those of `mbdkit.engine.kernels.observe`, compiled for dual numbers. Unlike
+`mbdkit.engine.observed_states`, this module neither shares the reactions of redundant joints nor follows the distance
+to singularity, neither of which has derivatives.
+"""
 
 from __future__ import annotations
 

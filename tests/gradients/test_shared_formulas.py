@@ -1,0 +1,87 @@
+"""Differentiated runs, and those of their checks, have the numbers of runs, in every quantity and function."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit.gradients.differentiated_run import plain_run
+from mbdkit.gradients.differentiated_states import require_derivative
+from mbdkit.gradients.measured_derivatives import MeasureOfRun
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.measured_quantities import ATTRIBUTES
+from mbdkit.spec import RunSpec, load_spec
+
+FUNCTIONS = (
+    "max(sin(rod1.angle), cos(rod2.angle)) - min(0.3, sin(rod1.angle))",
+    "sqrt(rod1.angle**2 + 1) + exp(-abs(rod2.angle)) + log(2 + tanh(rod1.angle))",
+    "atan2(rod1.vx, 2 + rod1.vy) + atan(rod2.angle) + asin(sin(rod1.angle)/2) + acos(cos(rod2.angle)/2)",
+    "(2 + cos(rod1.angle))**(1/3) / (3 + tan(rod1.angle/4)) - rod2.angle**3",
+)
+"""Expressions over time that use every function."""
+
+
+def spec(integrator: dict[str, Any], formulation: str, **sections: Any) -> RunSpec:
+    """Return the spec of two rods with a motor, a damped spring, a load and a marker."""
+    m = mbdkit.Mechanism()
+    m.body("rod1", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.body("rod2", mass=2.0, inertia=0.2, position=(1.5, 0.0))
+    m.revolute("A", m.ground, "rod1", at=(0, 0))
+    m.revolute("B", "rod1", "rod2", at=(1, 0))
+    m.driver("motor", m.ground, "rod1", coordinate="angle", motion="0.5*sin(3*t)")
+    m.spring_damper("spring", m.ground, "rod2", points=((1.0, 1.0), (0.0, 0.0)), stiffness=50.0, damping=2.0)
+    m.force("wind", "rod2", value=(1.0, 0.5))
+    m.marker("tip", "rod2", at=(2, 0))
+    given = {"integrator": integrator, "formulation": formulation, "time": {"end": 0.3, "step": 0.02}} | sections
+    return load_spec(m, (), **given)
+
+
+def expressions(of: RunSpec) -> dict[str, str]:
+    """Return the final value and the mean of all quantities that have derivatives, and of `FUNCTIONS`."""
+    mechanism = of.mechanism()
+    names = {
+        "bodies": mechanism.bodies,
+        "joints": mechanism.joints,
+        "forces": mechanism.forces,
+        "markers": mechanism.markers,
+        "energy": [""],
+    }
+    found = []
+    for kind, owners in names.items():
+        for owner in owners:
+            for attribute in ATTRIBUTES[kind]:
+                text = ".".join(filter(None, (kind, owner, attribute)))
+                try:
+                    one = MeasureExpression.parse(f"final(abs({text}))", of)
+                    require_derivative(one.quantities[0])
+                except mbdkit.SpecError:
+                    continue
+                found.append(f"abs({text})")
+    texts = [f"{name}({text})" for name in ("final", "mean") for text in (*found, *FUNCTIONS)]
+    return {f"m{place}": text for place, text in enumerate(texts)}
+
+
+METHODS = [({"name": "rk4"}, "index-1"), ({"name": "radau-iia", "stages": 2}, "ggl")]
+
+
+@pytest.mark.parametrize(("integrator", "formulation"), METHODS, ids=["rk4", "radau-iia"])
+def test_a_differentiated_run_has_the_numbers_of_the_run(integrator: dict[str, Any], formulation: str) -> None:
+    measures = expressions(spec(integrator, formulation))
+    assert len(measures) > 150
+    made = mbdkit.run(spec(integrator, formulation, measures=measures))
+    found = mbdkit.gradient(made.spec, measures, "model.bodies.rod2.mass", check=False)
+    for name, value in zip(found.measures, found.value, strict=True):
+        assert value == pytest.approx(made.measures[name], rel=1e-10, abs=1e-12), measures[name]
+
+
+@pytest.mark.parametrize(("integrator", "formulation"), METHODS, ids=["rk4", "radau-iia"])
+def test_the_runs_of_a_check_have_the_numbers_of_the_run(integrator: dict[str, Any], formulation: str) -> None:
+    given = spec(integrator, formulation)
+    measures = {name: text for name, text in expressions(given).items() if text.startswith("final")}
+    made = mbdkit.run(spec(integrator, formulation, measures=measures))
+    measure = MeasureOfRun(plain_run(given))
+    for name, text in measures.items():
+        value, _ = measure.of(MeasureExpression.parse(text, given))
+        assert value == pytest.approx(made.measures[name], rel=1e-12, abs=1e-14), text
