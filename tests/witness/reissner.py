@@ -1,7 +1,8 @@
 """Cantilevers by Reissner's equations as a boundary value problem, solved by SciPy.
 
-The cantilever lies on the x axis, is clamped at the origin and carries a constant force (F_x, F_y) and a moment at its
-tip. With the arc length s of the unloaded beam, the angle theta and the bending moment M,
+The cantilever lies on the x axis, is clamped at the origin and carries a constant force and a moment at its tip, and a
+constant load per length. With the arc length s of the unloaded beam, the force (F_x, F_y) on what lies beyond s, the
+angle theta and the bending moment M,
 
     N = F_x cos(theta) + F_y sin(theta),        Q = F_y cos(theta) - F_x sin(theta),
     x' = (1 + N/EA) cos(theta) - Q/GA sin(theta),   y' = (1 + N/EA) sin(theta) + Q/GA cos(theta),
@@ -27,15 +28,22 @@ class Cantilever:
     shear: float
     bending: float
 
-    def under(self, force: tuple[float, float], moment: float = 0.0, *, tolerance: float = 1e-11) -> np.ndarray:
-        """Return displacement (x, y) and rotation of the tip under a force and a moment there."""
+    def under(
+        self,
+        force: tuple[float, float],
+        moment: float = 0.0,
+        *,
+        load: tuple[float, float] = (0.0, 0.0),
+        tolerance: float = 1e-11,
+    ) -> np.ndarray:
+        """Return displacement (x, y) and rotation of the tip under a force and a moment there, and a load [N/m]."""
         unit = self.bending / self.length  # of moments
         s = np.linspace(0.0, self.length, 101)
         guess = np.vstack([s, 0 * s, 0 * s, 0 * s])
         for share in (0.25, 0.5, 0.75, 1.0):  # load steps
 
-            def slopes(_: np.ndarray, y: np.ndarray, share: float = share) -> np.ndarray:
-                fx, fy = share * force[0], share * force[1]
+            def slopes(s: np.ndarray, y: np.ndarray, share: float = share) -> np.ndarray:
+                fx, fy = (share * (f + p * (self.length - s)) for f, p in zip(force, load, strict=True))
                 c, sn = np.cos(y[2]), np.sin(y[2])
                 stretch, slide = 1 + (fx * c + fy * sn) / self.axial, (fy * c - fx * sn) / self.shear
                 dx, dy = stretch * c - slide * sn, stretch * sn + slide * c
