@@ -6,7 +6,7 @@ with the deflections that Exudyn publishes for one mesh; the third one is Mattia
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ DIAGONAL = np.sqrt(0.5)
 def clamped(
     end: tuple[float, float],
     elements: int,
-    nodes: int,
+    nodes: Literal[2, 3],
     stiffness: tuple[float, float, float],
     gravity: float = 0.0,
     **more: Any,
@@ -52,7 +52,7 @@ DEEP = Cantilever(2.0, 2.07e11 * 0.05, 10 * 1.3 / (12 + 11 * 0.3) * 7.9615e10 * 
 """A beam of steel, 2 m x 0.1 m x 0.5 m, with the shear factor of Cowper for Poisson's ratio 0.3."""
 
 
-def deep(elements: int, nodes: int) -> np.ndarray:
+def deep(elements: int, nodes: Literal[2, 3]) -> np.ndarray:
     """Return the displacement of the deep beam, 45 degrees steep, under a force across it and a moment."""
     m, end = clamped((2 * DIAGONAL, 2 * DIAGONAL), elements, nodes, (DEEP.axial, DEEP.shear, DEEP.bending))
     force = 5e8 * 0.5**3 * DIAGONAL
@@ -67,7 +67,7 @@ def test_exudyns_deep_beam_on_its_own_mesh() -> None:
 
 
 @pytest.mark.parametrize(("nodes", "sizes"), MESHES)
-def test_exudyns_deep_beam_without_error_of_the_mesh(nodes: int, sizes: tuple[int, ...]) -> None:
+def test_exudyns_deep_beam_without_error_of_the_mesh(nodes: Literal[2, 3], sizes: tuple[int, ...]) -> None:
     # expected: Reissner's equations as a boundary value problem, in the frame of the beam
     along, across, angle = DEEP.under((0.0, -5e8 * 0.5**3), -5e8, tolerance=1e-10)
     exact = DIAGONAL * (along - across), DIAGONAL * (along + across), angle
@@ -79,7 +79,7 @@ STRIP = Cantilever(2.0, 1e6, np.inf, 2500 / 3)
 """A soft strip without shear, which its weight of 78 kg/m bends far."""
 
 
-def sagging(sizes: tuple[int, ...], nodes: int, shear: float) -> np.ndarray:
+def sagging(sizes: tuple[int, ...], nodes: Literal[2, 3], shear: float) -> np.ndarray:
     """Return the displacement of the strip under its weight, without error of the mesh."""
     strips = (clamped((2.0, 0.0), n, nodes, (STRIP.axial, shear, STRIP.bending), gravity=9.81) for n in sizes)
     return limit([moved(*one) for one in strips], 2 * (nodes - 1))
