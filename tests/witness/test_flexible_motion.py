@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from .timoshenko import TimoshenkoBeam
 BAR = TimoshenkoBeam(1.0, 5.0e7, 2.2e4, 6.3, 8.4e-4)
 
 
-def bar(elements: int, nodes: int, ends: tuple[str, str]) -> mbdkit.Mechanism:
+def bar(elements: int, nodes: Literal[2, 3], ends: tuple[str, str]) -> mbdkit.Mechanism:
     """Return the bar on its supports."""
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
     stiffness = {"axial": 1.7e8, "shear": BAR.shear, "bending": BAR.bending}
@@ -33,18 +33,18 @@ def bar(elements: int, nodes: int, ends: tuple[str, str]) -> mbdkit.Mechanism:
     return m
 
 
-def bending(elements: int, nodes: int, ends: tuple[str, str], count: int) -> np.ndarray:
+def bending(elements: int, nodes: Literal[2, 3], ends: tuple[str, str], count: int) -> np.ndarray:
     """Return the lowest frequencies of bending [rad/s], without motions of the bar as a whole."""
     found = mbdkit.modes(bar(elements, nodes, ends), at="start", time={"end": 1.0, "step": 0.1})
     is_across = np.max(np.abs(found.shapes[:, :, 1]), axis=1) > 1e-3 * np.max(np.abs(found.shapes[:, :, 0]), axis=1)
     frequencies = found.natural_frequency[is_across]
-    return frequencies[frequencies > 1.0][:count]
+    return np.asarray(frequencies[frequencies > 1.0][:count])
 
 
 @pytest.mark.parametrize("ends", [("clamped", "free"), ("free", "free"), ("pinned", "pinned"), ("clamped", "clamped")])
 @pytest.mark.parametrize(("nodes", "sizes", "order", "most"), [(2, (16, 32), 2, 5e-3), (3, (8, 16), 4, 1e-4)])
 def test_frequencies_converge_to_those_of_timoshenkos_beam(
-    ends: tuple[str, str], nodes: int, sizes: tuple[int, int], order: int, most: float
+    ends: tuple[str, str], nodes: Literal[2, 3], sizes: tuple[int, int], order: int, most: float
 ) -> None:
     # expected: roots of the determinant of the boundary value problem
     exact = BAR.frequencies(ends, 2)
@@ -99,34 +99,49 @@ STRETCH = float(stretched(np.array(LENGTH))) - LENGTH
 """Extension of the beam at constant speed, published as 5.14e-4 m."""
 
 
-def spun(elements: int, angle: str, **more: Any) -> mbdkit.Mechanism:
+def spun(elements: int, angle: str, nodes: Literal[2, 3] = 3, damping: float = 1e-3, **more: Any) -> mbdkit.Mechanism:
     """Return the beam on its hub, which is driven."""
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
     m.beam(
-        "arm", a=(0, 0), b=(LENGTH, 0), elements=elements, nodes=3, mass_per_length=MASS, rotary_inertia=6e-4,
-        stiffness={"axial": AXIAL, "shear": 1e7, "bending": 1.4e4}, damping=1e-3, **more,
+        "arm", a=(0, 0), b=(LENGTH, 0), elements=elements, nodes=nodes, mass_per_length=MASS, rotary_inertia=6e-4,
+        stiffness={"axial": AXIAL, "shear": 1e7, "bending": 1.4e4}, damping=damping, **more,
     )  # fmt: skip
     m.revolute("hub", m.ground, "arm.0", at=(0, 0))
     m.driver("motor", m.ground, "arm.0", coordinate="angle", motion=angle)
     return m
 
 
-def tip_of(run: mbdkit.Run, elements: int) -> np.ndarray:
+def tip_of(run: mbdkit.Run) -> np.ndarray:
     """Return the displacement of the tip along and across the hub's direction, (T, 2)."""
-    tip, root = run[f"arm.{2 * elements}"].position, run["arm.0"].angle
+    tip, root = run[run.beams["arm"].nodes[-1]].position, run["arm.0"].angle
     along = np.cos(root) * tip[:, 0] + np.sin(root) * tip[:, 1] - LENGTH
     return np.column_stack([along, np.cos(root) * tip[:, 1] - np.sin(root) * tip[:, 0]])
 
 
+def extension_error(elements: int, nodes: Literal[2, 3], step: float, turns: int = 0) -> float:
+    """Return the relative error of the extension after 0.4 s, after a start at constant speed, without vibration."""
+    phase = 2 * np.pi * turns
+    places = stretched(np.linspace(0, LENGTH, elements * (nodes - 1) + 1))
+    start = [(x, 0.0, phase) for x in places.tolist()]
+    m = spun(elements, f"{phase!r} + {OMEGA}*t", nodes, start=start, angular_velocity=OMEGA)
+    run = mbdkit.run(m, integrator={"name": "gauss", "stages": 2}, time={"end": 0.4, "step": step})
+    run.check()
+    return float(tip_of(run)[-1, 0] / STRETCH - 1)
+
+
 @pytest.mark.parametrize("turns", [0, 300])
 def test_rotation_stretches_a_beam_after_any_number_of_turns(turns: int) -> None:
-    # expected: the closed form, from which the run starts, so that nothing oscillates
-    phase = 2 * np.pi * turns
-    start = [(x, 0.0, phase) for x in stretched(np.linspace(0, LENGTH, 9)).tolist()]
-    m = spun(4, f"{phase!r} + {OMEGA}*t", start=start, angular_velocity=OMEGA)
-    run = mbdkit.run(m, integrator={"name": "radau-iia", "stages": 2}, time={"end": 0.4, "step": 0.02})
-    run.check()
-    np.testing.assert_allclose(tip_of(run, 4)[:, 0], STRETCH, rtol=1e-2)  # that of steps of 0.12 rad
+    # expected: the closed form, approached with the order of the method
+    coarse, fine = (extension_error(4, 3, step, turns) for step in (0.005, 0.0025))
+    assert np.log2(coarse / fine) == pytest.approx(4.0, abs=0.15)
+    assert abs(fine) < 5e-6
+
+
+def test_the_extension_converges_with_the_mesh() -> None:
+    # expected: the closed form, approached with the order of two-node elements
+    coarse, fine = (extension_error(n, 2, 0.002) for n in (8, 16))
+    assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.05)
+    assert abs(extension_error(8, 3, 0.002)) < 3e-6
 
 
 @pytest.mark.slow
@@ -136,7 +151,7 @@ def test_a_beam_that_is_spun_up_lags_behind_its_hub_and_is_stretched() -> None:
     angle = f"6/15*({turned}**2/2 + (15/2/pi)**2*(cos(2*pi*{turned}/15) - 1)) + 6*max(t - 15, 0)"
     run = mbdkit.run(spun(8, angle), integrator={"name": "radau-iia", "stages": 2}, time={"end": 40.0, "step": 0.02})
     run.check()
-    tip = tip_of(run, 8)
+    tip = tip_of(run)
     assert -0.59 < tip[:, 1].min() < -0.56
     swings = tip[run.time > 35.0]
     assert np.mean(swings[:, 0] + 0.6 * swings[:, 1] ** 2 / LENGTH) == pytest.approx(STRETCH, rel=1e-2)
