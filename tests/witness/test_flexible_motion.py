@@ -188,6 +188,19 @@ STATE = [(6.0 - 0.6 * s + 0.02 * s * (10 - s), 0.8 * s, 2.2 - 0.03 * s) for s in
 """A bent rod at rest."""
 
 
+def momenta(run: mbdkit.Run, m: mbdkit.Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the masses of the nodes (B,), and the linear (T, 2) and the angular momentum (T,) about the origin."""
+    mass, inertia = (np.array([getattr(x, what) for x in m.bodies.values()]) for what in ("mass", "inertia"))
+    q, v = (run.array(f"trajectory/{what}") for what in ("position", "velocity"))
+    angular = np.sum(mass * (q[:, :, 0] * v[:, :, 1] - q[:, :, 1] * v[:, :, 0]) + inertia * v[:, :, 2], axis=1)
+    return mass, np.einsum("b,tbx->tx", mass, v[:, :, :2]), angular
+
+
+def until_2_5(value: float) -> dict[str, Any]:
+    """Return a value that falls to zero at 2.5 s, within a nanosecond."""
+    return {"table": [[0, 2.5 - 5e-10, 2.5 + 5e-10, 100], [value, value, 0, 0]], "interpolation": "linear"}
+
+
 @pytest.mark.parametrize("stages", [2, 3])
 def test_a_beam_in_free_flight_keeps_its_momenta_and_energy(stages: int) -> None:
     # expected: linear and angular momentum, quadratic in the state, to rounding; the energy with the order 2 s of Gauss
@@ -200,13 +213,35 @@ def test_a_beam_in_free_flight_keeps_its_momenta_and_energy(stages: int) -> None
         )  # fmt: skip
         run = mbdkit.run(m, integrator={"name": "gauss", "stages": stages}, time={"end": 1.0, "step": step})
         run.check()
-        mass, inertia = (np.array([getattr(x, what) for x in m.bodies.values()]) for what in ("mass", "inertia"))
-        q, v = (run.array(f"trajectory/{what}") for what in ("position", "velocity"))
-        momentum = np.einsum("b,tbx->tx", mass, v[:, :, :2])
-        angular = np.sum(mass * (q[:, :, 0] * v[:, :, 1] - q[:, :, 1] * v[:, :, 0]) + inertia * v[:, :, 2], axis=1)
-        np.testing.assert_allclose(momentum, np.tile(momentum[0], (len(q), 1)), rtol=0, atol=1e-11)
+        _, momentum, angular = momenta(run, m)
+        np.testing.assert_allclose(momentum, np.tile(momentum[0], (len(momentum), 1)), rtol=0, atol=1e-11)
         np.testing.assert_allclose(angular, angular[0], rtol=1e-12)
         total = run.energy.total
         loss.append(np.max(np.abs(total - total[0])) / total[0])
         assert np.ptp(run.beams["rod"].strain_energy) > 0.1 * total[0]
     assert np.log2(loss[0] / loss[1]) == pytest.approx(2 * stages, abs=0.2)
+
+
+@pytest.mark.parametrize("bending", [500.0, 100.0])
+def test_the_flying_spaghetti_keeps_what_its_loads_gave_it(bending: float) -> None:
+    # expected: 8 N for 2.5 s on 10 kg from (3, 4): the path of the centre of mass, and all of the motion afterwards
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.beam(
+        "rod", a=(6, 0), b=(0, 8), elements=16, mass_per_length=1.0, rotary_inertia=10.0,
+        stiffness={"axial": 1e4, "shear": 1e4, "bending": bending},
+    )  # fmt: skip
+    m.force("push", "rod.0", value=(until_2_5(8.0), 0.0))
+    m.torque("twist", "rod.0", value=until_2_5(-80.0))
+    loss = []
+    for step in (0.002, 0.001):
+        run = mbdkit.run(m, integrator={"name": "gauss", "stages": 2}, time={"end": 7.5, "step": step})
+        run.check()
+        t, after = run.time, run.time > 2.5 + step / 2
+        mass, momentum, angular = momenta(run, m)
+        path = np.where(t < 2.5, 3 + 0.4 * t**2, 5.5 + 2 * (t - 2.5))
+        np.testing.assert_allclose(mass @ run.array("trajectory/position")[:, :, 0].T / 10, path, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(mass @ run.array("trajectory/position")[:, :, 1].T / 10, 4.0, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(momentum, np.outer(np.minimum(8 * t, 20), (1, 0)), rtol=0, atol=2e-9)
+        np.testing.assert_allclose(angular[after], angular[after][0], rtol=1e-11)
+        loss.append(np.ptp(run.energy.total[after]) / run.energy.total[-1])
+    assert np.log2(loss[0] / loss[1]) == pytest.approx(4.0, abs=0.3)
