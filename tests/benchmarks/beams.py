@@ -1,4 +1,4 @@
-"""How time grows with the nodes of a beam: steps of an explicit and of an implicit method on cantilevers.
+"""How time grows with the nodes of a beam: steps of an explicit and of an implicit method on cantilevers; and Exudyn.
 
 Times are those of the processor, least of several runs.
 """
@@ -13,6 +13,7 @@ from rich.table import Table
 
 import mbdkit
 
+from .beams_beside_exudyn import beside_exudyn
 from .scale import slope, stepping, timed_spec
 from .timing import duration, take_turns
 
@@ -35,7 +36,7 @@ def cantilever(nodes: int) -> mbdkit.Mechanism:
 
 
 def beams(console: Console) -> None:
-    """Print how the time of a step grows with the number of nodes, and the time of an evaluation per element."""
+    """Print how the time of a step grows with the nodes, that of an evaluation per element, and that for given errors."""
     found: dict[str, dict[int, float]] = {name: {} for name in METHODS}
     for nodes, steps in STEPS.items():
         m = cantilever(nodes)
@@ -54,3 +55,4 @@ def beams(console: Console) -> None:
         table.add_row(str(nodes), *times, duration(explicit / STAGES / (nodes - 1)))
     table.add_row("slope", *(f"{slope(points):.2f}" for points in found.values()), "")
     console.print(table)
+    beside_exudyn(console)

@@ -124,17 +124,21 @@ class ExudynBeam:
         *,
         clock: Callable[[], float] = time.perf_counter,
         loose: float = 1.0,
+        sparse: bool = True,
     ) -> float:
         """Run Newmark's trapezoidal rule with index-2 constraints, and return the seconds it took.
 
-        `loose` multiplies the tolerances of Newton's method.
+        `loose` multiplies the tolerances of Newton's method, which is modified with sparse matrices and full with dense
+        ones: the faster combinations. A further run goes on where this one ends.
         """
         settings = self.settings()
         times = settings.timeIntegration
         times.startTime, times.endTime, times.numberOfSteps = start, end, steps
         times.newton.relativeTolerance *= loose
         times.newton.absoluteTolerance *= loose
-        times.newton.useModifiedNewton = True
+        times.newton.useModifiedNewton = sparse
+        if not sparse:
+            settings.linearSolver.solverType = self.exudyn.LinearSolverType.EXUdense
         times.generalizedAlpha.spectralRadius = 1.0
         times.generalizedAlpha.useNewmark = True
         times.generalizedAlpha.useIndex2Constraints = True
