@@ -36,7 +36,7 @@ def cantilever(nodes: int) -> mbdkit.Mechanism:
 
 
 def beams(console: Console) -> None:
-    """Print how the time of a step grows with the nodes, that of an evaluation per element, and that for given errors."""
+    """Print the time of a step by the number of nodes, of an evaluation per element, and of a run by its error."""
     found: dict[str, dict[int, float]] = {name: {} for name in METHODS}
     for nodes, steps in STEPS.items():
         m = cantilever(nodes)
