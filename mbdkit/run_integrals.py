@@ -21,8 +21,9 @@ from mbdkit.archive.run_writer import UNJUDGED
 from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.events.event_expression import Quantity
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.measured_quantities import is_vector, recorded
+from mbdkit.measures.measured_quantities import beam_along, is_vector, recorded
 from mbdkit.measures.reductions import Integrand, Series
 from mbdkit.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
 from mbdkit.recorder import archive_names
@@ -144,13 +145,20 @@ class RunIntegrals:
     def _joined_kept(self) -> list[np.ndarray]:
         """Return times, weights and quantities that nested integrands read at all nodes; empty arrays without them."""
         if not self._kept:
-            return [np.zeros((2, 0) if vector else 0) for vector in (False, False, *map(is_vector, self._read))]
+            return [np.zeros(0), np.zeros(0), *(self._unknown(one, 0) for one in self._read)]
         return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]
+
+    def _unknown(self, quantity: Quantity, count: int) -> np.ndarray:
+        """Return nan as the values of a quantity at nodes, in their shape."""
+        if beam := beam_along(quantity):
+            elements = self._workspace.mechanism.beam_elements(beam)
+            return np.full((elements.stop - elements.start, count), np.nan)
+        return np.full((2, count) if is_vector(quantity) else count, np.nan)
 
     def _add_block(self, nodes: Nodes) -> None:
         run, count = self._run_at(nodes), len(nodes.time)
         values = [np.full(count, np.nan)] * len(self._direct)
-        kept = [np.full((2, count) if is_vector(one) else count, np.nan) for one in self._read]
+        kept = [self._unknown(one, count) for one in self._read]
         if run is not None:
             series = Series(run.time, lambda one: recorded(one, run))
             values = [np.broadcast_to(x, (*x.shape[:-1], count)) for x in self._values(series)]

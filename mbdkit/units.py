@@ -54,6 +54,7 @@ def _exponents(m: int = 0, kg: int = 0, s: int = 0) -> Exponents:
 
 
 _FORCE, _ENERGY, _POWER = _exponents(1, 1, -2), _exponents(2, 1, -2), _exponents(2, 1, -3)
+_PRESSURE = _exponents(-1, 1, -2)
 _SYMBOLS: dict[str, tuple[Exponents, float]] = {
     "m": (_exponents(m=1), 1.0),
     "km": (_exponents(m=1), 1e3),
@@ -76,6 +77,10 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
     "J": (_ENERGY, 1.0),
     "kJ": (_ENERGY, 1e3),
     "mJ": (_ENERGY, 1e-3),
+    "Pa": (_PRESSURE, 1.0),
+    "kPa": (_PRESSURE, 1e3),
+    "MPa": (_PRESSURE, 1e6),
+    "GPa": (_PRESSURE, 1e9),
     "W": (_POWER, 1.0),
     "kW": (_POWER, 1e3),
     "mW": (_POWER, 1e-3),

@@ -154,6 +154,13 @@ class CompiledMechanism:
         ]
         return ", ".join(part for part in parts if part)
 
+    def beam_elements(self, name: str) -> slice:
+        """Return the numbers of the elements of a beam among those of all beams."""
+        names, counts = zip(*self.beams, strict=True)
+        place = names.index(name)
+        first = sum(counts[:place])
+        return slice(first, first + counts[place])
+
     @property
     def size(self) -> int:
         """Length of a state vector, 3 (B + 1)."""

@@ -7,6 +7,7 @@ In addition to ``t``, ``pi``, numbers, operators and functions, an expression ca
         .force_first_x .force_first_y .force_second_x .force_second_y                  of a joint
     forces.NAME.length .rate .value .power .potential                                  of a force element
     markers.NAME.x .y .vx .vy                                                          of a marker
+    beams.NAME.axial[i] .shear[i] .moment[i] .strain_energy                            of element i of a beam, from 0
     energy.kinetic .potential .total
 
 in SI units, as recorded in the archive: accelerations and reactions are the index-1 values at the state. ``force`` is
@@ -36,6 +37,9 @@ BODY_FRAMES = ("force_first_x", "force_first_y", "force_second_x", "force_second
 JOINT = ("force", "force_x", "force_y", "torque", "misalignment", "angle", "driver_power", *BODY_FRAMES)
 FORCE = ("length", "rate", "value", "power", "potential")
 MARKER = ("x", "y", "vx", "vy")
+BEAM = ("axial", "shear", "moment", "strain_energy")
+OF_ELEMENTS = BEAM[:3]
+"""Quantities of a beam that have a value in each of its elements."""
 ENERGY = ("kinetic", "potential", "total")
 
 Code = list[tuple[str, float]]
@@ -44,6 +48,7 @@ _ONE = {
     "joints": "joint",
     "forces": "force element",
     "markers": "marker",
+    "beams": "beam",
     "events": "event",
     "actuators": "actuator",
 }
@@ -52,6 +57,7 @@ _EXAMPLE = {
     "joints": "force",
     "forces": "value",
     "markers": "x",
+    "beams": "strain_energy",
     "energy": "total",
     "events": "time",
     "actuators": "value",
@@ -64,14 +70,16 @@ _NOT_NEGATIVE = {("joints", "force"), ("joints", "misalignment"), ("energy", "ki
 
 @dataclass(frozen=True)
 class Quantity:
-    """One scalar of a run: `kind` is ``bodies``, ``joints``, ``forces``, ``markers`` or ``energy``.
+    """One scalar of a run: `kind` is ``bodies``, ``joints``, ``forces``, ``markers``, ``beams`` or ``energy``.
 
-    The `name` is that of the element; empty for ``energy``.
+    The `name` is that of the body, joint, ...; empty for ``energy``. The `element` is that of a beam, from 0; None for
+    all elements together.
     """
 
     kind: str
     name: str
     attribute: str
+    element: int | None = None
 
 
 Function = Callable[[Sequence[float]], float]
@@ -239,11 +247,12 @@ class RunCompiler(Compiler):
         "joints": JOINT,
         "forces": FORCE,
         "markers": MARKER,
+        "beams": BEAM,
         "energy": ENERGY,
     }
     wanted = (
         "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, forces.NAME.value, "
-        "markers.NAME.x, energy.total"
+        "markers.NAME.x, beams.NAME.moment[0], energy.total"
     )
 
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
@@ -253,6 +262,7 @@ class RunCompiler(Compiler):
             "joints": list(mechanism.joints),
             "forces": list(mechanism.forces),
             "markers": list(mechanism.markers),
+            "beams": list(mechanism.beams),
         }
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
@@ -267,14 +277,12 @@ class RunCompiler(Compiler):
     def operand(self, node: ast.expr) -> Code:
         """Return the program of a quantity."""
         match node:
+            case ast.Subscript(ast.Attribute() as whole, index) if (found := self.path(whole)) and found[0] == "beams":
+                return self.of_element(found[1], found[2], index, node)
             case ast.Attribute(value=ast.Name(id="energy"), attr=attribute):
                 return self.get(Quantity("energy", "", self.checked(attribute, ["energy"], "", node)))
-            case ast.Attribute(
-                ast.Attribute(ast.Name(id=kind), attr=name)
-                | ast.Subscript(ast.Name(id=kind), ast.Constant(value=str() as name)),
-                attr=attribute,
-            ) if kind in self.known:
-                return self.of(kind, name, attribute, node)
+            case ast.Attribute() if found := self.path(node):
+                return self.of(*found, node)
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known or self.kinds(name):
                 return self.of(self.kind(name, attribute, node), name, attribute, node)
             case ast.Name(id=group) if group in self.attributes:
@@ -289,6 +297,15 @@ class RunCompiler(Compiler):
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
         return super().operand(node)
+
+    def path(self, node: ast.Attribute) -> tuple[str, str, str] | None:
+        """Return kind, name and attribute of ``KIND.NAME.ATTRIBUTE`` or ``KIND["NAME"].ATTRIBUTE``; None otherwise."""
+        match node.value:
+            case ast.Attribute(ast.Name(id=kind), attr=name) if kind in self.known:
+                return kind, name, node.attr
+            case ast.Subscript(ast.Name(id=kind), ast.Constant(value=str() as name)) if kind in self.known:
+                return kind, name, node.attr
+        return None
 
     def spelling(self, name: str) -> str:
         """Return a hint on how to write a name that is not an identifier."""
@@ -317,11 +334,42 @@ class RunCompiler(Compiler):
         if name not in self.known[kind]:
             self.unknown(name, self.known[kind], _ONE[kind], node)
         self.checked(attribute, [kind], name, node)
+        if kind == "beams" and attribute in OF_ELEMENTS:
+            return self.along(name, attribute, node)
         if attribute in _ANGLES and (kind == "bodies" or self.mechanism.joints[name].travel is None):
             for body in (name,) if kind == "bodies" else self.mechanism.joints[name].bodies:
                 if body != GROUND and self.mechanism.bodies[body].inertia is None:
                     self.refuse(f"'{body}' is a point mass (it has no inertia), so it has no angle", node)
         return self.get(Quantity(kind, name, attribute))
+
+    def of_element(self, name: str, attribute: str, index: ast.expr, node: ast.expr) -> Code:
+        """Return the program of a quantity of one element of a beam."""
+        if name not in self.known["beams"]:
+            self.unknown(name, self.known["beams"], _ONE["beams"], node)
+        self.checked(attribute, ["beams"], name, node)
+        if attribute not in OF_ELEMENTS:
+            self.refuse(f"'{attribute}' is that of the whole beam; write it without the number of an element", node)
+        count = self.mechanism.beams[name].elements
+        match index:
+            case ast.Constant(value=int() as element) if not isinstance(element, bool) and element < count:
+                pass
+            case ast.UnaryOp(ast.USub(), ast.Constant(value=int() as back)) if 0 < back <= count:
+                element = count - back
+            case _:
+                self.refuse(
+                    f"'{self.segment(index)}' is not an element of the beam '{name}', which has the elements 0 to "
+                    f"{count - 1} (-1 is the last)",
+                    node,
+                )
+        return self.get(Quantity("beams", name, attribute, element))
+
+    def along(self, name: str, attribute: str, node: ast.expr) -> Code:
+        """Return the program of a quantity in all elements of a beam, which an event cannot have."""
+        self.refuse(
+            f"'{attribute}' has a value in each element of the beam '{name}'; name an element, from 0: "
+            f"{self.segment(node)}[0]",
+            node,
+        )
 
     def get(self, quantity: Quantity) -> Code:
         """Return the program that pushes a checked quantity."""

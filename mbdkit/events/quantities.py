@@ -11,7 +11,7 @@ from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.events.event_expression import BODY, BODY_FRAMES, FORCE, MARKER, Quantity
+from mbdkit.events.event_expression import BEAM, BODY, BODY_FRAMES, FORCE, MARKER, Quantity
 
 _REACTION = ("force_x", "force_y", "torque")
 _STATE = frozenset(BODY[:6])
@@ -98,6 +98,12 @@ class QuantityEvaluator:
         if quantity.kind == "markers":
             marker, column = [marker for marker, _ in mechanism.markers].index(name), MARKER.index(attribute)
             return lambda states: states.dynamics.markers[:, marker, column]
+        if quantity.kind == "beams":
+            elements, value = mechanism.beam_elements(name), BEAM.index(attribute)
+            if quantity.element is None:
+                return lambda states: np.sum(states.dynamics.beams[:, elements, value], axis=1)
+            element = elements.start + quantity.element
+            return lambda states: states.dynamics.beams[:, element, value]
         joint = self._joint[name]
         if self._is_in_state(quantity):
             first, second = (3 * self._body[body] + 2 for body in mechanism.joint_bodies[joint])

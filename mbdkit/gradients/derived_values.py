@@ -83,6 +83,12 @@ def _norm(x: Value) -> Value:
     return Value(value, (x.value[0] * x.slope[:, 0] + x.value[1] * x.slope[:, 1]) / scale)
 
 
+def _extreme(place: np.ndarray, x: Value) -> Value:
+    """Return, of values (E, T), that of the element `place` (T,) in each column."""
+    columns = np.arange(x.value.shape[-1])
+    return Value(x.value[place, columns], x.slope[:, place, columns])
+
+
 _SLOPES: Mapping[str, tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]] = {
     "neg": (np.negative, lambda x: np.full(x.shape, -1.0)),
     "sin": (np.sin, np.cos),
@@ -104,6 +110,9 @@ def of_one(operation: str, number: float, x: Value) -> Value:
     """Apply a function of one operand."""
     if operation == "norm":
         return _norm(x)
+    if operation in ("along_max", "along_min"):
+        place = np.argmax(x.value, axis=0) if operation == "along_max" else np.argmin(x.value, axis=0)
+        return _extreme(place, x)
     if operation == "powi":
         slope = np.zeros(x.value.shape) if number == 0.0 else number * x.value ** (number - 1.0)
         return x.chained(x.value**number, slope)

@@ -64,7 +64,7 @@ class States:
 
 
 def quantity_of(states: States, quantity: Quantity) -> Value:
-    """Return a quantity of states with derivatives: (T,), or (2, T) of a vector.
+    """Return a quantity of states with derivatives: (T,), (2, T) of a vector, or (elements, T) along a beam.
 
     Raises
     ------
@@ -72,13 +72,13 @@ def quantity_of(states: States, quantity: Quantity) -> Value:
         If it has no derivative.
     """
     require_derivative(quantity)
-    column, component, is_vector = component_of(quantity)
+    column, component, has_components = component_of(quantity)
     found = _columns(states, quantity)
     if column not in found:
         raise _refused(quantity, ", because redundant joints share their reactions")
     x = found[column]()
-    if is_vector:
-        return Value.joined(np.moveaxis(x[:, :2], 1, 0))
+    if has_components:
+        return Value.joined(np.moveaxis(x, 1, 0))
     return Value.joined(x if component is None else x[:, component])
 
 
@@ -120,6 +120,14 @@ def _columns(states: States, quantity: Quantity) -> Mapping[str, Callable[[], np
         return {
             "position": lambda: observed.markers[:, k, :2],
             "velocity": lambda: observed.markers[:, k, 2:],
+        }
+    if quantity.kind == "beams":
+        beams = observed.beams[:, mechanism.beam_elements(quantity.name)]
+        return {
+            "axial": lambda: beams[:, :, 0],
+            "shear": lambda: beams[:, :, 1],
+            "moment": lambda: beams[:, :, 2],
+            "strain_energy": lambda: np.asarray(beams[:, :, 3].sum(axis=1)),
         }
     if quantity.kind == "actuators":
         own = states.actuators[quantity.name]

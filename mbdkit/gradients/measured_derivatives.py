@@ -10,7 +10,7 @@ from mbdkit.events.event_expression import Quantity
 from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
 from mbdkit.gradients.differentiated_run import DifferentiatedRun
 from mbdkit.gradients.differentiated_states import quantity_of
-from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.measure_expression import ALONG, MeasureExpression
 from mbdkit.measures.reductions import OF_INTEGRAL, REDUCE
 
 UNIQUE = 1e-9
@@ -111,6 +111,8 @@ class MeasureOfRun:
             stack.append(_Operand(of_two(operation, left.rows, right.rows), inner))
         else:
             given = stack.pop()
+            if operation in ALONG.values():
+                self._note_equal_elements(operation, given.rows, expression)
             inner = None if given.nodes is None else of_one(operation, number, given.nodes)
             stack.append(_Operand(of_one(operation, number, given.rows), inner))
 
@@ -171,6 +173,19 @@ class MeasureOfRun:
         duration = self.run.rows.time[-1] - self.run.rows.time[0]
         mean = of_two("div", total, Value(np.array([duration]), self.run.end[:, None]))
         return of_one("sqrt", 0.0, mean) if square else mean
+
+    def _note_equal_elements(self, operation: str, rows: Value, expression: MeasureExpression) -> None:
+        """Note if elements with different derivatives share the extreme value along a beam, over time or in the end."""
+        values = rows.value if operation == "along_max" else -rows.value
+        for row in {int(np.argmax(np.max(values, axis=0))), values.shape[1] - 1}:
+            near = np.flatnonzero(values[:, row] >= np.max(values[:, row]) - UNIQUE * np.max(np.abs(values)))
+            slopes = rows.slope[:, near, row]
+            if not np.allclose(slopes, slopes[:, :1], rtol=1e-6, atol=0.0):
+                self.doubts.append(
+                    f"the elements {near[0]} and {near[-1]} share the extreme value along the beam in "
+                    f"'{expression.text}' at t = {self.run.rows.time[row]:.6g} s, so that it has no derivative; name "
+                    "an element, as in beams.NAME.moment[0]"
+                )
 
     def _extremum(self, name: str, rows: Value, expression: MeasureExpression) -> Value:
         """Return the largest or smallest value; note where that is not unique."""

@@ -4,14 +4,16 @@ They are expressions of events with these additions. Bodies, joints and markers 
 norm; ``max``, ``min``, ``mean``, ``rms``, ``final`` and ``integral`` of a quantity reduce its values over time to one
 number, and ``at(QUANTITY, TIME)`` takes its value at one time; ``events.NAME.time`` is the time of the first crossing
 of an event, ``.last_time`` that of the last, ``.count`` their number. With several arguments, ``max`` and ``min``
-compare these at each time. Units are checked.
+compare these at each time. Internal forces of beams have a value in each element: ``beams.NAME.moment[0]`` is that of
+one element, ``along_max`` and ``along_min`` the extreme value along the beam at each time, and ``max`` and ``min`` the
+extreme value along the beam over time. Units are checked.
 """
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, ClassVar
 
@@ -20,7 +22,7 @@ import numpy as np
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.errors import SpecError
 from mbdkit.events.event_expression import Code, Quantity, RunCompiler
-from mbdkit.measures.measured_quantities import ATTRIBUTES, is_over_time, is_vector, recorded, unit_of
+from mbdkit.measures.measured_quantities import ATTRIBUTES, beam_along, is_over_time, is_vector, recorded, unit_of
 from mbdkit.measures.reductions import (
     OF_INTEGRAL,
     REDUCE,
@@ -47,6 +49,8 @@ _SECOND = read_unit("s")
 
 _OF_HISTORY = ("work", "dissipated", "balance")
 """Energies that are integrals over time themselves, and so are known in the recorded states only."""
+ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
+"""Functions of a quantity along a beam that return its largest or smallest value at each time."""
 _OF_VECTORS = ("mean", "final", "integral", "at")
 """Reductions that apply to each component of a vector."""
 
@@ -65,12 +69,15 @@ class _Value:
         Whether it changes over time.
     is_vector
         Whether it has two components.
+    along
+        Name of the beam in whose elements it has a value each; empty otherwise.
     """
 
     unit: Unit | None
     is_number: bool = False
     is_series: bool = False
     is_vector: bool = False
+    along: str = ""
 
 
 _NUMBER = _Value(_PLAIN, is_number=True)
@@ -210,6 +217,10 @@ class SeriesExpression(MeasureExpression):
 
 _VECTORS_OF = {"neg": ([True],), "mul": ([True, False], [False, True]), "div": ([True, False],)}
 """Which operands of an operation may be vectors."""
+_HAS_ELEMENTS = (
+    "has a value in each element of a beam; name an element, as in beams.NAME.moment[0], or use along_max or along_min "
+    "of it"
+)
 _SYMBOLS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "pow": "**"}
 
 
@@ -219,7 +230,7 @@ class _MeasureCompiler(RunCompiler):
     attributes: ClassVar[Mapping[str, Sequence[str]]] = ATTRIBUTES
     wanted = (
         "an expression of a run, which has numbers, t, pi, bodies.NAME.angle, joints.NAME.force, forces.NAME.value, "
-        "markers.NAME.position, events.NAME.time, energy.total"
+        "markers.NAME.position, beams.NAME.moment, events.NAME.time, energy.total"
     )
 
     def __init__(self, text: str, spec: ModelSpec, parameters: Mapping[str, float] | None = None):
@@ -261,6 +272,8 @@ class _MeasureCompiler(RunCompiler):
             self.refuse("the expression has functions that reduce values over time; write it without them", tree)
         if value.is_vector:
             self.refuse("the expression is a vector, which has no quantiles; use abs of it, its norm", tree)
+        if value.along:
+            self.refuse(f"the expression {_HAS_ELEMENTS}", tree)
         if not value.is_series:
             self.refuse("the expression does not change over time", tree)
         return tuple(program), value
@@ -276,7 +289,7 @@ class _MeasureCompiler(RunCompiler):
 
     def operand(self, node: ast.expr) -> Code:
         """Return the program of a quantity."""
-        if isinstance(node, ast.Name) and (node.id in REDUCTIONS or node.id == "at"):
+        if isinstance(node, ast.Name) and (node.id in REDUCTIONS or node.id in ALONG.values() or node.id == "at"):
             self.refuse(f"'{node.id}' is a function and needs its argument in parentheses", node)
         return super().operand(node)
 
@@ -297,8 +310,13 @@ class _MeasureCompiler(RunCompiler):
             unit_of(quantity, self.spec),
             is_series=is_over_time(quantity),
             is_vector=is_vector(quantity),
+            along=beam_along(quantity),
         )
         return _Code(super().get(quantity), value)
+
+    def along(self, name: str, attribute: str, node: ast.expr) -> Code:
+        """Return the program of a quantity in all elements of a beam."""
+        return self.get(Quantity("beams", name, attribute))
 
     def call(self, node: ast.Call, nesting: int) -> Code:
         """Compile a function call."""
@@ -308,11 +326,25 @@ class _MeasureCompiler(RunCompiler):
         if name in REDUCTIONS and (len(node.args) == 1 or name not in FUNCTIONS):
             if node.keywords or len(node.args) != 1:
                 self.refuse(f"'{name}' takes 1 argument", node)
-            return self.reduced(name, self.compile(node.args[0], nesting + 1), node)
+            program = self.compile(node.args[0], nesting + 1)
+            if _known(program).along and name in ALONG:
+                program = self.extreme(ALONG[name], program, node)
+            return self.reduced(name, program, node)
+        if name in ALONG.values():
+            if node.keywords or len(node.args) != 1:
+                self.refuse(f"'{name}' takes 1 argument", node)
+            return self.extreme(name, self.compile(node.args[0], nesting + 1), node)
         if name and name not in FUNCTIONS:
-            known = [*FUNCTIONS, *REDUCTIONS, "at"]
+            known = [*FUNCTIONS, *REDUCTIONS, *ALONG.values(), "at"]
             self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, known)}", node)
         return super().call(node, nesting)
+
+    def extreme(self, operation: str, program: Code, node: ast.Call) -> _Code:
+        """Return a program that takes the largest or smallest value along a beam."""
+        value = _known(program)
+        if not value.along:
+            self.refuse(f"'{operation}' needs a quantity along a beam, such as beams.NAME.moment", node)
+        return _Code([*program, (operation, 0.0)], replace(value, along=""))
 
     def at(self, node: ast.Call, nesting: int) -> Code:
         """Compile ``at(quantity, time)``."""
@@ -338,6 +370,8 @@ class _MeasureCompiler(RunCompiler):
             self.refuse(f"'{self.segment(node.args[0])}' does not change over time, so it has no '{name}'", node)
         if value.is_vector and name not in _OF_VECTORS:
             self.refuse(f"'{self.segment(node.args[0])}' is a vector, which has no '{name}'; use abs of it", node)
+        if value.along:
+            self.refuse(f"'{self.segment(node.args[0])}' {_HAS_ELEMENTS}", node)
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
@@ -369,8 +403,18 @@ class _MeasureCompiler(RunCompiler):
             is_number=all(one.is_number for one in values),
             is_series=any(one.is_series for one in values),
             is_vector=self.makes_vector(operation, values, node),
+            along=self.beam_of(values, node),
         )
         return _Code(super().apply(operation, operands, node), value)
+
+    def beam_of(self, values: Sequence[_Value], node: ast.expr) -> str:
+        """Return the beam along which the result has values, if any; raise SpecError where operands do not match."""
+        beams = sorted({one.along for one in values if one.along})
+        if len(beams) > 1:
+            self.refuse(f"'{self.segment(node)}' combines the elements of two beams, {listed(beams, 'and')}", node)
+        if beams and any(one.is_vector for one in values):
+            self.refuse(f"'{self.segment(node)}' combines a vector with the elements of the beam '{beams[0]}'", node)
+        return beams[0] if beams else ""
 
     def makes_vector(self, operation: str, values: Sequence[_Value], node: ast.expr) -> bool:
         """Return whether the result is a vector; raise SpecError where vectors cannot be used."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.layout import MULTIPLIER_UNITS, RATE_UNITS
-from mbdkit.events.event_expression import Quantity
+from mbdkit.events.event_expression import OF_ELEMENTS, Quantity
 from mbdkit.mechanism.forces import PointForce, Torque
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.units import Unit, read_unit
@@ -71,6 +71,12 @@ _COLUMNS: Mapping[str, Mapping[str, _Recorded]] = {
         **_vector("position", "position", "m", "x", "y"),
         **_vector("velocity", "velocity", "m/s", "vx", "vy"),
     },
+    "beams": {
+        "axial": _Recorded("axial", "N"),
+        "shear": _Recorded("shear", "N"),
+        "moment": _Recorded("moment", "N m"),
+        "strain_energy": _Recorded("strain_energy", "J"),
+    },
     "actuators": {"value": _Recorded("value", ""), "power": _Recorded("power", "W")},
     "energy": {
         name: _Recorded(name, "J") for name in ("kinetic", "potential", "total", "dissipated", "work", "balance")
@@ -101,9 +107,20 @@ def is_vector(quantity: Quantity) -> bool:
     return is_over_time(quantity) and _COLUMNS[quantity.kind][quantity.attribute].is_vector
 
 
+def beam_along(quantity: Quantity) -> str:
+    """Return the name of the beam along which a quantity has a value in each element; empty for other quantities."""
+    is_along = quantity.kind == "beams" and quantity.attribute in OF_ELEMENTS and quantity.element is None
+    return quantity.name if is_along else ""
+
+
 def component_of(quantity: Quantity) -> tuple[str, int | None, bool]:
-    """Return the column of a quantity in its history, its component, and whether it is a vector; not of events."""
+    """Return the column of a quantity in its history, its component or element, and whether it has all of these.
+
+    Not of events.
+    """
     found = _COLUMNS[quantity.kind][quantity.attribute]
+    if quantity.kind == "beams":
+        return found.column, quantity.element, bool(beam_along(quantity))
     return found.column, found.component, found.is_vector
 
 
@@ -127,7 +144,9 @@ def _unit_of_element(quantity: Quantity, spec: ModelSpec) -> str:
 
 
 def recorded(quantity: Quantity, run: Run) -> np.ndarray:
-    """Return the values of a quantity in T recorded rows: (T,), or (2, T) of a vector; (1,) of a quantity of an event.
+    """Return the values of a quantity in T recorded rows, (T,).
+
+    Those of a vector are (2, T), those along a beam (elements, T), and that of an event is (1,).
 
     Raises
     ------
@@ -137,9 +156,9 @@ def recorded(quantity: Quantity, run: Run) -> np.ndarray:
     if quantity.kind == "events":
         times = np.asarray(run.events.of_name(quantity.name).time)
         return np.array([_EVENTS[quantity.attribute][1](times)])
-    column = _COLUMNS[quantity.kind][quantity.attribute]
+    column, component, has_components = component_of(quantity)
     holder: Any = getattr(run, quantity.kind)
-    values = np.asarray(getattr(holder[quantity.name] if quantity.name else holder, column.column))
-    if column.is_vector:
+    values = np.asarray(getattr(holder[quantity.name] if quantity.name else holder, column))
+    if has_components:
         return values.T
-    return values if column.component is None else values[:, column.component]
+    return values if component is None else values[:, component]

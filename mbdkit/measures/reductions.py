@@ -25,7 +25,7 @@ class Series:
     time
         (T,) times [s].
     of
-        Returns the values of a quantity, (T,), or (2, T) of a vector.
+        Returns the values of a quantity: (T,), (2, T) of a vector, or (elements, T) along a beam.
     """
 
     time: np.ndarray
@@ -120,7 +120,7 @@ def execute(
 ) -> None:
     """Apply an instruction that does not reduce over time to the stack.
 
-    Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1).
+    Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1), and those along a beam (elements, T).
     """
     if operation == "const":
         stack.append(np.array([number]))
@@ -168,4 +168,6 @@ _UNARY: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
     "sqrt": np.sqrt,
     "abs": np.abs,
     "tanh": np.tanh,
+    "along_max": lambda values: np.max(values, axis=0),
+    "along_min": lambda values: np.min(values, axis=0),
 }

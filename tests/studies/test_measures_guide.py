@@ -10,6 +10,8 @@ import pytest
 
 import mbdkit
 from mbdkit.measures.measured_quantities import ATTRIBUTES
+from mbdkit.measures.take import describe
+from mbdkit.spec import load_spec
 from mbdkit.spec.reading import read_text
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.studies.study_plan import plan_study
@@ -19,10 +21,22 @@ BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", GUIDE, flags=re.MULTILINE | re.DOTA
 
 
 def test_the_study_is_valid_and_has_the_units_that_it_says() -> None:
-    (text,) = (text for language, text in BLOCKS if language == "yaml")
+    text, _ = (text for language, text in BLOCKS if language == "yaml")
     plan = plan_study(load_study_spec(read_text(text, "guide").data))
     units = {name: column.units for name, column in plan.defined.items()}
     assert units == {"peak_B": "N", "mean_B": "kN", "bend": "deg", "spring_work": "J"}
+
+
+def test_the_measures_of_beams_are_valid() -> None:
+    _, text = (text for language, text in BLOCKS if language == "yaml")
+    spec = load_spec("leaf-spring", measures=read_text(text, "guide").data["measures"])
+    units = {one.name: describe(one, spec).units for one in spec.defined_measures()}
+    assert units == {
+        "largest_moment": "N m",
+        "largest_stress": "MPa",
+        "moment_at_the_end": "N m",
+        "moment_near_a": "N m",
+    }
 
 
 def test_the_python_blocks_run(capsys: pytest.CaptureFixture[str]) -> None:
