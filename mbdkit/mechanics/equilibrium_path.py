@@ -13,8 +13,9 @@ from scipy.sparse.linalg import splu
 
 from mbdkit.errors import StepError
 from mbdkit.mechanics.equilibrium import joint_reactions, rest
-from mbdkit.mechanics.reduced import State, least_stiffness, softest_motion
+from mbdkit.mechanics.reduced import State, least_stiffness
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanics.static_stability import distance_to_singular, singular_motion, unstable_motions
 from mbdkit.spec.run_source import RunSource, Sections
 
 Kind = Literal["limit point", "bifurcation"]
@@ -40,10 +41,13 @@ LOAD_STEP = 1e-5
 LOCATED = 1e-12
 """Tolerance of the place of a critical point on the path, relative to a step along it."""
 
+APART = 1e-6
+"""Distance of critical points, relative to a step along the path, below which they count as one."""
+
 
 @dataclass(frozen=True)
 class CriticalPoint:
-    """A point of a path where the equilibrium loses or regains its stability.
+    """A point of a path where the equilibrium loses or regains its stability along a motion.
 
     Attributes
     ----------
@@ -81,8 +85,11 @@ class EquilibriumPath:
     stiffness : (K,) array
         Lowest eigenvalue of the stiffness along the degrees of freedom, for unit mass [1/s^2]; negative where the
         equilibrium is unstable.
+    unstable : (K,) int array
+        Number of independent motions along which each equilibrium is unstable; for mechanisms of more than 500 bodies,
+        1 if there are any.
     critical
-        Where the stability changes.
+        Where this number changes.
     """
 
     time: np.ndarray
@@ -92,6 +99,7 @@ class EquilibriumPath:
     reaction_force: np.ndarray
     reaction_torque: np.ndarray
     stiffness: np.ndarray
+    unstable: np.ndarray
     critical: tuple[CriticalPoint, ...]
 
     def __getitem__(self, body: str) -> np.ndarray:
@@ -148,13 +156,13 @@ def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> Equilib
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the path: time, position and multipliers, the tangent there and the lowest stiffness."""
+    """A point of the path: time, position, multipliers, the tangent, and the number of unstable motions."""
 
     t: float
     q: np.ndarray
     lam: np.ndarray
     tangent: np.ndarray
-    stiffness: float
+    unstable: int
 
 
 class _Follower:
@@ -246,9 +254,7 @@ class _Follower:
         tangent = self._solved(y, forward, across)
         tangent = tangent / self._product(tangent, tangent) ** 0.5
         q, lam, t = self._parts(y)
-        at = State(t, q, self.none, self.none, lam)
-        stiffness = least_stiffness(self.prepared, at) if self.prepared.freedoms else np.nan
-        return _Point(t, q, lam, tangent, stiffness)
+        return _Point(t, q, lam, tangent, unstable_motions(self.prepared, State(t, q, self.none, self.none, lam)))
 
     # ---- equations -------------------------------------------------------------------------------------------------
 
@@ -285,27 +291,63 @@ class _Follower:
     # ---- critical points -------------------------------------------------------------------------------------------
 
     def _critical(self, here: _Point, there: _Point, step: float) -> list[CriticalPoint]:
-        """Return the critical point between two points, if there is one."""
-        if here.tangent[-1] * there.tangent[-1] < 0:
-            return [self._located("limit point", here, step, lambda point: float(point.tangent[-1]))]
-        if here.stiffness * there.stiffness < 0:
-            return [self._located("bifurcation", here, step, lambda point: point.stiffness)]
-        return []
+        """Return the critical points between two points, in the order of the path."""
+        if here.tangent[-1] * there.tangent[-1] >= 0:
+            return self._bifurcations(here, 0.0, step)
+        turn = self._root(here, 0.0, step, lambda point: float(point.tangent[-1]))
+        found, _ = self._at(here, turn)
+        limit = self._described("limit point", found, found.tangent[: self.p.n])
+        before, after = (min(max(turn + side * APART * step, 0.0), step) for side in (-1, 1))
+        return [*self._bifurcations(here, 0.0, before), limit, *self._bifurcations(here, after, step)]
 
-    def _located(self, kind: Kind, here: _Point, step: float, value: Callable[[_Point], float]) -> CriticalPoint:
-        """Return the critical point at which a function of the points of the path is zero."""
+    def _bifurcations(self, here: _Point, low: float, high: float) -> list[CriticalPoint]:
+        """Return the bifurcations between two distances from a point, found by halving until each is alone."""
+        first, last = (self._at(here, part)[0] if part else here for part in (low, high))
+        change = abs(last.unstable - first.unstable)
+        if not change:
+            return []
+        middle = 0.5 * (low + high)
+        if change > 1 and high - low > APART * LONGEST:
+            return [*self._bifurcations(here, low, middle), *self._bifurcations(here, middle, high)]
+        border = singular_motion(self.prepared, self._state_of(last))
+        try:
+            place = self._root(
+                here, low, high, lambda point: distance_to_singular(self.prepared, self._state_of(point), border)
+            )
+        except ValueError:  # two at the same place, or far from where the border belongs to
+            if high - low <= APART * LONGEST:
+                place = middle
+            else:
+                return [*self._bifurcations(here, low, middle), *self._bifurcations(here, middle, high)]
+        found, _ = self._at(here, place)
+        return [self._described("bifurcation", found, singular_motion(self.prepared, self._state_of(found)))]
+
+    def _root(self, here: _Point, low: float, high: float, value: Callable[[_Point], float]) -> float:
+        """Return the distance from a point at which a function of the points of the path is zero.
+
+        Raises
+        ------
+        ValueError
+            If it has the same sign at both distances.
+        """
 
         def at(part: float) -> float:
             return value(here if part == 0 else self._at(here, part)[0])
 
-        found, _ = self._at(here, brentq(at, 0.0, step, xtol=LOCATED * step))
-        if kind == "limit point":
-            way = found.tangent[: self.p.n]
-        else:
-            _, way = softest_motion(self.prepared, State(found.t, found.q, self.none, self.none, found.lam))
-        parts = way.reshape(-1, 3)[:, :2]
+        return float(brentq(at, low, high, xtol=LOCATED * (high - low)))
+
+    def _described(self, kind: Kind, found: _Point, way: np.ndarray) -> CriticalPoint:
+        """Return a critical point where the mechanism leaves the path along `way` (n or more,)."""
+        parts = way[: self.p.n].reshape(-1, 3)[:, :2]
         most = int(np.argmax(np.einsum("bx,bx->b", parts, parts)))
         return CriticalPoint(kind, found.t, found.q.reshape(-1, 3), self.p.bodies[most])
+
+    def _state_of(self, point: _Point) -> State:
+        return State(point.t, point.q, self.none, self.none, point.lam)
+
+    def _stiffness(self, point: _Point) -> float:
+        """Return the lowest stiffness at a point; nan without degrees of freedom."""
+        return least_stiffness(self.prepared, self._state_of(point)) if self.prepared.freedoms else np.nan
 
     def _result(self, points: list[_Point], critical: list[CriticalPoint]) -> EquilibriumPath:
         p = self.p
@@ -317,7 +359,8 @@ class _Follower:
             position=np.array([x.q.reshape(-1, 3) for x in points]),
             reaction_force=np.array([force for force, _ in reactions]),
             reaction_torque=np.array([torque for _, torque in reactions]),
-            stiffness=np.array([x.stiffness for x in points]),
+            stiffness=np.array([self._stiffness(x) for x in points]),
+            unstable=np.array([x.unstable for x in points]),
             critical=tuple(critical),
         )
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import PPoly, make_interp_spline
+from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
 from scipy.optimize import brentq
-from scipy.special import ellipk
+from scipy.special import ellipj, ellipk
 
 import mbdkit
 
@@ -19,12 +19,13 @@ EQUAL = 1e3
 the column along itself only, whatever the angle of a cross-section, and the moment depends on the angles alone."""
 
 
-def column(elements: int = 16, **more: Any) -> mbdkit.Mechanism:
-    """Return a column of unit length and bending stiffness along the x axis, clamped at the origin."""
+def column(elements: int = 16, *, is_clamped: bool = True, **more: Any) -> mbdkit.Mechanism:
+    """Return a column of unit length and bending stiffness along the x axis, clamped at the origin by default."""
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
     stiffness = {"axial": EQUAL, "shear": EQUAL, "bending": 1.0}
     m.beam("column", a=(0, 0), b=(1, 0), elements=elements, nodes=3, stiffness=stiffness, mass_per_length=1.0, **more)
-    m.weld("foot", m.ground, "column.0", at=(0, 0))
+    if is_clamped:
+        m.weld("foot", m.ground, "column.0", at=(0, 0))
     return m
 
 
@@ -44,23 +45,97 @@ def test_a_column_buckles_at_eulers_load() -> None:
     assert path.stiffness[0] > 0 > path.stiffness[-1]
 
 
-@pytest.mark.parametrize("angle", [60.0, 120.0])
-def test_a_buckled_column_carries_the_load_of_the_elastica(angle: float) -> None:
-    # expected: P L^2 / EI = K(sin(angle/2))^2 where the top is turned by `angle` (Euler 1744); the load is found at
-    # which no torque is needed to hold that angle
-    turn = np.radians(angle)
+def _tangent(share: float) -> list[float]:
+    """Return the lowest loads P with tan(x) = x (1 - P/EQUAL) where x = share sqrt(P), in (k pi, (k + 1/2) pi)."""
+    found = []
+    for k in (1, 2, 3):
+        root = brentq(
+            lambda x: np.sin(x) - x * (1 - (x / share) ** 2 / EQUAL) * np.cos(x), k * np.pi, (k + 0.5) * np.pi
+        )
+        found.append((root / share) ** 2)
+    return found
+
+
+PINNED = [(k * np.pi) ** 2 for k in (1, 2, 3)]
+BUCKLING = {
+    "free": [((2 * k - 1) * np.pi / 2) ** 2 for k in (1, 2, 3)],
+    "pinned": PINNED,
+    # the force across the column shears and stretches it: y(L) = integral of theta + F / EQUAL = 0
+    "clamped and pinned": _tangent(1.0),
+    "clamped": [4 * PINNED[0], _tangent(0.5)[0], 4 * PINNED[1]],
+}
+"""Euler's first three loads in EI / L^2, by the ends of the column."""
+
+
+def loaded(ends: str, elements: int, load: float) -> mbdkit.Mechanism:
+    """Return a column whose axial load grows to `load`."""
+    m = column(elements, is_clamped=ends != "pinned")
+    if ends == "pinned":
+        m.revolute("foot", m.ground, "column.0", at=(0, 0))
+    if ends in ("pinned", "clamped and pinned"):
+        m.point_on_line("guide", m.ground, top(m), at=(1, 0), axis=(1, 0))
+    if ends == "clamped":
+        m.prismatic("guide", m.ground, top(m), at=(1, 0), axis=(1, 0))
+    m.force("load", top(m), value=(f"-{load}*t", 0.0))
+    return m
+
+
+@pytest.mark.parametrize("ends", BUCKLING)
+def test_the_first_three_bifurcations_are_eulers_loads(ends: str) -> None:
+    found, load = [], 1.1 * BUCKLING[ends][-1]
+    for elements in (16, 32):
+        path = mbdkit.equilibrium_path(loaded(ends, elements, load))
+        assert [point.kind for point in path.critical] == ["bifurcation"] * 3
+        np.testing.assert_array_equal(np.unique(path.unstable), [0, 1, 2, 3])
+        found.append([load * point.time for point in path.critical])
+    coarse, fine = np.array(found)
+    np.testing.assert_allclose(fine, BUCKLING[ends], rtol=1e-4)
+    np.testing.assert_allclose(fine + (fine - coarse) / 15, BUCKLING[ends], rtol=3e-6)  # errors have order 4
+
+
+@pytest.mark.parametrize(("share", "count"), [(1.0, 1), (1.001, 2)])
+def test_columns_that_buckle_together_are_found_one_by_one(share: float, count: int) -> None:
+    # two columns side by side, one of them stiffer by `share`; both lie within one step along the path
+    m = column(8)
+    stiffness = {"axial": EQUAL * share, "shear": EQUAL * share, "bending": share}
+    other = m.beam("other", a=(0, 1), b=(1, 1), elements=8, nodes=3, stiffness=stiffness, mass_per_length=1.0)
+    m.weld("base", m.ground, other[0], at=(0, 1))
+    for name, node in (("load", top(m)), ("more", other[-1])):
+        m.force(name, node, value=("-5*t", 0.0))
+    path = mbdkit.equilibrium_path(m)
+    assert path.unstable[-1] == 2
+    np.testing.assert_allclose(
+        [5 * one.time for one in path.critical], np.pi**2 / 4 * np.array([1, share][:count]), rtol=2e-5
+    )
+    assert [one.body.partition(".")[0] for one in path.critical][:count] in (["column", "other"], ["column"], ["other"])
+
+
+@pytest.mark.parametrize(("mode", "angle"), [(1, 60.0), (1, 120.0), (2, 60.0), (3, 40.0)])
+def test_a_buckled_column_carries_the_load_of_the_elastica(mode: int, angle: float) -> None:
+    # expected: P L^2 / EI = ((2 n - 1) K(sin(angle/2)))^2 where the top is turned by `angle` (Euler 1744), on the
+    # branch of the n-th of Euler's loads; the load is found at which no torque is needed to hold that angle
+    turn, quarters = np.radians(angle), 2 * mode - 1
+    square = np.sin(turn / 2) ** 2
+    exact = (quarters * ellipk(square)) ** 2
+    elements = 16 * quarters
+    lengths = np.linspace(0, 1, 2 * elements + 1)
+    sn = ellipj((lengths - 1) * np.sqrt(exact) + ellipk(square), square)[0]  # theta''  = -P sin(theta), theta'(L) = 0
+    theta = 2 * np.arcsin(np.sin(turn / 2) * sn)
+    cosine, sine = CubicSpline(lengths, np.cos(theta)), CubicSpline(lengths, np.sin(theta))
+    start = [
+        (cosine.integrate(0, s) - exact * s / EQUAL, sine.integrate(0, s), angle)
+        for s, angle in zip(lengths, theta, strict=True)
+    ]
 
     def torque(load: float) -> float:
-        at = np.linspace(0, turn, 33)[1:]
-        arc = np.column_stack([np.sin(at), 1 - np.cos(at), turn * at]) / turn
-        m = column(start=[(0, 0, 0), *arc.tolist()])
-        m.driver("turn", m.ground, top(m), coordinate="angle", motion=turn)
+        m = column(elements, start=[(0.0, 0.0, 0.0), *start[1:]])
+        for node in range(2 * elements, 0, -64):  # inflections, the top first; the branches n > 1 are unstable else
+            m.driver(f"turn {node}", m.ground, f"column.{node}", coordinate="angle", motion=float(theta[node]))
         m.force("load", top(m), value=(-load, 0.0))
         found = mbdkit.equilibrium(m)
-        return float(found.reaction_torque[found.joints.index("turn")])
+        return float(found.reaction_torque[found.joints.index(f"turn {2 * elements}")])
 
-    exact = ellipk(np.sin(turn / 2) ** 2) ** 2
-    assert brentq(torque, 0.98 * exact, 1.02 * exact, xtol=1e-8) == pytest.approx(exact, rel=1e-6)
+    assert brentq(torque, 0.999 * exact, 1.001 * exact, xtol=1e-8) == pytest.approx(exact, rel=1e-6)
 
 
 ARCH = Arch(span=2.0, rise=0.06, axial=1e6, shear=4e5, bending=50.0)
