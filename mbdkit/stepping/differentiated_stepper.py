@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.jit.law_compiler import law_for_duals
 from mbdkit.engine.kernels.dual_system import new_dual_solver
-from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.workspace import Workspace
 from mbdkit.errors import MbdkitError, StepError
 from mbdkit.stepping.collocation import CompiledCollocation
@@ -26,6 +26,9 @@ from mbdkit.stepping.run_state import PROJECTIONS
 
 if TYPE_CHECKING:
     from mbdkit.stepping.step_control import Control
+
+_CAUSES = {DIVERGED: "the iteration for them does not converge", NOT_FINITE: "a number overflows"}
+"""Why the derivatives of a step are unknown, by the status of the kernel."""
 
 ANY_ERROR = 1e30
 """Factor of the tolerances of the local error with which every step is accepted."""
@@ -122,9 +125,10 @@ class DifferentiatedSteps:
                 self._pinned.address, run_state, self._stages.address, self.method.pinned.address, t, h, row
             )
         if status != OK:
+            why = _CAUSES.get(status, "the system of its equations is singular")
             raise StepError(
                 "newton-failed",
-                f"the derivatives of the step from t = {t:.6g} s by parameters cannot be computed (status {status}); "
+                f"the derivatives of the step from t = {t:.6g} s by parameters cannot be computed: {why}; "
                 "a smaller time.step may help",
             )
 
