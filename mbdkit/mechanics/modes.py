@@ -20,6 +20,9 @@ Where = Literal["equilibrium", "start"]
 NOISE = 64 * float(np.finfo(float).eps)
 """Rounding error of an eigenvalue per degree of freedom, relative to the largest eigenvalue."""
 
+SPREAD = 1e6
+"""Ratio of the largest to the smallest eigenvalue above which the smaller ones come from the inverse."""
+
 FEW = 10
 """Default number of modes for a mechanism that is too large for a dense eigenvalue problem."""
 
@@ -267,37 +270,86 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
     zero of an undamped motion without restoring force.
 
     Without damping and with a symmetric stiffness, the symmetric problem of size f is solved; its eigenvalues are real,
-    so that no rounding error appears as damping or growth. Otherwise the first-order form of size 2 f is solved. There,
-    rounding errors would split a double zero into two small non-zero values, so zeros are counted from the null space
-    of the stiffness and the same number of smallest eigenvalues is discarded.
+    so that no rounding error appears as damping or growth. Otherwise the first-order form of size 2 f is solved, in the
+    basis of the undamped modes if the stiffness is symmetric. There, rounding errors would split a double zero into two
+    small non-zero values, so zeros are counted from the null space of the stiffness and the same number of smallest
+    eigenvalues is discarded.
     """
     f = len(stiffness)
-    size = float(np.linalg.norm(stiffness))
-    if not np.any(damping) and np.linalg.norm(stiffness - stiffness.T) <= 1e-10 * size:
-        symmetric = 0.5 * (stiffness + stiffness.T)
-        squares, vectors = eigh(symmetric)
-        largest = np.max(np.abs(squares), initial=0.0)
-        # Eigenvalues of slender beams are lost in the rounding errors of the largest one, and found again by Rayleigh's
-        # quotient. Its error is that of its terms, and the square of the vectors' error.
-        lost = np.abs(squares) <= NOISE * f * largest
-        squares = np.where(lost, np.sum(vectors * (symmetric @ vectors), axis=0), squares)
-        terms = np.sum(np.abs(vectors) * (np.abs(symmetric) @ np.abs(vectors)), axis=0)
-        squares = np.where(lost & (np.abs(squares) <= NOISE * (terms + NOISE * largest)), 0.0, squares)
+    is_symmetric = np.linalg.norm(stiffness - stiffness.T) <= 1e-10 * float(np.linalg.norm(stiffness))
+    if is_symmetric:
+        squares, basis = _undamped(0.5 * (stiffness + stiffness.T))
+        if np.any(damping):
+            values, vectors = _first_order(np.diag(squares), basis.T @ damping @ basis, np.eye(f)[:, squares == 0])
+            return values, basis @ vectors
         grow = squares < 0
         roots = np.sqrt(np.abs(squares)) * np.where(grow, 1, 1j)
-        return np.concatenate([roots, -roots[grow]]), np.concatenate([vectors, vectors[:, grow]], axis=1).astype(
-            complex
-        )
-    loose = null_space(stiffness, rcond=NOISE * f)
+        return np.concatenate([roots, -roots[grow]]), np.concatenate([basis, basis[:, grow]], axis=1).astype(complex)
+    return _first_order(stiffness, damping, null_space(stiffness, rcond=NOISE * f))
+
+
+def _undamped(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the eigenvalues (f,) and eigenvectors (f, f) of a symmetric stiffness; zero where only round-off is left.
+
+    Eigenvalues of slender beams are lost in the rounding errors of the largest one, and found again by Rayleigh's
+    quotient. Its error is that of its terms, and the square of the vectors' error.
+    """
+    squares, vectors = eigh(stiffness)
+    largest = np.max(np.abs(squares), initial=0.0)
+    lost = np.abs(squares) <= NOISE * len(squares) * largest
+    squares = np.where(lost, np.sum(vectors * (stiffness @ vectors), axis=0), squares)
+    terms = np.sum(np.abs(vectors) * (np.abs(stiffness) @ np.abs(vectors)), axis=0)
+    return np.where(lost & (np.abs(squares) <= NOISE * (terms + NOISE * largest)), 0.0, squares), vectors
+
+
+def _first_order(stiffness: np.ndarray, damping: np.ndarray, loose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what `oscillations` does, from the first-order form.
+
+    Parameters
+    ----------
+    loose
+        Basis (f, k) of the motions without stiffness.
+    """
+    f = len(stiffness)
     dragged = np.linalg.matrix_rank(damping @ loose, tol=NOISE * f * np.linalg.norm(damping)) if loose.size else 0
     zeros = 2 * loose.shape[1] - int(dragged)
     values, vectors = eig(np.block([[np.zeros((f, f)), np.eye(f)], [-stiffness, -damping]]))
+    squares = np.diag(stiffness)
+    if not np.any(stiffness - np.diag(squares)) and np.all(squares >= 0) and np.any(squares):
+        values, vectors = _with_small_ones(squares, damping, values, vectors)
     order = np.argsort(np.abs(values))[zeros:]
     order = order[values[order].imag >= 0]
     return (
         np.concatenate([np.zeros(loose.shape[1]), values[order]]),
         np.concatenate([loose, vectors[:f, order]], axis=1),
     )
+
+
+def _with_small_ones(
+    squares: np.ndarray, damping: np.ndarray, values: np.ndarray, vectors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return eigenvalues and vectors of the first-order form with accurate small ones, for the stiffness ``squares``.
+
+    Rounding errors of eigenvalues are relative to the largest one. In beams with damped material these are so large
+    that the lowest ones are lost. Those of the inverse are relative to the smallest one, so the smaller eigenvalues are
+    taken from there. As in `mbdkit.mechanics.reduced.lowest`, a shift keeps the inverse regular.
+    """
+    f = len(squares)
+    shift = 0.5 * np.sqrt(np.min(squares[squares > 0]))
+    if np.max(np.abs(values)) <= SPREAD * shift:
+        return values, vectors
+    matrix = np.diag(squares + shift**2) + shift * damping  # of the equation for the positions
+    scale = 1 / np.sqrt(np.diag(matrix))
+    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * matrix * scale) * scale
+    by_position = (inverse * squares - np.eye(f)) / shift  # -(damping + shift) / matrix
+    whole = np.block([[by_position, -inverse], [np.eye(f) + shift * by_position, -shift * inverse]])
+    inverted, others = eig(whole)
+    found = shift + 1 / inverted
+    middle = np.sqrt(np.max(np.abs(values)) * shift)
+    small = int(np.sum(np.abs(values) <= middle))
+    large = np.argsort(np.abs(values))[small:]
+    few = np.argsort(np.abs(found))[:small]
+    return np.concatenate([found[few], values[large]]), np.concatenate([others[:, few], vectors[:, large]], axis=1)
 
 
 def _few(prepared: PreparedMechanism, state: State, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import sympy
 from scipy.linalg import eigh
 
 import mbdkit
@@ -213,3 +214,54 @@ def test_a_knee_in_motion_is_linearised_along_its_path() -> None:
     found = mbdkit.linearize(knee, at="start")
     assert found.stiffness[0, 0] == pytest.approx(stiffness, rel=1e-6)
     assert found.damping[0, 0] == pytest.approx(damping, rel=1e-6)
+
+
+def damped_strip(tau: float, *, is_clamped: bool) -> mbdkit.Mechanism:
+    """Return a strip of steel 0.5 mm thick and 0.5 m long, whose mesh has frequencies up to 1e7 rad/s."""
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    width, thickness = 0.03, 5e-4
+    strip = m.beam(
+        "strip", a=(0, 0), b=(0.5, 0), elements=16, nodes=3, E=2.1e11, nu=0.3, A=width * thickness,
+        I=width * thickness**3 / 12, density=7850.0, damping=tau,
+    )  # fmt: skip
+    if is_clamped:
+        m.weld("clamp", m.ground, strip[0], at=(0, 0))
+    return m
+
+
+@pytest.mark.parametrize(("tau", "is_clamped"), [(1e-4, True), (1e-2, True), (1e-4, False)])
+def test_a_damped_strip_has_the_frequencies_and_damping_ratios_of_kelvin_and_voigt(
+    tau: float, is_clamped: bool
+) -> None:
+    # expected: omega = x^2 sqrt(E I / (rho A L^4)) with x of the textbooks for Bernoulli's beam, and
+    # lambda^2 + tau omega^2 lambda + omega^2 = 0, so that the damping ratio is omega tau / 2 below 1
+    x = np.array([1.87510407, 4.69409113, 7.85475744] if is_clamped else [4.73004074, 7.85320462, 10.9956078])
+    omega = x**2 * math.sqrt(2.1e11 * 5e-4**2 / 12 / 7850) / 0.5**2
+    found = mbdkit.modes(damped_strip(tau, is_clamped=is_clamped), at="start")
+    if not is_clamped:
+        np.testing.assert_array_equal(found.eigenvalues[:3], 0.0)
+    values = found.eigenvalues[np.abs(found.eigenvalues) > 0]
+    swinging = values[values.imag > 0]
+    ratios = omega * tau / 2
+    below = ratios < 1
+    expected = omega[below] * (-ratios[below] + 1j * np.sqrt(1 - ratios[below] ** 2))
+    np.testing.assert_allclose(swinging[: len(expected)], expected, rtol=1e-3)  # of 16 elements
+    np.testing.assert_allclose(-2 * swinging.real / np.abs(swinging) ** 2, tau, rtol=1e-5)
+    for one in omega[~below]:
+        slow = -one * (one * tau / 2 - math.sqrt((one * tau / 2) ** 2 - 1))
+        assert np.min(np.abs(values - slow)) < 1e-3 * abs(slow)
+
+
+def test_eigenvalues_of_all_sizes_are_accurate_whatever_the_damping_couples() -> None:
+    # expected: the roots of the characteristic polynomial, with 60 digits
+    squares, ways = [2, 3 * 10**5, 10**15], sympy.Matrix([[1, 2, 5], [3, -4, 2000], [70, 11, -600000]])
+    damping = ways * ways.T / 10**4
+    symbol = sympy.Symbol("x")
+    polynomial = (symbol**2 * sympy.eye(3) + symbol * damping + sympy.diag(*squares)).det()
+    exact = np.array([complex(root) for root in sympy.Poly(polynomial, symbol).nroots(n=60, maxsteps=500)])
+    found, shapes = oscillations(np.diag(np.array(squares, dtype=float)), np.array(damping, dtype=float))
+    for value, shape in zip(found, shapes.T, strict=True):
+        assert np.min(np.abs(exact - value)) <= 1e-9 * abs(value)
+        terms = value**2 * shape, np.array(damping, dtype=float) @ (value * shape), np.array(squares) * shape
+        assert np.linalg.norm(sum(terms)) < 1e-8 * sum(np.linalg.norm(one) for one in terms)
+    assert np.sum(found.imag > 0) + len(found) == 6
