@@ -139,6 +139,11 @@ class Beam(StrictModel):
     def _consistent(self) -> Beam:
         self._check_shape()
         self._check_material()
+        with np.errstate(all="ignore"):
+            if not np.all(np.isfinite(self.places)):
+                raise SpecError("the curve through them turns back sharply; add points between", key="points")
+            if not math.isfinite(self.highest_frequency):
+                raise SpecError("its stiffness is too large, or its mass or length too small, for numbers")
         if self.start is not None and len(self.start) != self.node_count:
             raise SpecError(
                 f"should have x, y and angle of each of the {self.node_count} nodes, not {len(self.start)} rows",
@@ -225,7 +230,8 @@ class Beam(StrictModel):
                 row = np.column_stack(strain).ravel()
                 stiffness += point.weight * length * modulus * np.outer(row, row)
         root = np.sqrt(np.outer(NODE_SHARES[self.nodes], (mass, mass, inertia)).ravel() * length)
-        return float(np.sqrt(np.linalg.eigvalsh(stiffness / np.outer(root, root))[-1]))
+        scaled = stiffness / np.outer(root, root)
+        return float(np.sqrt(np.linalg.eigvalsh(scaled)[-1])) if np.all(np.isfinite(scaled)) else math.inf
 
     # ---- shape ---------------------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.markers import Marker
-from mbdkit.mechanism.mechanism_data import Assembly
+from mbdkit.mechanism.mechanism_data import NO_BODY, Assembly
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.plain_data import found
@@ -64,7 +64,7 @@ def check_names(
 ) -> None:
     """Raise a SpecError if there are neither bodies nor beams, or for the first name that is not valid."""
     if not (bodies or beams):
-        raise SpecError("a mechanism needs at least one body", key="model.bodies")
+        raise SpecError(NO_BODY, key="model.bodies")
     named = {"bodies": bodies, "beams": beams, "joints": joints, "forces": forces, "markers": markers}
     for kind, names in named.items():
         for name in names:
@@ -157,6 +157,10 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         nodes = [other for other in known if other.rpartition(".")[0] == name]
         if nodes:
             raise SpecError(f"'{name}' is a beam; name one of its nodes, '{nodes[0]}' to '{nodes[-1]}'", key=key)
+        beam = name.rpartition(".")[0]
+        nodes = [other for other in known if beam and other.rpartition(".")[0] == beam]
+        if nodes:
+            raise SpecError(f"there is no node '{name}'; the beam '{beam}' has '{nodes[0]}' to '{nodes[-1]}'", key=key)
         hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
         raise SpecError(f"there is no body '{name}'{hint}", key=key)
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
+from mbdkit.errors import SpecError
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import Force
@@ -14,6 +15,8 @@ from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.named_coordinates import AnyNamedCoordinate
 from mbdkit.mechanism.values import Point, Positive, sequence
 from mbdkit.strict_model import StrictModel
+
+NO_BODY = "a mechanism needs at least one body or beam"
 
 
 class Assembly(StrictModel):
@@ -46,3 +49,9 @@ class MechanismData(StrictModel):
     """Names of quantities, such as ``knee_angle: knee.angle`` or ``knee_angle: {of: knee.angle, scale: -1}``."""
     assembly: Assembly = Assembly()
     """Settings for making the initial state consistent."""
+
+    @model_validator(mode="after")
+    def _has_bodies(self) -> MechanismData:
+        if not self.bodies and not self.beams:
+            raise SpecError(NO_BODY, key="bodies")
+        return self

@@ -76,7 +76,10 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
     try:
         validated(strict, chosen)
     except ValidationError as error:
-        raise spec_error(error, strict) from None
+        wrong = spec_error(error, strict)
+        if not given:
+            raise SpecError(f"{item.id} needs options: {wrong}; give them with --set KEY=VALUE") from None
+        raise wrong from None
     return chosen
 
 

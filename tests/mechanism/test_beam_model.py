@@ -126,6 +126,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "a misspelt key": ({**ENDS, **DIRECT, "element": 3}, "element", "did you mean 'elements'"),
     "four nodes": ({**ENDS, **DIRECT, "nodes": 4}, "nodes", "2 or 3"),
     "text for shear": ({**ENDS, "stiffness": {"shear": "soft"}, "mass_per_length": 1.0}, "stiffness.shear", "none"),
+    "a curve folded back": ({"points": [[0, 0], [1, 0], [0, 0]], **DIRECT}, "points", "turns back sharply"),
     "a short start": ({**ENDS, **DIRECT, "elements": 2, "start": [[0, 0, 0]]}, "start", "each of the 3 nodes"),
 }
 
@@ -137,6 +138,20 @@ def test_what_is_wrong_with_a_beam_is_said_where_it_is(name: str) -> None:
         Mechanism.from_spec({"bodies": {}, "beams": {"link": beam}})
     assert caught.value.key == f"model.beams.link.{key}"
     assert words in str(caught.value)
+
+
+def test_a_beam_with_numbers_that_overflow_is_refused() -> None:
+    for extreme in ({"b": [1e-300, 0.0]}, {"stiffness": {"axial": 1e308, "shear": 1e308, "bending": 1e308}}):
+        with pytest.raises(SpecError, match="too large") as caught:
+            Mechanism.from_spec({"beams": {"link": {**ENDS, **DIRECT, **extreme}}})
+        assert caught.value.key == "model.beams.link"
+
+
+def test_a_joint_to_a_node_that_does_not_exist_is_told_the_nodes() -> None:
+    m = Mechanism()
+    m.beam("link", a=(0, 0), b=(1, 0), elements=4, **DIRECT)
+    with pytest.raises(SpecError, match=r"no node 'link\.5'; the beam 'link' has 'link\.0' to 'link\.4'"):
+        m.revolute("pin", m.ground, "link.5", at=(0, 0))
 
 
 def test_a_joint_to_a_whole_beam_is_told_the_names_of_its_nodes() -> None:
