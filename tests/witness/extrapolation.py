@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 
 
-def limit(values: Sequence[np.ndarray], order: int, *, rise: int = 2) -> np.ndarray:
+def limit(values: Sequence[np.ndarray], order: int) -> np.ndarray:
     """Return the limit of values on meshes of 1, 2, 4, ... times as many elements.
 
-    Their errors are a series of powers of the length of an element: `order`, order + `rise`, order + 2 `rise`, ...
+    Their errors are a series of powers of the length of an element: `order`, order + 2, order + 4, ...
     """
     while len(values) > 1:
         values = [fine + (fine - coarse) / (2**order - 1) for coarse, fine in pairwise(values)]
-        order += rise
+        order += 2
     return values[0]
