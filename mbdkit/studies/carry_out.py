@@ -27,7 +27,7 @@ from mbdkit.spec.study_spec import Storing, StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.block_execution import BlockExecution
 from mbdkit.studies.block_study import BlockStudy
-from mbdkit.studies.execute import Execution, Progress
+from mbdkit.studies.execute import Execution, Options, Progress
 from mbdkit.studies.executor_pool import Engine, checked_executor
 from mbdkit.studies.sampled_values import settled_sample
 from mbdkit.studies.shard import Shard
@@ -174,7 +174,7 @@ def study(
         is_shown = progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
             kind = BlockExecution if spec.in_blocks else Execution
-            execution = kind(spec, folder, shard=shard, progress=progress or bar, notify=notify, overwrite=overwrite)
+            execution = kind(spec, folder, Options(shard, progress or bar, notify, overwrite))
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.count, "run"))
             execution.run(engine)
             _LOG.info(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -81,19 +81,15 @@ def collect(
     )
 
 
+@dataclass(frozen=True)
 class _Collector:
-    def __init__(
-        self,
-        known_runs: KnownRuns,
-        measures: Sequence[str],
-        defined: Sequence[DefinedMeasure],
-        again: Sequence[str],
-        repeats: Mapping[str, Sequence[float]],
-        second: Mapping[str, Outcome],
-        timed: bool,
-    ):
-        self.known_runs, self.measures, self.defined, self.again = known_runs, measures, defined, again
-        self.repeats, self.second, self.timed = repeats, second, timed
+    known_runs: KnownRuns
+    measures: Sequence[str]
+    defined: Sequence[DefinedMeasure]
+    again: Sequence[str]
+    repeats: Mapping[str, Sequence[float]]
+    second: Mapping[str, Outcome]
+    timed: bool
 
     @property
     def taken(self) -> tuple[str, ...]:
