@@ -16,7 +16,8 @@ from mbdkit.studies.axis_words import axis_unit, value_words
 from mbdkit.studies.point_selection import METHOD, STEP, value
 
 if TYPE_CHECKING:
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
 
 _DECADE = 8.0
 """Ratio of largest to smallest value from which an axis is logarithmic."""

@@ -31,7 +31,8 @@ from mbdkit.text import listed
 from mbdkit.trust.criteria import MISALIGNMENT
 
 if TYPE_CHECKING:
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
 
 _FILMS = 6
 _LISTED = 500

@@ -11,7 +11,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.key_words import key_unit, key_words
 
 if TYPE_CHECKING:
-    from mbdkit.studies.study import StudyPoint
+    from mbdkit.studies.study_point import StudyPoint
 
 
 def point_words(point: StudyPoint, units: Mapping[str, str] | None = None) -> str:

@@ -16,9 +16,10 @@ from mbdkit.measures.take import Description
 from mbdkit.studies import block_index
 from mbdkit.studies.block_index import BlockIndex
 from mbdkit.studies.planned_points import Grid, PlannedPoints
-from mbdkit.studies.study import Study, StudyPoint
+from mbdkit.studies.study import Study
 from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import Row, describe_column
+from mbdkit.studies.study_point import StudyPoint
 
 
 class BlockPoints(Sequence[StudyPoint]):

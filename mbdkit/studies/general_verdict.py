@@ -16,7 +16,8 @@ from mbdkit.studies.sample_groups import measured
 from mbdkit.trust.criteria import EPS, ROUND_OFF
 
 if TYPE_CHECKING:
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
 
 _ROUNDINGS = 4.0
 """Number of roundings of the mechanism's size below which an error says nothing about an order."""

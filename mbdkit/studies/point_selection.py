@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
 
 
 MODEL, METHOD, STEP = "model", "integrator", "time.step"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,99 +18,21 @@ from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.html_view import HtmlView
 from mbdkit.measures.take import Description
 from mbdkit.simulation import simulate
-from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
-from mbdkit.studies.planned_points import Grid, Label, PlannedPoint, plan_points, point_label
+from mbdkit.studies.planned_points import Grid, Label, plan_points
 from mbdkit.studies.quantile_bands import QUANTILES, QuantileBands, quantiles
 from mbdkit.studies.selection import select_rows
 from mbdkit.studies.sensitivity import Sensitivity, sensitivity
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
+from mbdkit.studies.study_point import StudyPoint
 from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     import pandas
     import xarray
-
-
-@dataclass(frozen=True)
-class StudyPoint:
-    """One run of a study with its entry in the index.
-
-    Parameters
-    ----------
-    number
-        Number from 1, counted over the points of the study, or over its references for a reference.
-    planned
-        The planned point from which its spec is built.
-    path
-        Path of its archive; None if it does not exist.
-    axes
-        Label of its value on each axis, by dotted key; empty for a reference.
-    is_reference
-        Whether it is a reference run, which is not itself a point of the study.
-    """
-
-    number: int
-    row: Row
-    planned: PlannedPoint
-    path: Path | None
-    axes: Mapping[str, Label]
-    is_reference: bool = False
-
-    @property
-    def family(self) -> str:
-        """Name of its family; empty in a study without families, and for a reference."""
-        return self.row.family
-
-    @property
-    def run_id(self) -> str:
-        """Identifier of its run."""
-        return self.row.run_id
-
-    @property
-    def reference_id(self) -> str:
-        """Identifier of the reference run for its errors; empty if it has none."""
-        return self.row.reference_id
-
-    @property
-    def status(self) -> str:
-        """``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed."""
-        return self.row.status
-
-    @property
-    def reason(self) -> str:
-        """Why the run is not complete, as a code and a sentence; empty if it is."""
-        return self.row.reason
-
-    @property
-    def verdict(self) -> str:
-        """Verdict on the run: ``good``, ``unknown``, ``doubtful`` or ``bad``; empty without an archive."""
-        return self.row.verdict
-
-    @property
-    def verdict_reasons(self) -> str:
-        """Reasons for the verdict, joined by spaces; empty if there are none."""
-        return self.row.verdict_reasons
-
-    @property
-    def values(self) -> Mapping[str, float]:
-        """Measures, counters and timings by column; nan if not available."""
-        return self.row.values
-
-    @property
-    def label(self) -> str:
-        """Its axis labels as one line."""
-        return point_label(self.axes)
-
-    @property
-    def spec(self) -> RunSpec:
-        """The spec of its run."""
-        spec = self.planned.reference if self.is_reference else self.planned.spec
-        assert spec is not None
-        return spec
 
 
 class Study(HtmlView):

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from mbdkit.spec.study_spec import StudySpec
     from mbdkit.studies.compute_block import BlockStudyPlan
     from mbdkit.studies.planned_points import Grid
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
     from mbdkit.studies.study_plan import StudyPlan
+    from mbdkit.studies.study_point import StudyPoint
 
 #: Maximum number of failed runs that the summary lists.
 FAILURES_SHOWN = 20

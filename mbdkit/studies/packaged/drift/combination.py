@@ -15,7 +15,8 @@ from mbdkit.analysis.verdict import Cell
 from mbdkit.studies.point_selection import STEP, Points
 
 if TYPE_CHECKING:
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
 
 COMBINATION = "method"
 """Axis of the combinations."""

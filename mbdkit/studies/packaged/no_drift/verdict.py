@@ -12,7 +12,8 @@ from mbdkit.studies.packaged.drift.combination import COMBINATION, state_of, two
 from mbdkit.studies.point_selection import value
 
 if TYPE_CHECKING:
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
 
 HELD = 1e-12
 """Bound on misalignment, and on velocity misalignment per second, relative to the size of the mechanism."""

@@ -12,7 +12,8 @@ from mbdkit.studies.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.studies.study import Study, StudyPoint
+    from mbdkit.studies.study import Study
+    from mbdkit.studies.study_point import StudyPoint
 
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
 METHODS = (GILL, GAUSS2, GAUSS3)

@@ -1,0 +1,89 @@
+"""A point of a study: one run with its entry in the index."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbdkit.spec import RunSpec
+from mbdkit.studies.planned_points import Label, PlannedPoint, point_label
+from mbdkit.studies.study_index import Row
+
+
+@dataclass(frozen=True)
+class StudyPoint:
+    """One run of a study with its entry in the index.
+
+    Parameters
+    ----------
+    number
+        Number from 1, counted over the points of the study, or over its references for a reference.
+    planned
+        The planned point from which its spec is built.
+    path
+        Path of its archive; None if it does not exist.
+    axes
+        Label of its value on each axis, by dotted key; empty for a reference.
+    is_reference
+        Whether it is a reference run, which is not itself a point of the study.
+    """
+
+    number: int
+    row: Row
+    planned: PlannedPoint
+    path: Path | None
+    axes: Mapping[str, Label]
+    is_reference: bool = False
+
+    @property
+    def family(self) -> str:
+        """Name of its family; empty in a study without families, and for a reference."""
+        return self.row.family
+
+    @property
+    def run_id(self) -> str:
+        """Identifier of its run."""
+        return self.row.run_id
+
+    @property
+    def reference_id(self) -> str:
+        """Identifier of the reference run for its errors; empty if it has none."""
+        return self.row.reference_id
+
+    @property
+    def status(self) -> str:
+        """``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed."""
+        return self.row.status
+
+    @property
+    def reason(self) -> str:
+        """Why the run is not complete, as a code and a sentence; empty if it is."""
+        return self.row.reason
+
+    @property
+    def verdict(self) -> str:
+        """Verdict on the run: ``good``, ``unknown``, ``doubtful`` or ``bad``; empty without an archive."""
+        return self.row.verdict
+
+    @property
+    def verdict_reasons(self) -> str:
+        """Reasons for the verdict, joined by spaces; empty if there are none."""
+        return self.row.verdict_reasons
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Measures, counters and timings by column; nan if not available."""
+        return self.row.values
+
+    @property
+    def label(self) -> str:
+        """Its axis labels as one line."""
+        return point_label(self.axes)
+
+    @property
+    def spec(self) -> RunSpec:
+        """The spec of its run."""
+        spec = self.planned.reference if self.is_reference else self.planned.spec
+        assert spec is not None
+        return spec
