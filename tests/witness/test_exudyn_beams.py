@@ -11,14 +11,15 @@ from .extrapolation import limit
 
 pytest.importorskip("exudyn", reason="Exudyn, the outside witness of these tests, is not installed")
 
-from .swinging_rod import ExudynBeam, exudyn_rod, rod
+from .exudyn_beams import straight_beam
+from .swinging_rod import exudyn_rod, rod
 
 
 @pytest.mark.parametrize("elements", [4, 16])
 def test_a_cantilever_is_bent_as_in_exudyn_on_the_same_mesh(elements: int) -> None:
     # expected: Exudyn's static solver; both elements are Simo and Vu-Quoc's, with one-point integration
     stiffness, force = (2e4, 1e4, 100.0), 200.0
-    theirs = ExudynBeam(((0.0, 0.0), (2.0, 0.0)), elements, stiffness)
+    theirs = straight_beam(((0.0, 0.0), (2.0, 0.0)), elements, stiffness)
     theirs.hold(0, 1, 2)
     theirs.push(-1, (-50.0, -force), 30.0)
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
@@ -51,7 +52,7 @@ def test_a_swinging_rod_moves_as_in_exudyn() -> None:
 
 def spaghetti(elements: int, bending: float) -> list[np.ndarray]:
     """Return where both ends of the flying spaghetti are after 2.5 and 5 s in Exudyn, (2, 2) each."""
-    beam = ExudynBeam(((6.0, 0.0), (0.0, 8.0)), elements, (1e4, 1e4, bending), (1.0, 10.0))
+    beam = straight_beam(((6.0, 0.0), (0.0, 8.0)), elements, (1e4, 1e4, bending), (1.0, 10.0))
     loads = beam.push(0, (8.0, 0.0), -80.0)
     beam.system.Assemble()
     ends = []
