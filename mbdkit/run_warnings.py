@@ -29,6 +29,9 @@ DIGITS = 3
 FEWEST_PER_PERIOD = 2
 """A step that has fewer in a period does not resolve an oscillation."""
 
+LONGEST_TURN = 0.03
+"""Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
+
 _ANGLE = re.compile(r"\[rad( or m)?\]")
 
 
@@ -173,6 +176,17 @@ def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
                 f"the elements of beam '{name}' oscillate at up to {fastest:.3g} rad/s, but the step of {step:g} s "
                 f"resolves motions below {slowest:.3g} rad/s only; {spec.integrator_item.name} {fate}"
             )
+
+
+def step_advice(spec: RunSpec, code: str) -> str:
+    """Return a sentence on a failure of a step, if the mechanism has beams that explain it; empty otherwise."""
+    step = spec.time.step
+    if code != "newton-failed" or step is None or not spec.mechanism().beams:
+        return ""
+    return (
+        f" Stiff beams may turn by at most some {LONGEST_TURN:g} rad in an implicit step, here up to "
+        f"{LONGEST_TURN / step:.3g} rad/s (see `mbdkit guide beams`)."
+    )
 
 
 def _unused_parameters(spec: RunSpec) -> Iterator[str]:

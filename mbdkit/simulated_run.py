@@ -42,7 +42,7 @@ from mbdkit.run_preparation import (
     size_at_start,
     timetable,
 )
-from mbdkit.run_warnings import center_warnings, doubts
+from mbdkit.run_warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
@@ -323,7 +323,8 @@ class SimulatedRun:
         pairs = len(self.workspace.mechanism.topology.pairs)
         status, reason = "complete", ""
         if self.failure is not None:
-            status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}")
+            advice = step_advice(self.spec, self.failure.code)
+            status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
         elif stepper is not None and not stepper.finished:
             status, reason = "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s."
         elif self.watch is not None and self.watch.stopped is not None:

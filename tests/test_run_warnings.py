@@ -174,3 +174,12 @@ def test_what_steps_do_not_resolve_of_a_beam_does_not_question_the_run() -> None
     run = mbdkit.run(m, integrator={"name": "gauss", "stages": 2}, time={"end": 2e-3, "step": 1e-3})
     assert len(run.warnings) == 1
     assert not run.verdict_reasons
+
+
+def test_steps_in_which_a_stiff_beam_turns_too_far_say_so() -> None:
+    spec = load_spec("spin-up-beam").model_dump(mode="json")
+    spec["model"]["joints"]["motor"]["motion"] = "6*t"
+    spec["model"]["beams"]["blade"]["angular_velocity"] = 6.0
+    run = mbdkit.run(load_spec(spec, time={"end": 0.2, "step": 0.02}))
+    assert run.status == "failed"
+    assert "may turn by at most some 0.03 rad in an implicit step, here up to 1.5 rad/s" in run.status_reason

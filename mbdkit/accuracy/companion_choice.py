@@ -155,7 +155,9 @@ def _guards(
     """Return guards by methods other than that of the run: explicit first, then implicit.
 
     Guards solve the index-1 equations and are projected onto the constraints, so that they also differ in drift, and
-    pass singular positions on the right branch.
+    pass singular positions on the right branch. The last one, for stiff methods, solves the index-2 equations: index-1
+    accelerations of stiff beams consist of round-off, and adaptive steps on them become small without end. It may be of
+    the family of the run, but has another order.
     """
     name = method.tableau.name if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else ""
     within = replace(within, max_steps=LOOKS + _most(SINGLE_STEPS, steps))
@@ -171,7 +173,8 @@ def _guards(
         ("gauss", "gauss of order 10", partial(_gauss, loose), within),
     )
     stiff = isinstance(method, ImplicitRungeKutta | LobattoPair | SciPySolver)
-    return tuple(
+    after = spec.output.interval is not None
+    found = tuple(
         Companion(
             f"adaptive {told}",
             create,
@@ -179,11 +182,16 @@ def _guards(
             "index-1",
             _projected(workspace),
             within_steps=table is within,
-            after_stops=spec.output.interval is not None,
+            after_stops=after,
         )
         for family, told, create, table in candidates
         if not name.startswith(family) and (family != "gauss" or stiff)
     )
+    if not stiff or not workspace.mechanism.rows or name == radau_iia.tableau(5).name:
+        return found
+    told = "adaptive radau-iia of order 9 and index 2"
+    create = partial(_radau, loose)
+    return *found, Companion(told, create, within, "index-2", NONE, within_steps=True, after_stops=after)
 
 
 def _most(limits: tuple[int, int], steps: int) -> int:

@@ -17,7 +17,8 @@ FINER = 2.0
 TIGHTER = 100.0
 """Factor by which its tolerances are tighter, if its steps adapt."""
 GAUSS, RADAU = {"name": "gauss", "stages": 3}, {"name": "radau-iia", "stages": 3}
-"""The other method that a result is compared with: Gauss, or Radau IIA for runs of Gauss."""
+"""The other method that a result is compared with: Gauss, or Radau IIA for runs of Gauss. In formulations other than
+index-1, it is Radau IIA with other stages."""
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
 """Verdicts from the worst to the best."""
 
@@ -147,6 +148,8 @@ def _changes(spec: Any) -> dict[str, Settings]:
         return {}
     step = spec.time.step
     other = RADAU if spec.integrator_item.name == "gauss" else GAUSS
+    if spec.formulation != "index-1":  # Gauss methods solve no other
+        other = {**RADAU, "stages": 3 if getattr(spec.integrator, "stages", 0) == 5 else 5}
     try:
         adaptive = spec.claims.adaptive
     except MbdkitError:

@@ -5,6 +5,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 import scipy.interpolate
+from scipy.integrate import solve_bvp
 
 import mbdkit
 from mbdkit.spec import example_names, load_spec
@@ -300,3 +301,40 @@ def test_leaf_spring_has_the_stiffness_of_linear_theory_at_small_angles():
     with mbdkit.run(spec) as run:
         bending = 2.1e11 * 0.03 * 1.5e-3**3 / 12
         assert run.measures["stiffness"] == pytest.approx(3 * bending / (4 * 0.3), rel=0.002)
+
+
+def elastica_across_a_knee(angle: float) -> tuple[float, float]:
+    """Return torque at the knee and moment at the clamp [N m] of the leaf spring, as an inextensible elastica at rest.
+
+    A boundary value problem: clamped to the thigh at one end; at the other one, without moment, a force along the x
+    axis of the shank, in which direction the end does not move in the shank. The angle grows in steps.
+    """
+    bending, length, lever = 2.1e11 * 0.03 * 1.5e-3**3 / 12, 0.3, 0.04
+    s, force = np.linspace(0, length, 41), np.zeros(1)
+    y = np.array([np.full(41, lever), length / 2 - s, np.full(41, -np.pi / 2), np.zeros(41)])
+    for phi in np.linspace(0, angle, 13)[1:]:
+        axis = np.array([np.cos(phi), np.sin(phi)])
+
+        def rates(s, y, p, axis=axis):
+            c, sn = np.cos(y[2]), np.sin(y[2])
+            return np.array([c, sn, y[3] / bending, -p[0] * (c * axis[1] - sn * axis[0])])
+
+        def ends(a, b, p, axis=axis):
+            return np.array([a[0] - lever, a[1] - length / 2, a[2] + np.pi / 2, b[3], axis @ b[:2] - lever])
+
+        solution = solve_bvp(rates, ends, s, y, p=force, tol=1e-9)
+        s, y, force = solution.x, solution.y, solution.p
+    return float(force[0] * (y[0, -1] * axis[1] - y[1, -1] * axis[0])), float(y[3, 0])
+
+
+def test_leaf_spring_has_the_stiffness_of_the_elastica_at_60_degrees():
+    # at the end, the motor also accelerates the shank
+    torque, moment = elastica_across_a_knee(-np.pi / 3)
+    inertia = (0.005 + 0.4 * 0.2**2) * np.pi / 6 * (np.pi / 5) ** 2
+    with mbdkit.run("leaf-spring") as run:
+        assert run.verdict in ("good", "unknown")
+        assert run.measures["torque"] == pytest.approx(abs(torque) - inertia, rel=1e-4)
+        assert run.measures["stiffness"] == pytest.approx((abs(torque) - inertia) / (np.pi / 3), rel=1e-4)
+        assert abs(run.joints["clamp"].reaction_torque[-1]) == pytest.approx(abs(moment), rel=1e-3)  # one inertia
+        stress = 6 * abs(moment) / (0.03 * 1.5e-3**2) / 1e6  # at the clamp; that of the example is half an element off
+        assert 0.9 * stress < run.measures["stress"] < stress
