@@ -248,3 +248,12 @@ def test_a_study_shows_which_of_its_checked_runs_are_doubtful_or_bad(tmp_path: P
     assert math.isnan(frame["known_until"][0])
     assert frame["known_until"][1] < 12.0
     assert "The error is known until" in frame["verdict_reasons"][1]
+
+
+def test_a_thin_leaf_is_checked_by_a_guard_on_the_index_2_equations() -> None:
+    # adaptive steps on the index-1 equations become small without end; twice as fast as the packaged example
+    spec = load_spec("leaf-spring").model_dump(mode="json")
+    spec["model"]["joints"]["motor"]["motion"] = "-pi/6*(1 - cos(2*pi*t/5))"
+    with mbdkit.run(spec, time={"end": 2.5, "step": 0.005}, output={"every": 20}, check=True) as run:
+        assert run.verdict == "good"
+        assert "confirmed by a run with adaptive radau-iia of order 9 and index 2" in run.accuracy.method
