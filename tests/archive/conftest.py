@@ -11,11 +11,19 @@ from mbdkit.archive import writer
 from .making import make
 
 
+@pytest.fixture(scope="session")
+def archive_made_once(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return the content of `archive`."""
+    path = tmp_path_factory.mktemp("archive") / "run.h5"
+    make(path)
+    return path.read_bytes()
+
+
 @pytest.fixture
-def archive(tmp_path: Path) -> Path:
+def archive(tmp_path: Path, archive_made_once: bytes) -> Path:
     """Return a complete archive of 11 rows, two bodies and two joints."""
     path = tmp_path / "run.h5"
-    make(path)
+    path.write_bytes(archive_made_once)
     return path
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import h5py
 import netCDF4
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 import xarray
 
+from mbdkit.archive import writer
 from mbdkit.archive.layout import LAYOUT, TEXT
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
@@ -39,14 +42,22 @@ def no_warnings() -> Iterator[None]:
         yield
 
 
+@cache
+def made_once(sizes: tuple[int, int, int, int], after: str) -> bytes:
+    with TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        if after:
+            patch.setattr(writer, "FLUSH_INTERVAL", 0.0)
+        count, bodies, joints, constraints = sizes
+        path = Path(folder) / "run.h5"
+        make(path, count=count, named=names(bodies, joints, constraints), piece=4, after=after)
+        return path.read_bytes()
+
+
 @pytest.fixture(params=["one piece", "chunks"])
 def made(request: pytest.FixtureRequest, tmp_path: Path, sizes: tuple[int, int, int, int]) -> Path:
-    if request.param == "chunks":
-        request.getfixturevalue("always_due")
-    count, bodies, joints, constraints = sizes
-    after = "flush_if_due" if request.param == "chunks" else ""
-    make(tmp_path / "run.h5", count=count, named=names(bodies, joints, constraints), piece=4, after=after)
-    return tmp_path / "run.h5"
+    path = tmp_path / "run.h5"
+    path.write_bytes(made_once(sizes, "flush_if_due" if request.param == "chunks" else ""))
+    return path
 
 
 def expected(sizes: tuple[int, int, int, int]) -> dict[str, np.ndarray]:

@@ -43,7 +43,7 @@ def wait_until_it_runs(process: subprocess.Popen, part: Path) -> None:
     pytest.fail("the run did not get under way")
 
 
-@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
 def test_ctrl_c_and_its_like_keep_the_archive_and_are_exit_status_130(stop, tmp_path):
     process = start(tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:

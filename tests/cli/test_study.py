@@ -39,7 +39,7 @@ overrides:
   time: {steps: 800000, step: 7.5e-6}
   output.every: 4000
 axes:
-  - model.masses[0]: [1.0, 2.0, 3.0]
+  - model.masses[0]: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
 """
 
 
@@ -115,7 +115,8 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index
     study = load_study(tmp_path / "cut")
     assert study.status == "partial"
     kept = {path: path.stat().st_mtime_ns for path in runs.iterdir()}
-    assert len(kept) == sum(point.status == "complete" for point in study.points) in (1, 2)
+    assert len(kept) == sum(point.status == "complete" for point in study.points)
+    assert 0 < len(kept) < 6
     assert all(check(path) == [] for path in kept)
 
     for out in ("cut", "whole"):

@@ -127,7 +127,7 @@ def test_what_falls_for_ever_has_no_equilibrium_and_is_named() -> None:
         mbdkit.equilibrium(m)
 
 
-@pytest.mark.parametrize("n", [30, 100])
+@pytest.mark.parametrize("n", [30, pytest.param(100, marks=pytest.mark.slow)])
 def test_long_chains_fall_from_a_tangle_into_a_stable_equilibrium(n: int) -> None:
     # expected: every rod hangs, whichever way it was turned
     angles = (-1.0 + np.random.default_rng(5).standard_normal(n)).tolist()

@@ -32,9 +32,13 @@ OPTIONS: dict[str, dict[str, Any]] = {
 FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
 
 
-BETWEEN = [("gauss", {"stages": s}) for s in (1, 4, 5, 6)] + [("radau-iia", {"stages": s}) for s in (2, 5)]
+OTHERS = [
+    *(("gauss", {"stages": s}) for s in (1, 3, 4, 5, 6)),
+    *(("radau-iia", {"stages": s}) for s in (2, 5)),
+    *((name, {}) for name in ("rk4", "dopri5", "scipy-dop853")),
+]
 """Members of families of which others are verified as well."""
-EVERY = [pytest.param(*x, marks=[pytest.mark.slow] if x in BETWEEN else []) for x in VARIANTS]
+EVERY = [pytest.param(*x, marks=[pytest.mark.slow] if x in OTHERS else []) for x in VARIANTS]
 
 
 @pytest.mark.parametrize(("name", "options"), EVERY, ids=lambda x: str(x))
