@@ -14,7 +14,7 @@ from mbdkit.testing.check import Check, Skip, check
 from mbdkit.testing.check_result import Figure, Result, failed, passed
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 from mbdkit.testing.invariant_checks import coarse_step
-from mbdkit.testing.order_checks import BELOW, HIGH
+from mbdkit.testing.order_checks import BELOW, BELOW_HIGH, HIGH
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
 
 EXACT = 1e-11
@@ -22,8 +22,6 @@ EXACT = 1e-11
 HELD = {"index-3": ("position",), "index-2": ("velocity",), "ggl": ("position", "velocity")}
 """Levels at which a formulation enforces the constraints."""
 ROUNDING = 1e-15
-BELOW_HIGH = 0.5
-"""Tolerance of the rate from order `HIGH` on, where few step sizes lie between too coarse ones and rounding."""
 COARSE = 0.1
 """Misalignment [m, m/s] too large to follow a power of the step: a tenth of the mechanism."""
 REFINEMENTS, FINEST = 24, 120
