@@ -283,7 +283,8 @@ class SciPyStepper:
         """Return y as a function of time in the last step, from `y0`, by dense output or the cubic through its ends."""
         try:
             dense: Callable[[float], np.ndarray] = self.solver.dense_output()
-        except (NotImplementedError, _StoppedError):  # a solver without one; DOP853's takes stages that may be singular
+        except (NotImplementedError, _StoppedError):
+            # solvers need not have dense output, and the further stages of DOP853's may fall on a singular position
             step, y1 = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y)), self.y
 
             def dense(t: float) -> np.ndarray:

@@ -33,6 +33,20 @@ print(json.dumps({"result": float(run.time[-1]), "folder": str(FOLDER), "package
 """
 
 
+INCLUDING = """\
+from numba import njit
+from mbdkit.engine.jit.cache import cached
+
+def double(x):
+    return 2.0 * x
+
+kernel = cached(njit(double))
+print(kernel(3.0))
+print(njit(lambda x: kernel(x) + 1.0)(3.0))
+"""
+"""Compiles a function that includes a kernel."""
+
+
 STRANGER = (
     *("setpriv", "--reuid=54321", "--regid=54321", "--clear-groups"),
     *("--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search"),
@@ -103,6 +117,20 @@ def test_an_edited_kernel_is_compiled_anew_by_one_process_while_another_waits(tm
     assert again == both[0][0]
     assert quiet == ""
     assert compiled_files(folder) == kept
+
+
+def test_a_kernel_from_the_cache_is_not_included_in_another_function_without_its_code(tmp_path: Path) -> None:
+    # expected: the files of the cache hold the symbols of a kernel, but not the code that Numba would include
+    (tmp_path / "including.py").write_text(INCLUDING)
+    environment = os.environ | {"MBDKIT_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "including.py"]
+    first, second = (
+        subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        for _ in range(2)
+    )
+    assert first.stdout == "6.0\n7.0\n"
+    assert second.stdout == "6.0\n"
+    assert "library unfit for linking" in second.stderr
 
 
 def test_an_unwritable_cache_costs_a_warning_and_not_the_run(tmp_path: Path) -> None:

@@ -22,25 +22,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from .extrapolation import limit
-from .rotating_beam import differentiation
+from .rotating_beam import StraightBeam, differentiation
 
 TINY = 1e-30
 """Complex step of derivatives, which are exact then."""
 
 
 @dataclass(frozen=True)
-class SpunBeam:
+class SpunBeam(StraightBeam):
     """A beam from the origin along the x axis of the hub's frame; SI units.
 
     `turning` gives angular velocity and angular acceleration of the hub at a time.
     """
 
-    length: float
-    axial: float
-    shear: float
-    bending: float
-    mass: float
-    inertia: float
     turning: Callable[[float], tuple[float, float]]
 
     def tip(self, end: float, *, points: int, steps: tuple[int, ...]) -> np.ndarray:

@@ -32,7 +32,7 @@ def differentiation(size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class RotatingBeam:
+class StraightBeam:
     """Length, axial, shear and bending stiffness, and mass and moment of inertia per length; SI units."""
 
     length: float
@@ -41,6 +41,10 @@ class RotatingBeam:
     bending: float
     mass: float
     inertia: float
+
+
+class RotatingBeam(StraightBeam):
+    """A beam along the radius, at constant speed."""
 
     def radius(self, s: np.ndarray, omega: float) -> np.ndarray:
         """Return the radius of cross-sections at constant speed [m]."""

@@ -168,7 +168,8 @@ class KernelCache(FunctionCache):
         if content is None:
             return None
         result = CompileResult._rebuild(target_context, *pickle.loads(content))
-        result.library._shared_module = None  # symbols only: Numba then refuses to include it in another function
+        machine_code = result._asdict()["library"]
+        machine_code._shared_module = None  # symbols only: Numba then refuses to include it in another function
         return result
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -176,7 +177,7 @@ class KernelCache(FunctionCache):
         parts = data._asdict()
         if not parts["lifted"] and not parts["library"].has_dynamic_globals:  # other functions cannot be stored
             (name, kind, (machine_code, _)), *others = data._reduce()
-            symbols = _symbols(data.library._get_module_for_linking())
+            symbols = _symbols(parts["library"]._get_module_for_linking())
             store(self._file(sig, data.codegen), dumps(((name, kind, (machine_code, symbols)), *others)))
 
 
