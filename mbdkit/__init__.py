@@ -6,20 +6,20 @@ Public names are imported on first use, which keeps ``import mbdkit`` fast.
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from mbdkit import html_view
-from mbdkit.mechanism import higher_layers
+from mbdkit.base import higher_layers
 
 if TYPE_CHECKING:
     from mbdkit import plot
     from mbdkit.analysis.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
+    from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
     from mbdkit.designs.design import Design
     from mbdkit.designs.solve_design import design, load_design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, StepError
     from mbdkit.gradients.gradient import Gradient, gradient
     from mbdkit.inverse_dynamics.inverse_gradient import inverse_gradient
     from mbdkit.inverse_dynamics.inverse_run import inverse
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
-    from mbdkit.resuming import resume
-    from mbdkit.simulation import run
+    from mbdkit.runs.resuming import resume
+    from mbdkit.runs.simulation import run
     from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
     from mbdkit.studies.carry_out import ensemble, load_study, study
     from mbdkit.studies.study import Study
@@ -119,18 +119,18 @@ _HOME = {
     "InverseSpec": "mbdkit.spec",
     "Kinematics": "mbdkit.mechanics.kinematics",
     "Linearization": "mbdkit.mechanics.modes",
-    "MbdkitError": "mbdkit.errors",
+    "MbdkitError": "mbdkit.base.errors",
     "MeasurePlugin": "mbdkit.registry.items",
     "Mechanism": "mbdkit.mechanism.mechanism",
     "ModelPlugin": "mbdkit.registry.items",
     "Modes": "mbdkit.mechanics.modes",
-    "PluginError": "mbdkit.errors",
-    "ResourceError": "mbdkit.errors",
+    "PluginError": "mbdkit.base.errors",
+    "ResourceError": "mbdkit.base.errors",
     "Run": "mbdkit.archive.run",
-    "RunError": "mbdkit.errors",
+    "RunError": "mbdkit.base.errors",
     "RunSpec": "mbdkit.spec",
-    "SpecError": "mbdkit.errors",
-    "StepError": "mbdkit.errors",
+    "SpecError": "mbdkit.base.errors",
+    "StepError": "mbdkit.base.errors",
     "StepMethod": "mbdkit.methods.step_method",
     "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
     "StepState": "mbdkit.methods.step_method",
@@ -149,8 +149,8 @@ _HOME = {
     "ensemble": "mbdkit.studies.carry_out",
     "load_study": "mbdkit.studies.carry_out",
     "modes": "mbdkit.mechanics.modes",
-    "resume": "mbdkit.resuming",
-    "run": "mbdkit.simulation",
+    "resume": "mbdkit.runs.resuming",
+    "run": "mbdkit.runs.simulation",
     "study": "mbdkit.studies.carry_out",
     "workload": "mbdkit.analysis.workload",
     "Workload": "mbdkit.analysis.workload",
@@ -178,23 +178,18 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-def _installed_plugins() -> Any:
-    from mbdkit.spec.registry_lookup import RegistryLookup
+def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
+    """Return a function that imports another one when it is called, and calls it."""
 
-    return RegistryLookup()
+    def imported(*arguments: Any, **named: Any) -> Any:
+        return getattr(importlib.import_module(module), name)(*arguments, **named)
 
-
-def _symbolic_system(mechanism: Any, numbers: bool) -> Any:
-    from mbdkit.symbolic.build import build_system
-
-    return build_system(mechanism, numbers=numbers)
-
-
-def _html_of(thing: Any) -> str:
-    return str(importlib.import_module("mbdkit.notebook.result_views").html_of(thing))
+    return imported
 
 
 # Importing any module of the package runs this file first, so these functions are always available below.
-higher_layers.installed_plugins = _installed_plugins
-higher_layers.symbolic_system = _symbolic_system
-html_view.html_of = _html_of
+higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.registry_lookup", "RegistryLookup")
+higher_layers.symbolic_system = _of_higher_layer("mbdkit.symbolic.build", "build_system")
+higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")
+higher_layers.gradients_json = _of_higher_layer("mbdkit.gradients.gradient", "gradients_json")
+higher_layers.html_of = _of_higher_layer("mbdkit.notebook.result_views", "html_of")

@@ -18,7 +18,7 @@ MODULES = (
     "methods.tableau",
     "plot.comparison",
     "plot.run_plots",
-    "simulation",
+    "runs.simulation",
     "studies.carry_out",
     "studies.study",
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

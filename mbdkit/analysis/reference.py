@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 EVERY_ROW, LAST_ROW = slice(None), slice(-1, None)
 

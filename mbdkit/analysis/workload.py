@@ -12,8 +12,8 @@ import numpy as np
 from mbdkit.analysis.cycles import Normalized, contacts, normalized
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
-from mbdkit.errors import SpecError
-from mbdkit.text import table
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import table
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

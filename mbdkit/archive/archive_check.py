@@ -19,8 +19,8 @@ from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.run import Run
-from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.text import listed, one_line, shown
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import listed, one_line, shown
 from mbdkit.trust.criteria import LEVELS
 
 

@@ -22,7 +22,7 @@ from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run_writer import ArchiveNames, SharedForces
 from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.archive.stranger_file import open_hdf5
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.trust.criteria import LEVELS, Judgement, Level

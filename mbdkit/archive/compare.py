@@ -21,7 +21,7 @@ from mbdkit.archive.fingerprint import (
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import ATTRIBUTES_HASH, FORMAT_VERSION, is_hashed
 from mbdkit.archive.run import Run
-from mbdkit.text import counted, listed, shown
+from mbdkit.base.text import counted, listed, shown
 
 #: Provenance attributes that cannot affect the results.
 _NOT_VERSIONS = {"command"}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.group_table import group_table
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
     import pandas

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mbdkit.archive import layout
-from mbdkit.errors import ResourceError, SpecError
-from mbdkit.memory import available_memory, in_bytes, installed_memory
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.memory import available_memory, in_bytes, installed_memory
 
 NEARLY_NOTHING = 2**20
 """A disk with less free space than this is called full [bytes]."""

@@ -10,9 +10,9 @@ from pathlib import Path
 from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.run import Run
 from mbdkit.archive.table_formats import FORMATS, ExportedTable
-from mbdkit.errors import SpecError, file_error
-from mbdkit.files import check_folder, check_output, replacing
-from mbdkit.text import did_you_mean, listed
+from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.files import check_folder, check_output, replacing
+from mbdkit.base.text import did_you_mean, listed
 
 
 def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[Path]:

@@ -17,7 +17,7 @@ from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.layout import ELEMENTS, GROUPS, LAYOUT, TEXT, Array
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

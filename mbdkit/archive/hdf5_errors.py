@@ -7,8 +7,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.text import shown
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import shown
 
 #: Exceptions that h5py raises on damaged files.
 DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError)

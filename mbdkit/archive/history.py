@@ -10,8 +10,8 @@ import numpy as np
 
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, MIXED, later
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.errors import MbdkitError
-from mbdkit.text import did_you_mean, listed
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import did_you_mean, listed
 
 
 class UnknownNameError(MbdkitError, KeyError):

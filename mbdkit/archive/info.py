@@ -17,7 +17,7 @@ from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import accuracy_sentence, corrections
-from mbdkit.text import shown
+from mbdkit.base.text import shown
 
 #: Maximum number of items of a list to print.
 NAMES_SHOWN = 32

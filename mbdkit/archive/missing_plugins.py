@@ -6,10 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import shown
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import registry
-from mbdkit.text import shown
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import part_path
 from mbdkit.archive.stranger_file import open_hdf5
-from mbdkit.errors import SpecError
-from mbdkit.text import shortened, shown
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import shortened, shown
 
 
 def open_archive(path: Path) -> h5py.File:

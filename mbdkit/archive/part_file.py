@@ -14,8 +14,8 @@ from pathlib import Path
 import h5py
 
 from mbdkit.archive.hdf5_errors import cause, error_number
-from mbdkit.errors import MbdkitError, ResourceError, SpecError, file_error
-from mbdkit.files import check_not_input, check_output, rename_new
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
+from mbdkit.base.files import check_not_input, check_output, rename_new
 
 SUFFIX = ".h5"
 

@@ -45,8 +45,8 @@ from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import write_image
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.errors import MbdkitError, RunError, SpecError
-from mbdkit.html_view import HtmlView
+from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.inverse_spec import is_inverse, refused_as_run
@@ -692,7 +692,7 @@ class Run(HtmlView):
         >>> mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}, limits={"max_steps": 5}).check()
         Traceback (most recent call last):
             ...
-        mbdkit.errors.RunError: max-steps: ...
+        mbdkit.base.errors.RunError: max-steps: ...
         """
         if self.status == "complete":
             return self

@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.plain_data import LONGEST_TITLE
+from mbdkit.base.plain_data import LONGEST_TITLE
 
 #: Sections of a spec that are mappings if they are present.
 _MAPPINGS = ("model", "integrator", "time", "output")

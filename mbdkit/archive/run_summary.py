@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.text import counted, shown
+from mbdkit.base.text import counted, shown
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
 if TYPE_CHECKING:

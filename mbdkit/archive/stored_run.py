@@ -20,7 +20,7 @@ from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import name_texts
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.spec import RunSpec
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
 from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
-from mbdkit.errors import ResourceError, SpecError, file_error
-from mbdkit.text import shown
+from mbdkit.base.errors import ResourceError, SpecError, file_error
+from mbdkit.base.text import shown
 
 OBJECTS = 2_000
 """Largest number of groups and arrays; an archive has about 60."""

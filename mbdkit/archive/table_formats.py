@@ -15,9 +15,9 @@ import numpy as np
 
 from mbdkit.archive.group_table import TableColumn
 from mbdkit.archive.layout import TEXT
-from mbdkit.errors import MbdkitError
-from mbdkit.plain_data import json_text
-from mbdkit.text import csv_cell, shown
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import json_text
+from mbdkit.base.text import csv_cell, shown
 
 MATLAB_LENGTH = 63
 """Longest name of a variable in MATLAB (``namelengthmax``)."""

@@ -30,7 +30,7 @@ from mbdkit.archive.run_writer import (
     name_line,
     name_texts,
 )
-from mbdkit.errors import MbdkitError, ResourceError
+from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.

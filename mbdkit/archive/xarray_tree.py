@@ -9,7 +9,7 @@ import h5py
 
 from mbdkit.archive.fingerprint import OF_SCALES, is_text
 from mbdkit.archive.hdf5 import dims
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
     import xarray

@@ -13,6 +13,8 @@ from typing import Annotated
 
 import typer
 
+from mbdkit.base.interrupts import INTERRUPTED, stop_as_by_ctrl_c
+from mbdkit.base.terminal import Commands, PlainStream, keep_results_apart, open_streams, show
 from mbdkit.cli.archives import archive_app
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.designs import design
@@ -24,8 +26,6 @@ from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, schema_app
 from mbdkit.cli.studies import StudyCommand, study
-from mbdkit.interrupts import INTERRUPTED, stop_as_by_ctrl_c
-from mbdkit.terminal import Commands, PlainStream, keep_results_apart, open_streams, show
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
 

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from mbdkit import terminal
 from mbdkit.archive.layout import ATTRIBUTES_HASH
+from mbdkit.base import terminal
+from mbdkit.base.terminal import say, show, show_json
 from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Overwrite, Quiet
-from mbdkit.terminal import say, show, show_json
 
 archive_app = typer.Typer(help="Describe, check, compare and export run archives.", **PLAIN)
 

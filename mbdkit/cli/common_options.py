@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from mbdkit import terminal
+from mbdkit.base import terminal
 
 CONTEXT = {"help_option_names": ["-h", "--help"]}
 PLAIN: dict[str, Any] = {"context_settings": CONTEXT, "rich_markup_mode": None, "no_args_is_help": True}

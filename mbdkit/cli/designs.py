@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbdkit.base.progress_bars import tally_bar
+from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.cli.common_options import (
     AsJson,
     Debug,
@@ -19,8 +21,6 @@ from mbdkit.cli.common_options import (
     cores,
 )
 from mbdkit.cli.output_paths import stem
-from mbdkit.progress_bars import tally_bar
-from mbdkit.terminal import STOPPED_EARLY, say, show, show_json, silence
 
 if TYPE_CHECKING:
     from mbdkit.spec.source_document import Document

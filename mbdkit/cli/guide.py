@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from mbdkit.base.terminal import show
+from mbdkit.base.text import table
 from mbdkit.cli.common_options import Debug
-from mbdkit.terminal import show
-from mbdkit.text import table
 
 
 def guide(

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbdkit.base.terminal import say, show, show_json
+from mbdkit.base.text import counted
 from mbdkit.cli.common_options import Archive, AsJson, Debug, InverseSpecName, Overwrite, Quiet, Set
 from mbdkit.cli.output_paths import check_new, stem
-from mbdkit.terminal import say, show, show_json
-from mbdkit.text import counted
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -98,11 +98,11 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     SpecError
         If a table is not there.
     """
-    from mbdkit.errors import SpecError
+    from mbdkit.base.errors import SpecError
+    from mbdkit.base.text import shown
     from mbdkit.inverse_dynamics.inverse_run import compute_run
     from mbdkit.spec import load_inverse_spec
     from mbdkit.spec.source_document import Document
-    from mbdkit.text import shown
 
     spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
     folder = archive.parent.resolve()

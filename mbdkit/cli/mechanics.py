@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from mbdkit.base.files import check_output, check_suffix, replacing
+from mbdkit.base.terminal import show, show_json
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName
-from mbdkit.files import check_output, check_suffix, replacing
-from mbdkit.terminal import show, show_json
 
 
 def equilibrium(

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
+from mbdkit.base.terminal import show
 from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet
 from mbdkit.plot.plot_kinds import PLOT_KINDS
-from mbdkit.terminal import show
 
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in PLOT_KINDS.items()) + "."
 
@@ -72,7 +72,7 @@ def plot(
     """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
-    from mbdkit.files import check_output
+    from mbdkit.base.files import check_output
     from mbdkit.plot.paper_figure import size_in_mm
     from mbdkit.plot.save_plot import plot as draw
 
@@ -98,9 +98,9 @@ def plot(
 
 def _check_options(kind: str, options: Mapping[str, object]) -> None:
     """Raise SpecError for an option that a kind of plot does not have."""
-    from mbdkit.errors import SpecError
+    from mbdkit.base.errors import SpecError
+    from mbdkit.base.text import listed
     from mbdkit.plot.comparison import options_of
-    from mbdkit.text import listed
 
     for name in options:
         if name not in options_of(kind):
@@ -120,7 +120,7 @@ def animate(
     """Animate a run. An existing file is replaced."""
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
-    from mbdkit.files import check_output
+    from mbdkit.base.files import check_output
     from mbdkit.report.animate import animate as draw
 
     with blaming_damage(archive), load(archive) as loaded:

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from mbdkit import terminal
+from mbdkit.base import terminal
+from mbdkit.base.progress_bars import count_bar
+from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet
-from mbdkit.progress_bars import count_bar
-from mbdkit.terminal import say, show, show_json, silence
 
 plugins_app = typer.Typer(help="List, verify, diagnose and create plugins.", **PLAIN)
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbdkit import terminal
+from mbdkit.base import terminal
+from mbdkit.base.progress_bars import progress_bar
+from mbdkit.base.terminal import say, show, show_json, silence
+from mbdkit.base.text import table
 from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecNameOrNone
 from mbdkit.cli.designs import validate_design
 from mbdkit.cli.inverse import repeated_inverse, validate_inverse
 from mbdkit.cli.output_paths import check_new, stem
-from mbdkit.progress_bars import progress_bar
-from mbdkit.terminal import say, show, show_json, silence
-from mbdkit.text import table
 
 if TYPE_CHECKING:
     from mbdkit.archive.accuracy import Accuracy
@@ -81,7 +81,7 @@ def run(
     checked = load_spec(spec, [*(assignments or ()), *asked])
     path = output if output is not None else Path(f"{stem(spec)}.h5")
     check_new(path, spec, overwrite)
-    from mbdkit.simulation import simulate  # compiled code: not needed to refuse a spec
+    from mbdkit.runs.simulation import simulate  # compiled code: not needed to refuse a spec
 
     with _placing(checked), progress_bar(path.name, quiet) as progress:
         result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
@@ -90,11 +90,11 @@ def run(
 
 def _resume(part: Path, superfluous: list[str], overwrite: bool, as_json: bool, quiet: bool) -> None:
     """Continue a run that was killed."""
-    from mbdkit.errors import SpecError
+    from mbdkit.base.errors import SpecError
 
     if superfluous:
         raise SpecError(f"--resume takes everything from {part.name}: leave out {', '.join(superfluous)}")
-    from mbdkit.resuming import continue_run, final_path
+    from mbdkit.runs.resuming import continue_run, final_path
 
     with progress_bar(final_path(part).name, quiet) as progress:
         result = continue_run(part, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
@@ -115,7 +115,7 @@ def _tell(result: Run, *, as_json: bool, quiet: bool) -> None:
 
 def _check_accuracy(accuracy: float) -> None:
     """Raise SpecError for an accuracy that no run can have."""
-    from mbdkit.errors import SpecError
+    from mbdkit.base.errors import SpecError
     from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST
 
     if not SMALLEST <= accuracy <= LARGEST:  # nan, too
@@ -159,9 +159,9 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         validate_inverse(document, spec, assignments or [])
         return
     checked = load_spec(document, assignments or ())
-    from mbdkit.run_corners import check_jumps
-    from mbdkit.run_preparation import build, caution, make_method
-    from mbdkit.run_warnings import start_warnings
+    from mbdkit.runs.corners import check_jumps
+    from mbdkit.runs.preparation import build, caution, make_method
+    from mbdkit.runs.warnings import start_warnings
 
     mechanism = checked.mechanism()
     check_jumps(checked)
@@ -258,8 +258,8 @@ def rerun(
 
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Compute the run in an archive again."""
-    from mbdkit.errors import SpecError
-    from mbdkit.simulation import simulate
+    from mbdkit.base.errors import SpecError
+    from mbdkit.runs.simulation import simulate
     from mbdkit.spec import load_spec
 
     try:
@@ -275,7 +275,7 @@ def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: boo
 @contextmanager
 def _placing(spec: RunSpec) -> Iterator[None]:
     """Add file and line to errors about this spec."""
-    from mbdkit.errors import SpecError
+    from mbdkit.base.errors import SpecError
 
     try:
         yield

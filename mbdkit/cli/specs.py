@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from mbdkit.base.terminal import show, show_json
+from mbdkit.base.text import table
 from mbdkit.cli.common_options import PLAIN, Debug
-from mbdkit.terminal import show, show_json
-from mbdkit.text import table
 
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
 examples_app = typer.Typer(help="List the packaged examples, or copy one.", **{**PLAIN, "no_args_is_help": False})
@@ -100,12 +100,12 @@ def examples_copy(
     for Jupyter, or as a script with cells if FILE ends with .py. An existing file is
     not replaced.
     """
-    from mbdkit.errors import SpecError
-    from mbdkit.files import check_suffix, replacing
+    from mbdkit.base.errors import SpecError
+    from mbdkit.base.files import check_suffix, replacing
+    from mbdkit.base.text import did_you_mean, listed
     from mbdkit.notebook.example_notebooks import jupyter_text, notebook_names, notebook_text
     from mbdkit.spec import example_names, example_text
     from mbdkit.spec.loading import example_table
-    from mbdkit.text import did_you_mean, listed
 
     notebooks = notebook_names()
     known = [*example_names(), *notebooks]

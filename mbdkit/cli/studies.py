@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
+from mbdkit.base.progress_bars import count_bar
+from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.cli.common_options import (
     AsJson,
     BaseSet,
@@ -21,8 +23,6 @@ from mbdkit.cli.common_options import (
     cores,
 )
 from mbdkit.cli.output_paths import stem
-from mbdkit.progress_bars import count_bar
-from mbdkit.terminal import STOPPED_EARLY, say, show, show_json, silence
 
 
 class StudyCommand(TyperCommand):

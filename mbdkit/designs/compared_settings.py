@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import RunError
+from mbdkit.base.text import counted, table
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.point import DesignPoint, Notify, point_of
 from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import searches
-from mbdkit.errors import RunError
 from mbdkit.spec import DesignSpec
-from mbdkit.text import counted, table
 
 
 @dataclass(frozen=True)

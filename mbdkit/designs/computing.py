@@ -11,10 +11,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from mbdkit.batch import CHUNK
+from mbdkit.base.errors import ResourceError, RunError
 from mbdkit.designs.evaluation import Job, Outcome, ScenarioRuns, in_this_process
 from mbdkit.engine.jit.lane_width import WIDTH
-from mbdkit.errors import ResourceError, RunError
+from mbdkit.runs.batch import CHUNK
 from mbdkit.spec import DesignSpec, InverseSpec
 from mbdkit.studies.executor_pool import Engine
 from mbdkit.studies.tasks import PASSING

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import counted
 from mbdkit.gradients.differentiated_expressions import definitions_of
 from mbdkit.gradients.gradient import Gradient, gradient_of_run_spec
 from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.inverse_dynamics.inverse_gradient import gradient_of_inverse
-from mbdkit.one_thread import one_thread_of_linear_algebra
-from mbdkit.plain_data import path_text
 from mbdkit.spec import RunSpec
-from mbdkit.text import counted
 
 if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator

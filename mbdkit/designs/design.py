@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.text import counted, table
 from mbdkit.designs.compared_settings import Comparison, compare, comparison_table
 from mbdkit.designs.derivatives import told, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
@@ -18,7 +19,6 @@ from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import Search, searches
 from mbdkit.designs.trust import Trust, certified
 from mbdkit.spec import DesignSpec
-from mbdkit.text import counted, table
 
 
 @dataclass(frozen=True)

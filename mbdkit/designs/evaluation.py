@@ -13,12 +13,12 @@ import numpy as np
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.stored_run import Heading, StoredRun
-from mbdkit.batch import simulate_batch
-from mbdkit.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.measures.take import describe, take
-from mbdkit.one_thread import one_thread_of_linear_algebra
-from mbdkit.plain_data import Path, path_text, plain
+from mbdkit.runs.batch import simulate_batch
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import parse_key

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 
 def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:

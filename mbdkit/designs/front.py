@@ -7,11 +7,11 @@ from itertools import product
 
 import numpy as np
 
+from mbdkit.base.text import counted, table
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.point import DesignPoint, Notify
 from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import Search, searches
-from mbdkit.text import counted, table
 
 ROWS = 20
 """Largest number of points in the table of a front."""

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.files import replacing
+from mbdkit.base.text import counted, shown
 from mbdkit.designs.computing import is_passing, plain_outcome, told
 from mbdkit.designs.evaluation import Job, Outcome
 from mbdkit.designs.format_version import read_versioned
 from mbdkit.designs.point import Notify
-from mbdkit.errors import SpecError, file_error
-from mbdkit.files import replacing
-from mbdkit.text import counted, shown
 
 VERSION = "mbdkit_points"
 """Name of the format version in the first line of the file."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.errors import RunError
 from mbdkit.designs.derivatives import derivatives
-from mbdkit.errors import RunError
 
 if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator

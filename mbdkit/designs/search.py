@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution, least_squares, minimize
 from scipy.stats import qmc
 
+from mbdkit.base.errors import SpecError
 from mbdkit.designs.problem import Problem
-from mbdkit.errors import SpecError
 from mbdkit.spec import DesignSpec
 from mbdkit.spec.design_spec import EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
 

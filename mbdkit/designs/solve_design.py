@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.text import counted
 from mbdkit.designs.computing import Computer
 from mbdkit.designs.design import Design, solve
 from mbdkit.designs.evaluation import Evaluator
@@ -15,10 +17,8 @@ from mbdkit.designs.known_points import KnownPoints, PointFile
 from mbdkit.designs.point import Notify
 from mbdkit.designs.search import check_installed
 from mbdkit.designs.store import DesignFolder
-from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.spec import DesignSpec, load_design_spec
 from mbdkit.studies.executor_pool import Engine, checked_executor
-from mbdkit.text import counted
 
 WORKER = "mbdkit.designs.job_worker"
 """Module that carries out the tasks of worker processes."""

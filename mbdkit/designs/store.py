@@ -16,16 +16,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
+from mbdkit.base.plain_data import canonical_text
 from mbdkit.designs.design import Design
 from mbdkit.designs.evaluation import ScenarioRuns
 from mbdkit.designs.format_version import read_versioned
 from mbdkit.designs.point import DesignPoint
 from mbdkit.designs.trust import check_of
-from mbdkit.errors import SpecError
-from mbdkit.files import replacing
 from mbdkit.inverse_dynamics.inverse_run import compute_run
-from mbdkit.plain_data import canonical_text
-from mbdkit.simulation import simulate
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import read_file

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import Path
 from mbdkit.designs.evaluation import Evaluator, Job, Outcome, Settings
-from mbdkit.errors import MbdkitError
-from mbdkit.plain_data import Path
 from mbdkit.spec import InverseSpec, RunSpec
 
 FINER = 2.0

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.workspace import finite_motions
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Table

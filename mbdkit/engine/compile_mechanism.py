@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import plain
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, ForceElement, Row
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
@@ -17,7 +19,6 @@ from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.system import Topology
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
@@ -27,7 +28,6 @@ from mbdkit.mechanism.program_derivative import derivative_of
 from mbdkit.mechanism.time_expression import Expression, Program
 from mbdkit.mechanism.time_jets import curve_of
 from mbdkit.mechanism.values import Motion, Table
-from mbdkit.plain_data import plain
 
 Numbers = tuple[float, ...]
 

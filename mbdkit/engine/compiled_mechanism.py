@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.text import counted, listed
 from mbdkit.engine.jit.law_compiler import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.mechanism.values import Motion
-from mbdkit.text import counted, listed
 
 MOST_COUPLINGS = 60
 """Sum of the squared numbers of joints per body, relative to the number of pairs of rows, above which the Schur

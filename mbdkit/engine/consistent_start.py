@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
@@ -16,7 +17,6 @@ from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import looped_rows
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.checks import check_centers, check_springs
 from mbdkit.mechanism.mechanism import Mechanism

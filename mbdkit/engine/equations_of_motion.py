@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.counters import Counters
@@ -18,7 +19,6 @@ from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import StepError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

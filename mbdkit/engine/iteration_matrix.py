@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.elimination_order import SingularSystemError, new_factors
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.equations import (
@@ -23,7 +24,6 @@ from mbdkit.engine.kernels.equations import (
     solve_real,
 )
 from mbdkit.engine.kernels.system import KKT_TOLERANCE
-from mbdkit.errors import StepError
 
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters

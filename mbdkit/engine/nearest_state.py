@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, MOST_ITERATIONS, STAGNANT
-from mbdkit.errors import StepError
 
 ROUND_OFF = FEW_ROUNDINGS * EPS
 """Relative change of the coordinates that counts as rounding error."""

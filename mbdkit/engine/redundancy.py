@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Redundancy, with_ground
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.independent_rows import choose_spare, direction_frames
@@ -21,8 +23,6 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.self_stress import SMALL, looped_rows, scaled_matrix, self_stresses
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import SpecError
-from mbdkit.text import listed
 
 MOVES = (1e-4, 1e-2, 0.1)
 """Sizes of the displacements from the start, relative to the characteristic length and to 1 rad."""

@@ -26,11 +26,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, NoReturn
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, Program
-from mbdkit.text import did_you_mean, listed
 
 BODY = ("x", "y", "angle", "vx", "vy", "angular_velocity", "ax", "ay", "angular_acceleration")
 BODY_FRAMES = ("force_first_x", "force_first_y", "force_second_x", "force_second_y")

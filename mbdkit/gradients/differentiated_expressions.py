@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.time_expression import Program
 from mbdkit.spec import InverseSpec, RunSpec

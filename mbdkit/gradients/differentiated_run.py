@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.dual_types import DIRECTIONS
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.errors import RunError, SpecError, StepError
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
@@ -20,7 +20,7 @@ from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import with_sides, with_unknown_corners
 from mbdkit.gradients.sided_stepper import SidedStepper
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
-from mbdkit.run_preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
 from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import SpecError
 from mbdkit.events.event_expression import Quantity, RunExpression
 from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
 from mbdkit.measures.measured_quantities import component_of

@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
 from mbdkit.gradients.differentiated_expressions import (
     Definitions,
     Measures,
@@ -28,8 +30,6 @@ from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
-from mbdkit.one_thread import one_thread_of_linear_algebra
-from mbdkit.plain_data import path_text
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.run_source import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs

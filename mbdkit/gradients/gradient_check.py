@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.plain_data import Path
 from mbdkit.gradients.gradient_parameters import Parameter
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
-from mbdkit.plain_data import Path
 
 STEPS = (1e-4, 2e-4)
 """Distances of the runs from the parameters, as shares of these."""

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, found, path_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, found, path_text
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key
-from mbdkit.text import did_you_mean, listed
 
 MOST_PARAMETERS = 50
 """Largest number of parameters of one gradient."""

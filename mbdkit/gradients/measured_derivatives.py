@@ -22,7 +22,7 @@ class _Operand:
     """An operand of an expression on the recorded rows, and on the nodes of integrals.
 
     It is not known on the nodes (None) where the integrals of runs use the rows, too; see
-    `mbdkit.run_integrals`. So a run and its gradient have the same numbers.
+    `mbdkit.runs.integrals`. So a run and its gradient have the same numbers.
     """
 
     rows: Value

@@ -17,8 +17,8 @@ from functools import cache
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.errors import SpecError
 from mbdkit.gradients.gradient_parameters import Parameter
 from mbdkit.stepping.dual_run import Seeds
 

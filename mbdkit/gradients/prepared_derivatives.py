@@ -10,13 +10,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import Starts
-from mbdkit.errors import SpecError
 from mbdkit.gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
 from mbdkit.gradients.gradient_parameters import Parameter
 from mbdkit.gradients.parameter_differences import Arrays, Preparation, PreparedDerivatives
-from mbdkit.run_corners import knots_of
+from mbdkit.runs.corners import knots_of
 from mbdkit.spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import StepError
 from mbdkit.gradients.differentiated_states import States
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import Condition

@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib.resources
 from dataclasses import dataclass
 
-from mbdkit.errors import SpecError
-from mbdkit.text import did_you_mean, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, listed
 from mbdkit.inverse_dynamics.dynamics import Dynamics, largest_unbalanced, solve_dynamics
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
@@ -24,7 +25,6 @@ from mbdkit.mechanics.source import AssembledMechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.named_actuators import NamedActuator, actuators_of
-from mbdkit.text import counted, listed
 
 
 @dataclass(frozen=True)

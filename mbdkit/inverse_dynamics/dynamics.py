@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.errors import RunError, SpecError
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.text import counted
 from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads
 from mbdkit.inverse_dynamics.manifold import Directions, Manifold
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.spec.named_actuators import NamedActuator
-from mbdkit.text import counted
 
 WEAK = 1e-8
 """Effect of the actuators on a free direction below which, relative to the largest effect, they do not drive it."""

@@ -16,16 +16,16 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series
 from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
-from mbdkit.recorded_columns import COLUMNS
+from mbdkit.runs.recorded_columns import COLUMNS
 from mbdkit.spec.inverse_sections import ErrorBars as Asked
 from mbdkit.spec.inverse_sections import Smoothing
-from mbdkit.text import listed
 
 LEVEL = 0.95
 """Probability that an error stays below its bar."""

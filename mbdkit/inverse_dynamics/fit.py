@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.errors import RunError, SpecError
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.mechanism.mechanism_quantities import Quantities
-from mbdkit.text import listed
 
 MOST_ITERATIONS = 200
 ROUND_OFF = 1e-13

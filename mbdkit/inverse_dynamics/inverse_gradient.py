@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.jit.dual_types import DIRECTIONS
 from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.errors import MbdkitError, SpecError
 from mbdkit.gradients.differentiated_expressions import (
     Definitions,
     Measures,
@@ -40,7 +41,6 @@ from mbdkit.inverse_dynamics.dynamics import Balance, columns_of, weights_of
 from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.inverse_dynamics.loads import loads_on
 from mbdkit.inverse_dynamics.reduced_motion import Motion
-from mbdkit.one_thread import one_thread_of_linear_algebra
 from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit.spec.run_source import InverseSource
 from mbdkit.spec.varied_specs import varied_inverse

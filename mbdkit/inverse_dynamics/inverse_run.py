@@ -9,9 +9,9 @@ from typing import Any
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.base.logs import logger_of
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.record import archive_of
-from mbdkit.logs import logger_of
 from mbdkit.measures.take import check_measures
 from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit.spec.run_source import InverseSource

@@ -9,7 +9,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import shown
 from mbdkit.inverse_dynamics.measured import source_table, unit_factor
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.tables import Table
@@ -17,7 +18,6 @@ from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Load
-from mbdkit.text import shown
 
 Component: TypeAlias = tuple[Literal["force", "point", "torque"], int | None]
 """An array of a `LoadSeries`, and the axis of its component."""

@@ -11,15 +11,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mbdkit.archive.reader import load
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, listed, shown
+from mbdkit.base.units import read_unit
 from mbdkit.inverse_dynamics.fit import Target
 from mbdkit.inverse_dynamics.tables import Table, read_table, table_of
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn
-from mbdkit.text import counted, listed, shown
-from mbdkit.units import read_unit
 
 SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
 

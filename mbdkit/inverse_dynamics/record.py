@@ -19,9 +19,9 @@ from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
 from mbdkit.inverse_dynamics.raw_misalignment import raw_misalignment
 from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.measures.take import take_all
-from mbdkit.provenance import model_provenance
-from mbdkit.recorded_columns import COLUMNS
-from mbdkit.recorder import archive_names, shared_forces
+from mbdkit.runs.provenance import model_provenance
+from mbdkit.runs.recorded_columns import COLUMNS
+from mbdkit.runs.recorder import archive_names, shared_forces
 
 
 def archive_of(

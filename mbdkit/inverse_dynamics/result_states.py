@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
+from mbdkit.base.errors import RunError
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.errors import RunError
 from mbdkit.inverse_dynamics.compute import Inverse
-from mbdkit.recorded_columns import ConstraintRows, RecordedStates
+from mbdkit.runs.recorded_columns import ConstraintRows, RecordedStates
 from mbdkit.stepping.interface import Stretch
 
 

@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline, make_interp_spline, make_smoothing_spline
 from scipy.linalg import solveh_banded
 from scipy.signal import butter, filtfilt, lfilter, lfiltic
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.spec.inverse_sections import (
     Butterworth,
     NoSmoothing,

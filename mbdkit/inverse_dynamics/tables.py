@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import MbdkitError, SpecError, file_error
-from mbdkit.text import did_you_mean, listed, shown
+from mbdkit.base.errors import MbdkitError, SpecError, file_error
+from mbdkit.base.text import did_you_mean, listed, shown
 
 GAPS = ("", "nan", "na", "n/a", "null")
 """Cells, in lower case, that hold no value."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.values import NotNegative, Number, Positive
-from mbdkit.strict_model import StrictModel
 
 if TYPE_CHECKING:
     import sympy

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.values import NotNegative, Positive
-from mbdkit.strict_model import StrictModel
 
 if TYPE_CHECKING:
     import sympy

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Literal, Self
 
 from pydantic import model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.values import NotNegative, Number
-from mbdkit.strict_model import StrictModel
 
 if TYPE_CHECKING:
     import sympy

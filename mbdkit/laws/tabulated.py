@@ -8,10 +8,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.force_law import FunctionLaw
 from mbdkit.mechanism.values import NotNegative, Number, columns_of
-from mbdkit.strict_model import StrictModel
 
 SUMMARY = "A spring whose force is tabulated over its length: a cubic spline, extrapolated linearly."
 

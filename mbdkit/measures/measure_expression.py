@@ -20,7 +20,9 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from mbdkit.archive.history import NotRecordedError
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import Unit, read_unit
 from mbdkit.events.event_expression import Code, Quantity, RunCompiler
 from mbdkit.measures.measured_quantities import ATTRIBUTES, beam_along, is_over_time, is_vector, recorded, unit_of
 from mbdkit.measures.reductions import (
@@ -36,8 +38,6 @@ from mbdkit.measures.reductions import (
 from mbdkit.mechanism.time_expression import FUNCTIONS, Program
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import QUANTITIES
-from mbdkit.text import did_you_mean, listed
-from mbdkit.units import Unit, read_unit
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

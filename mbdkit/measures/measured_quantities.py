@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.layout import MULTIPLIER_UNITS, RATE_UNITS
+from mbdkit.base.units import Unit, read_unit
 from mbdkit.events.event_expression import OF_ELEMENTS, Quantity
 from mbdkit.mechanism.forces import PointForce, Torque
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.units import Unit, read_unit
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.archive.measured_values import MeasuredValues
-from mbdkit.errors import PluginError, SpecError, blaming
+from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import message_of
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.plain_data import path_text
 from mbdkit.registry.items import MeasurePlugin
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit.text import message_of
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

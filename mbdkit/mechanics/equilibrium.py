@@ -9,13 +9,14 @@ import numpy as np
 from scipy.sparse import block_array, diags_array
 from scipy.sparse.linalg import splu
 
+from mbdkit.base.errors import StepError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.plain_data import plain
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
-from mbdkit.errors import StepError
-from mbdkit.html_view import HtmlView
 from mbdkit.mechanics.reduced import (
     DENSE,
     State,
@@ -27,7 +28,6 @@ from mbdkit.mechanics.reduced import (
 )
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.plain_data import plain
 from mbdkit.spec.run_source import RunSource, Sections
 
 MOST_STEPS = 500

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from scipy.sparse import block_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from mbdkit.errors import StepError
+from mbdkit.base.errors import StepError
 from mbdkit.mechanics.equilibrium import joint_reactions, rest
 from mbdkit.mechanics.reduced import State, least_stiffness
 from mbdkit.mechanics.source import PreparedMechanism

@@ -9,11 +9,11 @@ from typing import Unpack
 
 import numpy as np
 
-from mbdkit.errors import RunError, StepError
+from mbdkit.base.errors import RunError, StepError
+from mbdkit.base.text import counted, csv_cell, listed
 from mbdkit.mechanics.reduced import at_rest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.spec.run_source import RunSource, Sections
-from mbdkit.text import counted, csv_cell, listed
 
 ASIDE = 0.1
 """A step is halved if the position deviates from its extrapolation by more than this fraction of the step."""

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.text import counted, listed, table
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.kinematics import Kinematics
 from mbdkit.mechanics.modes import Modes
-from mbdkit.text import counted, listed, table
 
 SHOWN = 20
 """Largest number of rows in a printed table."""

@@ -8,7 +8,7 @@ from typing import Literal, Unpack
 import numpy as np
 from scipy.linalg import eig, eigh, null_space
 
-from mbdkit.html_view import HtmlView
+from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanics.equilibrium import rest
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, lowest, reduce
 from mbdkit.mechanics.source import PreparedMechanism

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError, StepError
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import SpecError, StepError
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.run_preparation import build
+from mbdkit.runs.preparation import build
 from mbdkit.spec import InverseSpec, RunSpec, load_spec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.stepping.warm_up import ensure_compiled

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator
 
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import listed
 from mbdkit.mechanism.program_derivative import KINKED, derivative_of
 from mbdkit.mechanism.time_expression import MAX_DEPTH, Compiler, Expression, ExpressionError, depth_of
 from mbdkit.mechanism.values import Number, Table, columns_of, number_or_table
-from mbdkit.strict_model import StrictModel
-from mbdkit.text import listed
 
 if TYPE_CHECKING:
     import numpy as np

@@ -10,12 +10,12 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.beam_shape import INTEGRATION, NODE_SHARES, Place, curved, straight
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce
 from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point, Positive, Table, sequence
-from mbdkit.strict_model import StrictModel
 
 SHEAR_SHARE = 1e-6
 """Share of the deflection of a cantilever with a force at its end that shear causes in a beam with ``shear: none``."""

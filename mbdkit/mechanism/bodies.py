@@ -13,9 +13,9 @@ from typing import Any, ClassVar, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.values import BodyPair, Motion, Number, Point, Points, Positive
-from mbdkit.strict_model import StrictModel
 
 GROUND = "ground"
 

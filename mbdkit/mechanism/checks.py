@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Container, Iterable, Mapping
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import found
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
@@ -15,8 +17,6 @@ from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import NO_BODY, Assembly
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table
-from mbdkit.plain_data import found
-from mbdkit.text import did_you_mean, listed
 
 ROUNDING = 1e-9
 """Relative tolerance for a run that extends beyond a table; the end of a run is a sum of rounded steps."""

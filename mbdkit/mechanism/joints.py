@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import At, Attachment, Between, BetweenPoints, Body, FromTo
 from mbdkit.mechanism.values import Motion, Number, Point, Points, Positive

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from mbdkit.base.plain_data import Path
 from mbdkit.mechanism.law_element import Law, PluginLookup
-from mbdkit.plain_data import Path
 
 Model = type[BaseModel]
 

@@ -8,12 +8,12 @@ from typing import Any, ClassVar, Literal, Protocol, Self
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, to_json
 
-from mbdkit.errors import blaming
-from mbdkit.mechanism import higher_layers
+from mbdkit.base import higher_layers
+from mbdkit.base.errors import blaming
+from mbdkit.base.plain_data import plain
 from mbdkit.mechanism.bodies import Attachment, Body, Element
 from mbdkit.mechanism.force_law import ForceLaw
 from mbdkit.mechanism.pathways import Pathway
-from mbdkit.plain_data import plain
 
 OptionsClass = type[BaseModel]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
-from mbdkit.errors import PluginError, blaming
+from mbdkit.base.errors import PluginError, blaming
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, FunctionLaw
 
 

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from mbdkit.errors import SpecError
-from mbdkit.html_view import HtmlView
-from mbdkit.mechanism import higher_layers
+from mbdkit.base import higher_layers
+from mbdkit.base.errors import SpecError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.plain_data import found, plain
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import counted
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element
@@ -23,9 +26,6 @@ from mbdkit.mechanism.named_coordinates import NamedCoordinate, check_coordinate
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
-from mbdkit.plain_data import found, plain
-from mbdkit.strict_model import StrictModel
-from mbdkit.text import counted
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.symbolic_system import SymbolicSystem
@@ -807,7 +807,7 @@ class Mechanism(HtmlView):
         SpecError
             With the key path of the first error, or of a force that has no symbolic form.
         """
-        system: SymbolicSystem = higher_layers.symbolic_system(self, numbers)
+        system: SymbolicSystem = higher_layers.symbolic_system(self, numbers=numbers)
         return system
 
     # ---- private -------------------------------------------------------------------------------------------------

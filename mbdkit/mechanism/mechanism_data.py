@@ -6,7 +6,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import Force
@@ -14,7 +15,6 @@ from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.named_coordinates import AnyNamedCoordinate
 from mbdkit.mechanism.values import Point, Positive, sequence
-from mbdkit.strict_model import StrictModel
 
 NO_BODY = "a mechanism needs at least one body or beam"
 

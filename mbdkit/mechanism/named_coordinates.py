@@ -7,11 +7,11 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.values import Number
-from mbdkit.strict_model import StrictModel
-from mbdkit.text import did_you_mean, listed
 
 OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
 

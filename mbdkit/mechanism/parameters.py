@@ -17,16 +17,16 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import ValidationError
 
-from mbdkit.errors import SpecError
-from mbdkit.mechanism import higher_layers
+from mbdkit.base import higher_layers
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, found, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
 from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, ExpressionError
 from mbdkit.mechanism.validation_errors import spec_error, value_path
 from mbdkit.mechanism.values import TextForNumberError
-from mbdkit.plain_data import Path, found, parse_path, path_text
-from mbdkit.text import did_you_mean, listed
 
 Validated = TypeVar("Validated")
 Values = Mapping[str, float]

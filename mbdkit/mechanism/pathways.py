@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.bodies import Attachment, Between, Element, FromTo
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.values import Number, Points

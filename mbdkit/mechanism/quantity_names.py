@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.joints import JointBase
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import (
@@ -18,7 +19,6 @@ from mbdkit.mechanism.mechanism_quantities import (
     RelativeAngle,
     Travel,
 )
-from mbdkit.text import did_you_mean, listed
 
 _PREFIXES = {kind: f"{kind[:-1] if kind != 'bodies' else 'body'}" for kind in ("bodies", "joints", "markers")}
 _NAMES_SHOWN = 12

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from mbdkit.errors import SpecError
-from mbdkit.text import did_you_mean, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     import sympy

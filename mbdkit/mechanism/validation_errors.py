@@ -10,14 +10,14 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ErrorType
 
-from mbdkit.errors import SpecError
-from mbdkit.mechanism import higher_layers
+from mbdkit.base import higher_layers
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, found, parse_path, path_text
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import did_you_mean, listed, message_of, shortened, shown
 from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.time_expression import Expression
-from mbdkit.plain_data import Path, found, parse_path, path_text
-from mbdkit.strict_model import description
-from mbdkit.text import did_you_mean, listed, message_of, shortened, shown
 
 WANTED = {
     "float_type": "a number",

@@ -8,10 +8,10 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.time_expression import Expression
-from mbdkit.strict_model import StrictModel
-from mbdkit.text import did_you_mean, listed
 
 
 class TextForNumberError(SpecError):

@@ -10,9 +10,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau
-from mbdkit.strict_model import StrictModel
 
 MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
 """Largest step [s]; None: no limit."""

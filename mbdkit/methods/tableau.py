@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import mpmath
 
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
     import numpy as np

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 _SCAN = math.radians(1.0)
 

@@ -6,10 +6,10 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive, pair
 from mbdkit.models._chain import chain
-from mbdkit.strict_model import StrictModel
 
 SUMMARY = "Two rods in a chain."
 

@@ -43,13 +43,13 @@ import math
 
 from pydantic import Field
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
 from mbdkit.models._crossed_four_bar import CrossedFourBar
 from mbdkit.models._knee_linkage import Frame, knee_of, xy
 from mbdkit.models._segments import FRACTIONS, GAIT2D, WINTER, Person
-from mbdkit.strict_model import StrictModel
 
 SUMMARY = "A lower leg on a crossed four-bar linkage at a fixed thigh, with springs and dampers."
 

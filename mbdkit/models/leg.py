@@ -43,7 +43,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND, Body
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint, Revolute
@@ -55,8 +57,6 @@ from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._knee_linkage import Frame, knee_of, xy
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
 from mbdkit.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
-from mbdkit.strict_model import StrictModel
-from mbdkit.text import listed
 
 SUMMARY = "A leg of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free trunk."
 FOUR_BAR_SUMMARY = "The same leg with a knee that is a crossed four-bar linkage."

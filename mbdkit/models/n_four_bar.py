@@ -8,11 +8,11 @@ from typing import Annotated
 
 from pydantic import Field
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.memory import available_memory, in_bytes
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive
-from mbdkit.memory import available_memory, in_bytes
-from mbdkit.strict_model import StrictModel
 
 SUMMARY = "N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02)."
 

@@ -6,12 +6,12 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.memory import available_memory, in_bytes
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive, sequence
-from mbdkit.memory import available_memory, in_bytes
 from mbdkit.models._chain import chain
-from mbdkit.strict_model import StrictModel
 
 SUMMARY = "A chain of n rods, with equal or individual parameters."
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._chain import chain
-from mbdkit.strict_model import StrictModel
 
 SUMMARY = "One rod attached to the ground by a revolute joint."
 

@@ -11,8 +11,9 @@ import numpy as np
 from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import summary_lines
-from mbdkit.errors import MbdkitError
-from mbdkit.html_view import HtmlView
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.text import shown
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.mechanics_summary import (
     clean,
@@ -37,7 +38,6 @@ from mbdkit.report.run_report import mechanism_of
 from mbdkit.report.section import Drawing
 from mbdkit.report.study_report import runs_table, settings
 from mbdkit.studies.study import Study
-from mbdkit.text import shown
 
 _TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
 _CHART = (5.4, 3.3)

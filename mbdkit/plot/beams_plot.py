@@ -11,7 +11,8 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.history import UnknownNameError
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.plot.beam_curves import has_beams
 from mbdkit.plot.chart_images import draw_chart
 from mbdkit.plot.downsampling import Array, bands
@@ -19,7 +20,6 @@ from mbdkit.plot.element_quantity import MOST, Names
 from mbdkit.plot.panel import Panel, dress_over_time, panel_title
 from mbdkit.plot.scene import nearest_rows
 from mbdkit.plot.style import PALETTE
-from mbdkit.text import listed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

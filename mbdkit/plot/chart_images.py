@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
-from mbdkit.errors import file_error
+from mbdkit.base.errors import file_error
 from mbdkit.plot.caption import Caption
 from mbdkit.plot.style import FAINT, GRID, PALETTE, PAPER, color_number, dress, legend, new_figure, powers_of_ten, save
 

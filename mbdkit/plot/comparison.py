@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from matplotlib.axes import Axes
 
-from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.plain_data import Path as SpecPath
-from mbdkit.plain_data import path_text
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import Path as SpecPath
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.plot.caption import method, plain_name
 from mbdkit.plot.chart_axes import draw_on
 from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.plot_kinds import plot_module
 from mbdkit.spec import RunSpec
 from mbdkit.spec.key_words import key_unit, key_words
-from mbdkit.text import counted, did_you_mean, listed
 
 if TYPE_CHECKING:
     from mbdkit.analysis.verdict import Figure, Line

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbdkit.base.plain_data import plain
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.pathways import JointAngles
-from mbdkit.plain_data import plain
 from mbdkit.plot.beam_curves import BeamCurve
 from mbdkit.plot.cable_geometry import Place, cable_places
 from mbdkit.plot.plane_geometry import Array, convex_hull

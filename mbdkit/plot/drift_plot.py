@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.plot.element_quantity import MOST, ElementQuantity, Names, draw_elements, element_chart, picked, value_text
 from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment, velocity_misalignment
 from mbdkit.plot.panel import Panel
 from mbdkit.plot.quantity_text import length
-from mbdkit.text import listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

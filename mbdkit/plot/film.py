@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 from PIL import Image
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.plot.beam_curves import largest_moment
 from mbdkit.plot.caption import caption
 from mbdkit.plot.downsampling import evenly

@@ -6,7 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from mbdkit.analysis.verdict import Axis, Figure
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.plot.element_quantity import MOST, Names, draw_elements, element_chart, element_values, has_elements, picked
 from mbdkit.plot.panel import Panel
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from mbdkit.files import check_suffix
+from mbdkit.base.files import check_suffix
 from mbdkit.mechanics.modes import Modes
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plot.caption import Caption

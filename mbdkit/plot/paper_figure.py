@@ -11,7 +11,7 @@ from cycler import cycler
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.plot.chart_axes import draw_on, settle_layout
 from mbdkit.plot.comparison import comparison
 from mbdkit.plot.style import GRID, INK, PALETTE, PAPER

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 if TYPE_CHECKING:
     from mbdkit.analysis.verdict import Figure

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.plot.downsampling import Array, bands
 from mbdkit.plot.element_quantity import MOST, ElementQuantity, Names, draw_elements, element_chart, picked
 from mbdkit.plot.joint_quantity import reaction_force, with_errors
 from mbdkit.plot.panel import Panel
 from mbdkit.plot.torques_plot import carried_torque
-from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mbdkit.files import check_suffix
+from mbdkit.base.files import check_suffix
 from mbdkit.plot.caption import caption
 from mbdkit.plot.chart_images import draw_chart
 from mbdkit.plot.comparison import comparison

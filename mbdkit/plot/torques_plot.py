@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure
 from mbdkit.archive.run_summary import ROUND_OFF
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.plot.downsampling import Bands
 from mbdkit.plot.element_quantity import (
     MOST,

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.items import ITEM_CLASSES, Plugin
 from mbdkit.registry.policy import normalized_name
-from mbdkit.text import did_you_mean, listed
 
 Kind = str
 """Kind of a plugin: a key of `KINDS`."""

@@ -9,12 +9,12 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from mbdkit.errors import PluginError, SpecError
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.text import did_you_mean, listed, table
 from mbdkit.registry.catalogue import KINDS, Registered, Registry, Report
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import API
-from mbdkit.text import did_you_mean, listed, table
 
 Schema = dict[str, Any]
 WIDTH = 80

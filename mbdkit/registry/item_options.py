@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, create_model
 
-from mbdkit.strict_model import STRICT
+from mbdkit.base.strict_model import STRICT
 
 if TYPE_CHECKING:
     from mbdkit.registry.catalogue import Registered

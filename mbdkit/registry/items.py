@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from mbdkit.errors import PluginError, SpecError
-from mbdkit.units import read_unit
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.units import read_unit
 
 if TYPE_CHECKING:
     from pydantic import BaseModel

@@ -13,13 +13,13 @@ from typing import Any, Protocol
 
 import pluggy
 
-from mbdkit.errors import PluginError, with_place
+from mbdkit.base.errors import PluginError, with_place
+from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import Plugin, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
-from mbdkit.text import listed
 
 GROUP = hookspecs.PROJECT
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 
-from mbdkit.errors import PluginError, SpecError
-from mbdkit.text import listed
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.text import listed
 
 API = 1
 """Version of the plugin API: the hooks, their return values, and the arguments of methods, laws and models.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.reader import load
+from mbdkit.base.terminal import say
 from mbdkit.designs.compared_settings import compared_with
 from mbdkit.designs.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit.designs.solve_design import WORKER, evaluating
@@ -28,7 +29,6 @@ from mbdkit.report.sensitivity_bars import sensitivity_section
 from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.studies.executor_pool import Engine
-from mbdkit.terminal import say
 
 if TYPE_CHECKING:
     from mbdkit.designs.design import Design

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.verdict import Answer, Cell, Claim, Column, Table, Verdict
+from mbdkit.base.text import counted
 from mbdkit.measures.take import describe
 from mbdkit.report.design_charts import goal_words, variable_unit
 from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml
-from mbdkit.text import counted
 
 if TYPE_CHECKING:
     from mbdkit.designs.compared_settings import Comparison

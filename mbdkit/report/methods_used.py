@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.plot.caption import plain_name
 from mbdkit.registry.catalogue import Kind, Registered
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.inverse_spec import is_inverse
-from mbdkit.text import listed
 
 _EQUATIONS = (
     "Planar motion in absolute coordinates: x, y and the angle of every body. The equations of motion are solved in "

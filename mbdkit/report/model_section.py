@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
@@ -16,8 +18,6 @@ from mbdkit.plot.quantity_text import count
 from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
 from mbdkit.report.section import Drawing, Section
 from mbdkit.spec.key_words import described_unit
-from mbdkit.strict_model import description
-from mbdkit.text import listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from mbdkit.analysis.verdict import Verdict
 from mbdkit.archive.reader import load
-from mbdkit.errors import SpecError
-from mbdkit.files import check_output, check_suffix, replacing
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.plot.chart_images import image_files, write_chart_images
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_report import run_report

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.analysis.verdict import Cell, Column, Table, Verdict
 from mbdkit.archive.reader import load
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.plot.quantity_text import count
 from mbdkit.report.methods_used import methods
 from mbdkit.report.player_data import film_data
@@ -27,7 +28,6 @@ from mbdkit.studies.judge import judge
 from mbdkit.studies.point_selection import value
 from mbdkit.studies.sample_groups import sample_groups
 from mbdkit.studies.verdict_lookup import find_verdict
-from mbdkit.text import listed
 from mbdkit.trust.criteria import MISALIGNMENT
 
 if TYPE_CHECKING:

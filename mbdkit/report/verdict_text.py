@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from mbdkit.analysis.verdict import Table, Verdict
+from mbdkit.base.text import markdown
+from mbdkit.base.text import table as aligned
 from mbdkit.report.report_page import ReportPage, cell_text
-from mbdkit.text import markdown
-from mbdkit.text import table as aligned
 
 
 def headlines(verdict: Verdict) -> tuple[Table, ...]:

@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, get_args
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import load_installed
 from mbdkit.registry.policy import API

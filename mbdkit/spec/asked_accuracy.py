@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 SMALLEST, LARGEST = 1e-12, 0.1
 """Limits of `accuracy`: rounding errors dominate below the first, and no digit is right above the second."""

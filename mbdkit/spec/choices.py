@@ -9,12 +9,12 @@ from typing import Any
 from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
-from mbdkit.errors import SpecError, blaming
-from mbdkit.plain_data import found
+from mbdkit.base.errors import SpecError, blaming
+from mbdkit.base.plain_data import found
+from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of, named_options
 from mbdkit.registry.manager import registry
-from mbdkit.text import listed
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.design_spec import DesignSpec, Scenario, variable_path
 from mbdkit.spec.inverse_spec import InverseSpec, is_inverse
 from mbdkit.spec.loading import example_names, exists, read_source
@@ -16,7 +17,6 @@ from mbdkit.spec.reading import parse_key, put, read_file, read_stdin, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_loading import base_source, by_text
-from mbdkit.text import did_you_mean, listed
 
 
 def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:

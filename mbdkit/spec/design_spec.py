@@ -8,10 +8,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, found, path_text
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
-from mbdkit.plain_data import Path, found, path_text
 from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec

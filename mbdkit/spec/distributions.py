@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, WithJsonSchema
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import found
-from mbdkit.text import did_you_mean, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import found
+from mbdkit.base.text import did_you_mean, listed
 
 FORM = "{DISTRIBUTION: PARAMETERS}, such as {uniform: [-1, 1]} or {norm: {loc: 2, scale: 0.1}}"
 

@@ -7,12 +7,12 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import shown
+from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.values import BodyPair, Points
 from mbdkit.spec.sections import Count, Positive, Section
-from mbdkit.text import shown
-from mbdkit.units import read_unit
 
 Named = Annotated[str, Field(min_length=1)]
 

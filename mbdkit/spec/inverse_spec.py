@@ -8,18 +8,18 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.strict_model import description
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.plain_data import path_text
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
 from mbdkit.spec.inverse_sections import Actuator, Load, MeasuredMotion, Span
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.named_actuators import actuators_of
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
-from mbdkit.strict_model import description
 
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:

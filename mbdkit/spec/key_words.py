@@ -8,10 +8,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from mbdkit.errors import MbdkitError
-from mbdkit.plain_data import Path
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import Path
+from mbdkit.base.strict_model import description
 from mbdkit.spec.reading import parse_key
-from mbdkit.strict_model import description
 
 _WORDS = {
     "time.step": "step",

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, cast
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
+from mbdkit.base.strict_model import STRICT
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.item_options import class_name, name_type
-from mbdkit.strict_model import STRICT
 
 if TYPE_CHECKING:
     from mbdkit.registry.catalogue import Registered

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
-from mbdkit.errors import PluginError, SpecError, blaming
+from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.plain_data import LONGEST_TITLE
 from mbdkit.mechanism.law_element import Law
-from mbdkit.plain_data import LONGEST_TITLE
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import ModelPlugin

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import (
     AXES,
@@ -20,7 +21,6 @@ from mbdkit.mechanism.mechanism_quantities import (
 )
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec.inverse_sections import Actuator
-from mbdkit.text import did_you_mean, listed
 
 ROOT = "root"
 """Name of the residual actuators of the only free root, before the name of the coordinate."""

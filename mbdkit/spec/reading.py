@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
-from mbdkit.errors import SpecError, file_error
-from mbdkit.plain_data import DEEPEST, Path, copied, found, parse_path, path_text, without_collection
+from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.plain_data import DEEPEST, Path, copied, found, parse_path, path_text, without_collection
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 

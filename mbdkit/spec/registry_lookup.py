@@ -8,13 +8,13 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from mbdkit.base.text import listed
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.item_options import is_of_item, item_of, named_options
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import Choice
 from mbdkit.spec.law_options import law_element
-from mbdkit.text import listed
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
+from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.plain_data import canonical, canonical_text
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.errors import PluginError, SpecError, blaming
-from mbdkit.plain_data import canonical, canonical_text
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
@@ -21,8 +23,6 @@ from mbdkit.spec.sections import LARGEST_COUNT, Event, Limits, Output, Time, nam
 from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
 from mbdkit.spec.stabilization_section import Choice as StabilizationChoice
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
-from mbdkit.strict_model import description
-from mbdkit.text import listed
 
 if TYPE_CHECKING:
     from mbdkit.events.event_expression import RunExpression

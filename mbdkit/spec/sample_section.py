@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path
 from mbdkit.spec.distributions import Distribution
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section, whole

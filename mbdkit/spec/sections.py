@@ -8,9 +8,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.checks import check_name
-from mbdkit.strict_model import StrictModel
 
 QUANTITIES = ("beams", "constraints", "energy", "forces", "joints", "markers")
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, parse_path, without_collection
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, parse_path, without_collection
 
 
 @dataclass

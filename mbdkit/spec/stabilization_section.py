@@ -9,11 +9,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, GetJsonSchemaHandle
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import canonical, found
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import canonical, found
 from mbdkit.spec.sections import Count, Positive, Section
-from mbdkit.text import did_you_mean, listed
 
 ALPHA = 5.0
 """Default value of Baumgarte's alpha [1/s]."""

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 from pydantic import PrivateAttr, SerializerFunctionWrapHandler, model_serializer
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, canonical, canonical_text, plain, without_collection
 from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions
-from mbdkit.plain_data import Path, canonical, canonical_text, plain, without_collection
 from mbdkit.spec.choices import registry_of
 from mbdkit.spec.registry_lookup import RegistryLookup
 from mbdkit.spec.sections import Section

@@ -7,8 +7,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
@@ -19,7 +20,6 @@ from mbdkit.spec.sample_section import comparable
 from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.value_sets import sets_together
-from mbdkit.text import did_you_mean, listed
 
 
 def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:

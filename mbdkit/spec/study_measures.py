@@ -10,14 +10,14 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ValidationError, WithJsonSchema
 
-from mbdkit.errors import SpecError, blaming
+from mbdkit.base.errors import SpecError, blaming
+from mbdkit.base.plain_data import Path, found, path_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import read_unit
 from mbdkit.mechanism.validation_errors import spec_error
-from mbdkit.plain_data import Path, found, path_text
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
-from mbdkit.text import did_you_mean, listed
-from mbdkit.units import read_unit
 
 ErrorMeasure = Literal[
     "end_error",

@@ -10,8 +10,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import listed
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.sample_section import Sample, comparable
 from mbdkit.spec.sections import Section
@@ -19,7 +20,6 @@ from mbdkit.spec.source_document import Document
 from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.study_measures import ERRORS, SECOND_RUN, DefinedMeasure, Measures, built_in, defined
 from mbdkit.spec.value_sets import ValueSet, sets_together, size
-from mbdkit.text import listed
 
 
 def _check_key(key: str) -> str:

@@ -16,9 +16,9 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import LARGEST_NUMBER, Path, found
-from mbdkit.text import did_you_mean, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import LARGEST_NUMBER, Path, found
+from mbdkit.base.text import did_you_mean, listed
 
 #: Larger sets are assumed to be mistakes.
 LARGEST_SET = 10_000

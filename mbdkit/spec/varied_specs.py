@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mbdkit.plain_data import Path, copied, plain
+from mbdkit.base.plain_data import Path, copied, plain
 from mbdkit.spec.choices import registry_of
 from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.reading import put

@@ -23,8 +23,8 @@ from yaml.events import (
     StreamEndEvent,
 )
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import DEEPEST, LARGEST_NUMBER, Path, path_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import DEEPEST, LARGEST_NUMBER, Path, path_text
 
 LARGEST = 500_000  # values, after expansion of aliases
 LONGEST = 16 * 2**20  # characters in scalars, after expansion of aliases

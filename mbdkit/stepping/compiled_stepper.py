@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import StepError
 from mbdkit.stepping import driver
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.elimination_order import SingularSystemError, equilibrate
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, STAGNANT
-from mbdkit.errors import StepError
 from mbdkit.stepping.convergence import NEGLIGIBLE_CHANGE, STALLED
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.errors import StepError
+from mbdkit.base.errors import StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import MbdkitError, StepError
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.jit.law_compiler import law_for_duals
 from mbdkit.engine.kernels.dual_system import new_dual_solver
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import MbdkitError, StepError
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.dual_collocation import constrained_step, dual_stages, index1_step
@@ -43,7 +43,7 @@ def dual_laws(workspace: Workspace) -> np.ndarray:
 
     Raises
     ------
-    mbdkit.errors.PluginError
+    mbdkit.base.errors.PluginError
         If a law cannot be compiled for dual numbers.
     """
     laws = workspace.mechanism.topology.laws.copy()

@@ -34,7 +34,7 @@ def impulse(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: 
 
     Raises
     ------
-    mbdkit.errors.StepError
+    mbdkit.base.errors.StepError
         If the position is singular.
     """
     p = EquationsOfMotion(workspace)

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF, nearest_positions, nearest_velocities
-from mbdkit.errors import StepError
 from mbdkit.methods.step_method import StepState
 from mbdkit.stepping.projected_step import MAX_TRIALS
 

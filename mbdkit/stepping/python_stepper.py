@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import MbdkitError, StepError
+from mbdkit.base.text import one_line
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import MbdkitError, StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.impulse import impulse
@@ -33,7 +34,6 @@ from mbdkit.stepping.interface import (
 from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
 from mbdkit.stepping.step_watch import StepWatch
-from mbdkit.text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
@@ -23,7 +24,6 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import StepError
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (
     STRETCH,

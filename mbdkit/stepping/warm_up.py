@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
+from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.engine.jit.bundle import JIT_DISABLED
 from mbdkit.engine.jit.cache import FOLDER, compiling, is_shared, is_warm
-from mbdkit.interrupts import interrupts_noted
 
 
 def to_stderr(message: str) -> None:

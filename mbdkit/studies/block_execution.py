@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from mbdkit.errors import SpecError
-from mbdkit.lane_runs import why_alone
+from mbdkit.base.errors import SpecError
+from mbdkit.runs.lane_runs import why_alone
 from mbdkit.studies import block_index
 from mbdkit.studies.block_index import BlockIndex
 from mbdkit.studies.compute_block import plan_blocks

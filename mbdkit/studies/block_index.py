@@ -19,8 +19,8 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
-from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.files import replacing
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.measures import MEASURES

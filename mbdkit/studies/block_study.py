@@ -11,7 +11,7 @@ from mbdkit.archive.blocks import Block
 from mbdkit.archive.joined_runs import KEEPING_TIMES, joined_runs
 from mbdkit.archive.run import Run
 from mbdkit.archive.stored_run import NotStoredError
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.measures.take import Description
 from mbdkit.studies import block_index
 from mbdkit.studies.block_index import BlockIndex

@@ -15,10 +15,12 @@ import numpy as np
 
 from mbdkit.archive.block_format import Store
 from mbdkit.archive.missing_plugins import advised
-from mbdkit.errors import SpecError
-from mbdkit.logs import logger_of
-from mbdkit.plain_data import found, plain
-from mbdkit.progress_bars import count_bar, in_notebook
+from mbdkit.base.errors import SpecError
+from mbdkit.base.logs import logger_of
+from mbdkit.base.plain_data import found, plain
+from mbdkit.base.progress_bars import count_bar, in_notebook
+from mbdkit.base.terminal import say
+from mbdkit.base.text import counted, shown
 from mbdkit.spec.loading import load_spec, read_source
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_source import RunSource, StudySource
@@ -34,8 +36,6 @@ from mbdkit.studies.shard import Shard
 from mbdkit.studies.study import Study
 from mbdkit.studies.study_blocks import settled_store
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.terminal import say
-from mbdkit.text import counted, shown
 
 _LOG = logger_of(__name__)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
-from mbdkit.errors import ResourceError, SpecError
+from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.measures.take import Description, take
 from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec

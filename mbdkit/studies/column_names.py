@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, path_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, path_text
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.planned_points import grids

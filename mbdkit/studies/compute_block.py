@@ -16,11 +16,12 @@ from typing import Any
 from mbdkit.archive.block_writer import BlockHeading, BlockRun, kept, write_block
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.stored_run import Heading, StoredRun
-from mbdkit.batch import CHUNK, Refused, refusal, simulate_batch
-from mbdkit.errors import ResourceError, SpecError
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.plain_data import collecting_new_objects_only, path_text
+from mbdkit.base.terminal import say
 from mbdkit.measures.take import Description, take
-from mbdkit.plain_data import collecting_new_objects_only, path_text
-from mbdkit.provenance import plugins_of, surroundings
+from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_batch
+from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_measures import ERRORS, DefinedMeasure, expressions_of
@@ -34,7 +35,6 @@ from mbdkit.studies.run_group import RunGroup, places_by_group
 from mbdkit.studies.study_blocks import StudyBlocks, stored
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.verdict_lookup import check_verdict
-from mbdkit.terminal import say
 
 MISALIGNMENT = "misalignment_max"
 """The measure that has a column of its own in blocks."""

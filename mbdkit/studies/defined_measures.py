@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import path_text
 from mbdkit.measures.take import Description, describe, is_taken
-from mbdkit.plain_data import path_text
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec

@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mbdkit.errors import SpecError
-from mbdkit.interrupts import interrupts_delayed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.interrupts import interrupts_delayed
+from mbdkit.base.text import counted
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
@@ -19,7 +20,6 @@ from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_plan import plan_study
 from mbdkit.studies.tasks import Outcome, Task
-from mbdkit.text import counted
 
 #: Called with (tasks done, tasks in all, failed runs). A run is one task, and so are its repeated timings.
 Progress = Callable[[int, int, int], None]

@@ -14,12 +14,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import found
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import found
+from mbdkit.base.text import one_line
 from mbdkit.studies.pool import PROGRAM, Pool
 from mbdkit.studies.submitit_executor import SubmititExecutor
 from mbdkit.studies.tasks import Outcome, Work, died
-from mbdkit.text import one_line
 
 
 @dataclass(frozen=True)

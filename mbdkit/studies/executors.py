@@ -12,11 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import one_line, shown
 from mbdkit.studies.owned_folder import JOBS
 from mbdkit.studies.submitit_executor import JOBS as MOST_JOBS
 from mbdkit.studies.submitit_executor import SubmititExecutor
-from mbdkit.text import one_line, shown
 
 TIMEOUT = 10
 """Time for a Dask scheduler to answer [s]."""

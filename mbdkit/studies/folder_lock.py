@@ -15,10 +15,10 @@ from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
-from mbdkit.errors import ResourceError
-from mbdkit.files import rename_new
+from mbdkit.base.errors import ResourceError
+from mbdkit.base.files import rename_new
+from mbdkit.base.text import shown
 from mbdkit.studies.shard import WHOLE, Shard
-from mbdkit.text import shown
 
 LOCK = ".lock-"
 """Beginning of the names of locks."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.analysis.order import observed_order
 from mbdkit.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.studies.axis_words import point_words, value_words
 from mbdkit.studies.point_selection import STEP, Points, value

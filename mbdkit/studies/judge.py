@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.errors import PluginError, SpecError, with_place
+from mbdkit.base.errors import PluginError, SpecError, with_place
 from mbdkit.studies.verdict_lookup import find_verdict
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.errors import ResourceError, SpecError
+from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import block_index
 from mbdkit.studies.block_index import BlockIndex, BlockRows

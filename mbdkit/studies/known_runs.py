@@ -10,8 +10,8 @@ from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.errors import ResourceError, SpecError
-from mbdkit.run_integrals import integrands_of
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.runs.integrals import integrands_of
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec

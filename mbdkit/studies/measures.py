@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.analysis.energy import Trend, trends
 from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
 from mbdkit.archive.history import NotRecordedError
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.studies.run_group import RunGroup
 

@@ -15,8 +15,8 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import FLOAT, INTEGER, TEXT, Array
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
-from mbdkit.errors import SpecError
-from mbdkit.files import replacing
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
 from mbdkit.spec.study_spec import StudySpec
 
 FILE = "members.h5"

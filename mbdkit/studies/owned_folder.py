@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from mbdkit.errors import SpecError, file_error
-from mbdkit.files import check_folder, check_writable, rename_new
+from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.files import check_folder, check_writable, rename_new
 from mbdkit.spec.reading import read_file
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.studies import folder_lock

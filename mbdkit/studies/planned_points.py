@@ -13,15 +13,15 @@ from typing import Any, overload
 
 import numpy as np
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path, parse_path, path_text, plain
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, parse_path, path_text, plain
+from mbdkit.base.text import listed, shortened
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand, size
 from mbdkit.studies.sampled_values import rows_of, table_place, values_of
-from mbdkit.text import listed, shortened
 
 #: Maximum number of runs in a study that writes a file for each.
 LARGEST_STUDY = 10_000

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Generic
 
-from mbdkit.errors import ResourceError
+from mbdkit.base.errors import ResourceError
 from mbdkit.studies.tasks import Outcome, Work, died
 
 PROGRAM = "mbdkit.studies.worker"

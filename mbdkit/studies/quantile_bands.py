@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.data_frame import data_frame
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.spec import RunSpec
 from mbdkit.studies.sample_groups import SampledStudy, groups_where, one_group

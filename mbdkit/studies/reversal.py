@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base.errors import MbdkitError, StepError
+from mbdkit.base.text import one_line
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import MbdkitError, StepError
-from mbdkit.run_preparation import build
+from mbdkit.runs.preparation import build
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Stretch, Timetable
 from mbdkit.stepping.start import start_method
-from mbdkit.text import one_line
 
 LOOKS = 16
 """Number of states along the run at which the mechanism is tested for reversibility."""

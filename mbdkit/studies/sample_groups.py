@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from mbdkit.errors import MbdkitError
-from mbdkit.text import did_you_mean, listed
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

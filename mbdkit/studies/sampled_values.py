@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.plain_data import Path, path_text
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import Path, path_text
 from mbdkit.spec.distributions import frozen
 from mbdkit.spec.sample_section import Sample
 from mbdkit.spec.study_loading import load_study_spec

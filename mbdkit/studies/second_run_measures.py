@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mbdkit.errors import MbdkitError
-from mbdkit.simulation import simulate
+from mbdkit.base.errors import MbdkitError
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec
 from mbdkit.studies.reversal import reverse
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.time_expression import MAX_NESTING, Compiler
-from mbdkit.text import did_you_mean, listed
 
 _ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: np.add,

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
 from mbdkit.archive.data_frame import data_frame
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.studies.sample_groups import SampledStudy, measured, one_group
 
 if TYPE_CHECKING:

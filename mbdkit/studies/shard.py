@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 
 @dataclass(frozen=True)

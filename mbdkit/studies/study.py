@@ -14,10 +14,11 @@ from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.data_frame import data_frame
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.errors import MbdkitError, SpecError
-from mbdkit.html_view import HtmlView
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.measures.take import Description
-from mbdkit.simulation import simulate
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
@@ -28,7 +29,6 @@ from mbdkit.studies.sensitivity import Sensitivity, sensitivity
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Row
 from mbdkit.studies.study_point import StudyPoint
-from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     import pandas

@@ -10,10 +10,10 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.block_format import HISTORIES, Store
 from mbdkit.archive.blocks import Block
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.engine.compile_mechanism import compile_mechanism
-from mbdkit.errors import MbdkitError, ResourceError, SpecError
-from mbdkit.recorder import archive_names
-from mbdkit.run_preparation import rows_expected
+from mbdkit.runs.preparation import rows_expected
+from mbdkit.runs.recorder import archive_names
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import LARGEST_TABLE, StudySpec

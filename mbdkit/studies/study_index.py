@@ -17,8 +17,8 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
-from mbdkit.errors import SpecError
-from mbdkit.files import replacing
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label

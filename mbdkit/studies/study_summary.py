@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.plain_data import json_text
+from mbdkit.base.plain_data import json_text
+from mbdkit.base.text import counted, shown
 from mbdkit.studies.study_index import STATUSES
-from mbdkit.text import counted, shown
 from mbdkit.trust.criteria import LEVELS
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ class Task:
     tried
         Whether the first process that tried it died.
     measures
-        Expressions of the measures of the study, see `mbdkit.simulation.simulate`.
+        Expressions of the measures of the study, see `mbdkit.runs.simulation.simulate`.
     """
 
     spec: RunSpec

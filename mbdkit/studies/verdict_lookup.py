@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
-from mbdkit.text import did_you_mean, listed
 
 if TYPE_CHECKING:
     from mbdkit.registry.catalogue import Registered

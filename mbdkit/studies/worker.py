@@ -19,10 +19,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any
 
-from mbdkit.batch import refusal
-from mbdkit.errors import SpecError
-from mbdkit.one_thread import one_thread_of_linear_algebra
-from mbdkit.text import shown
+from mbdkit.base.errors import SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.text import shown
+from mbdkit.runs.batch import refusal
 
 Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
 """Carries out the task of a message, with a function that notes a text, and returns its answer."""
@@ -103,7 +103,7 @@ def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) 
 
 
 def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
-    from mbdkit.simulation import simulate
+    from mbdkit.runs.simulation import simulate
     from mbdkit.spec import RunSpec
 
     if "block" in task:

@@ -17,7 +17,7 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import UndefinedFunction
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.angle_function import Center, expression_of
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND

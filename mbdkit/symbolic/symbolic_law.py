@@ -10,9 +10,9 @@ from typing import Any
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
-from mbdkit.errors import PluginError
+from mbdkit.base.errors import PluginError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
-from mbdkit.text import did_you_mean, listed
 
 LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-from mbdkit.errors import MbdkitError, with_place
+from mbdkit.base.errors import MbdkitError, with_place
 from mbdkit.testing.check_result import Result, failed, skipped
 
 UnderTest = TypeVar("UnderTest")

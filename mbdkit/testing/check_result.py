@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
+from mbdkit.base.text import counted, listed, table
 from mbdkit.registry.catalogue import Kind
-from mbdkit.text import counted, listed, table
 
 Outcome = Literal["pass", "fail", "warn", "not claimed", "skip"]
 Figure = float | int | str

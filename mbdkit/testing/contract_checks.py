@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.errors import SpecError
 from mbdkit.methods.kinds import Method, SciPySolver
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
@@ -18,7 +19,6 @@ from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit.testing.options_under_test import options_result, validated, variants
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM
-from mbdkit.text import counted, listed
 
 STEPS = 23
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 
+from mbdkit.base.text import listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import IterationMatrix
 from mbdkit.methods.kinds import ExplicitRungeKutta, SciPySolver
@@ -18,7 +19,6 @@ from mbdkit.testing.check import check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit.testing.trial_models import FORCED_PENDULUM
-from mbdkit.text import listed
 
 STEPS = 17
 

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from mbdkit.archive.layout import REASONS
 from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError, SpecError, StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.errors import MbdkitError, SpecError, StepError
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped

@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.engine.jit.law_compiler import bind_law
-from mbdkit.errors import SpecError
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import ForceLawPlugin
-from mbdkit.simulation import simulate
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec.law_options import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.testing.options_under_test import options_result, validated, variants
-from mbdkit.text import listed
 
 LENGTHS = tuple(np.linspace(0.15, 2.05, 39))
 RATES = (-3.0, -1.0, -0.1, 0.0, 0.1, 1.0, 3.0)

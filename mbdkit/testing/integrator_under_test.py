@@ -10,15 +10,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mbdkit.archive.run import Run
+from mbdkit.base.errors import PluginError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import PluginError
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import Claims, IntegratorPlugin
-from mbdkit.run_preparation import build
-from mbdkit.simulated_run import Progress
-from mbdkit.simulation import simulate
+from mbdkit.runs.preparation import build
+from mbdkit.runs.simulated_run import Progress
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.start import start_method

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import MeasurePlugin
-from mbdkit.simulation import run as simulated
+from mbdkit.runs.simulation import run as simulated
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.testing.options_under_test import options_result, validated

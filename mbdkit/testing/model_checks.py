@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.motions import MAX_DEPTH, motions_at
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.run_preparation import build
-from mbdkit.simulation import simulate
+from mbdkit.runs.preparation import build
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned

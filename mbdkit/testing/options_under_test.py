@@ -9,12 +9,12 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import STRICT
+from mbdkit.base.text import listed
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.catalogue import Registered
-from mbdkit.strict_model import STRICT
 from mbdkit.testing.check_result import Result, failed, passed, warned
-from mbdkit.text import listed
 
 MOST_CHOICES = 4
 """Largest number of choices of an option that are tried."""

@@ -42,7 +42,7 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     They are computed by Gauss collocation with 6 stages in 60 steps per second; the rounding error is the difference
     to 75 steps per second.
     """
-    from mbdkit.simulation import run
+    from mbdkit.runs.simulation import run
 
     found, end = [], ENDS[problem]
     for rate in (60, 75):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mbdkit.files import check_output, check_suffix, replacing
+from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.report.templating import render
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.testing.check_result import Report, figures_text

@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.reference import LAST_ROW, offsets
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 
 def falling(start: float, angle: float = 0.0, end: float = 1.0, step: float = 0.1, **sections: Any) -> mbdkit.Run:

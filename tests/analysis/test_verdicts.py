@@ -14,7 +14,7 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.verdict import UNDECIDED, Answer, Range, exceeds
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 from mbdkit.spec.study_loading import load_study_spec

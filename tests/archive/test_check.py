@@ -19,7 +19,7 @@ from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, spec_sha2
 from mbdkit.archive.info import describe
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from tests.stepping.running import DOUBLE
 from tests.stepping.step_methods import RungeKutta, run_with
 

@@ -19,7 +19,7 @@ from mbdkit.archive.export import export
 from mbdkit.archive.group_table import COMPONENTS, group_names, group_table
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.table_formats import FORMATS
-from mbdkit.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.events.event_expression import BODY, BODY_FRAMES, MARKER
 from tests.synthetic_runs import make_run as make_run
 

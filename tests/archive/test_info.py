@@ -9,7 +9,7 @@ import pytest
 
 from mbdkit.archive.info import describe, text
 from mbdkit.archive.layout import BY_PATH
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 from .making import PROVENANCE, STATS, make, names, writer
 

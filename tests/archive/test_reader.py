@@ -8,7 +8,7 @@ import h5py
 import pytest
 
 from mbdkit.archive.reader import load
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 from .making import writer
 

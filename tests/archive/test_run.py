@@ -14,7 +14,7 @@ from mbdkit.archive import run as run_module
 from mbdkit.archive.history import Column, NotRecordedError, UnknownNameError
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.errors import MbdkitError, RunError, SpecError
 
 from .making import PROVENANCE, SPEC, make, names, rows, steps
 

@@ -14,7 +14,7 @@ from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import plus_minus
 from mbdkit.archive.run_writer import Ending
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 from .making import PROVENANCE, SPEC, STATS, largest, make, names, rows, steps, writer
 

@@ -17,7 +17,7 @@ from mbdkit.archive.disk_space import check_room
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run_writer import Ending
-from mbdkit.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 
 from .making import STATS, fill, largest, make, names, writer
 
@@ -209,7 +209,7 @@ def test_live_part_is_not_read(tmp_path: Path) -> None:
 FULL_DISK = """
     import os, resource
     from mbdkit.archive import writer
-    from mbdkit.errors import MbdkitError
+    from mbdkit.base.errors import MbdkitError
     resource.setrlimit(resource.RLIMIT_FSIZE, (int({limit}), resource.RLIM_INFINITY))
     memfd_create = os.memfd_create
     def unlimited(name):  # memory is not limited when a disk is full

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from mbdkit.errors import SpecError
-from mbdkit.files import check_suffix
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
 from . import beams, chain, ensemble, executors, gradients, inverse_frames, plugins, python_steps, race, scale, startup

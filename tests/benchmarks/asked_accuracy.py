@@ -21,12 +21,12 @@ from unittest import mock
 import numpy as np
 
 import mbdkit
-from mbdkit import simulated_run
-from mbdkit.accuracy import companion, pilot_run, recorded_pilot, step_interpolation
-from mbdkit.accuracy.pilot_run import run_pilot, work_of
-from mbdkit.accuracy.position_measure import PositionMeasure
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.run_preparation import build, make_method, timetable
+from mbdkit.runs import simulated_run
+from mbdkit.runs.accuracy import companion, pilot_run, recorded_pilot, step_interpolation
+from mbdkit.runs.accuracy.pilot_run import run_pilot, work_of
+from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.preparation import build, make_method, timetable
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Guards
 from mbdkit.stepping.start import start_method

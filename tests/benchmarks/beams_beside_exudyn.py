@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
-from mbdkit.errors import RunError
+from mbdkit.base.errors import RunError
 from tests.witness.extrapolation import limit
 from tests.witness.swinging_rod import exudyn_cable, exudyn_rod, rod
 

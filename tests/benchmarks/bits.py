@@ -82,7 +82,7 @@ def _run(job: tuple[str, str, Path]) -> tuple[str, dict[str, Any]]:
     import h5py
 
     import mbdkit
-    from mbdkit.errors import SpecError
+    from mbdkit.base.errors import SpecError
 
     path = folder / f"{example} {variant}.h5"
     key = f"{example} | {variant}"

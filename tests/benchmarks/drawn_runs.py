@@ -23,7 +23,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit.archive import layout
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_loading import load_study_spec

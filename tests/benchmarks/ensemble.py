@@ -25,12 +25,12 @@ from rich.console import Console
 from rich.table import Table
 
 from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.batch import Refused, simulate_batch
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
-from mbdkit.run_preparation import build, make_method
-from mbdkit.simulation import simulate_arrays
+from mbdkit.runs.batch import Refused, simulate_batch
+from mbdkit.runs.preparation import build, make_method
+from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.lane_stepper import LaneStepper, PivotsAtStart

@@ -19,7 +19,7 @@ import mbdkit
 from mbdkit.gradients.differentiated_run import differentiated_run
 from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
-from mbdkit.simulation import simulate_arrays
+from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import load_spec
 
 from .timing import duration, take_turns

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mbdkit
-from mbdkit.text import table as text_table
+from mbdkit.base.text import table as text_table
 from tests.inverse_dynamics.running import differences, reference, running_spec, table
 
 CHOICES = {

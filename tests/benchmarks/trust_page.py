@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from mbdkit.accuracy.companion_choice import LOOKS
-from mbdkit.accuracy.position_measure import PositionMeasure
-from mbdkit.run_preparation import build
+from mbdkit.runs.accuracy.companion_choice import LOOKS
+from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.trust import criteria
 from tests.witness.error_bars import FIXED, Truth

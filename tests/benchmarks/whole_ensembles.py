@@ -26,7 +26,7 @@ from rich.table import Table
 
 import mbdkit
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
-from mbdkit.batch import simulate_batch
+from mbdkit.runs.batch import simulate_batch
 from mbdkit.spec import RunSpec
 
 from .contenders import MUJOCO, G

@@ -25,14 +25,14 @@ import numpy as np
 
 import mbdkit
 import mbdkit.archive.writer
-import mbdkit.run_checkpoint
+import mbdkit.runs.run_checkpoint
 import mbdkit.studies.pool
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError
 from mbdkit.cli import main
-from mbdkit.errors import MbdkitError
 from mbdkit.studies.compute_block import compute_block
 
 from .attack import Attack, wait_for
@@ -131,7 +131,7 @@ def _start(folder: Path, *arguments: str, forks: bool = False) -> int:
             Path("flushed").touch()
 
         mbdkit.archive.writer.ArchiveWriter._write_more = noted  # type: ignore[method-assign]
-        mbdkit.run_checkpoint.INTERVAL, mbdkit.run_checkpoint.SHARE = CHECKPOINT, 1.0
+        mbdkit.runs.run_checkpoint.INTERVAL, mbdkit.runs.run_checkpoint.SHARE = CHECKPOINT, 1.0
         keep_checkpoint = mbdkit.archive.writer.ArchiveWriter.keep_checkpoint
 
         def kept(writer: Any, state: Any) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel, field_validator
 import mbdkit
 from mbdkit import Claims, FunctionLaw, StepMethod, StepState, hookimpl
-from mbdkit.errors import PluginError, RunError, SpecError, StepError
+from mbdkit.base.errors import PluginError, RunError, SpecError, StepError
 
 class Nasty(Exception):
     def __str__(self):

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.errors import MbdkitError
-from mbdkit.simulation import simulate
+from mbdkit.base.errors import MbdkitError
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.loading import example_text
 from mbdkit.spec.study_loading import load_study_spec, study_names

@@ -7,8 +7,8 @@ import json
 import pytest
 
 import mbdkit as package
-from mbdkit import progress_bars
-from mbdkit.errors import PluginError, RunError, SpecError
+from mbdkit.base import progress_bars
+from mbdkit.base.errors import PluginError, RunError, SpecError
 
 COMMANDS = [
     (),

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mbdkit import load
-from mbdkit.interrupts import TOGETHER, interrupts_noted
+from mbdkit.base.interrupts import TOGETHER, interrupts_noted
 
 LONG = """\
 mbdkit: 1
@@ -115,7 +115,7 @@ def test_the_second_sigterm_ends_an_endless_loop(how, tmp_path):
     process = run_script(
         f"""
         from numba import njit
-        from mbdkit.interrupts import interrupts_noted
+        from mbdkit.base.interrupts import interrupts_noted
 
         def endless(x):
             while x > 0:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mbdkit.plain_data import json_text
+from mbdkit.base.plain_data import json_text
 from tests.installing import install_module, python
 
 NOISY = """\

@@ -13,9 +13,10 @@ from pathlib import Path
 import h5py
 import pytest
 
-from mbdkit import load_study, progress_bars
+from mbdkit import load_study
 from mbdkit import study as study_in_this_process
 from mbdkit.archive.archive_check import check
+from mbdkit.base import progress_bars
 from mbdkit.spec import load_study_spec
 from mbdkit.studies.planned_points import plan_points
 

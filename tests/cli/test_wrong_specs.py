@@ -8,7 +8,7 @@ import os
 import pytest
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from tests.spec_texts import SMALL, changed, mechanism, place
 
 FREE = mechanism("""\

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 import mbdkit
+from mbdkit.base.errors import RunError
 from mbdkit.cli import app
-from mbdkit.errors import RunError
 from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
 

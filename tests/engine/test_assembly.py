@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble
 from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.mechanism import Mechanism
 

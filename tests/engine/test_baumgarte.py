@@ -15,7 +15,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import SciPySolver
-from mbdkit.run_preparation import build
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.scipy_bridge import SciPyStepper

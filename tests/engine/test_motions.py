@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import assemble
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.time_expression import Expression
 

@@ -12,7 +12,7 @@ from mbdkit.engine.jit.numba_version import INSTALLED, TESTED_NUMBA, is_tested, 
 
 PROGRAM = """\
 import mbdkit
-from mbdkit import run_preparation
+from mbdkit.runs import preparation as run_preparation
 from mbdkit.engine.jit.numba_version import PLAIN
 run_preparation.ensure_compiled = lambda notify: None  # compile the kernels of these two runs instead of all
 print(PLAIN)

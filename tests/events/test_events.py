@@ -15,8 +15,8 @@ import xarray
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.history import UnknownNameError
-from mbdkit.errors import SpecError
-from mbdkit.simulation import simulate
+from mbdkit.base.errors import SpecError
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
 from tests.stepping.step_methods import Failing, Remembering, RungeKutta, run_with
 

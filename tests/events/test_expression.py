@@ -7,7 +7,7 @@ import math
 import pytest
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.events.event_expression import Quantity, RunExpression
 
 

@@ -56,7 +56,7 @@ def test_an_event_is_found_at_its_time(when: str) -> None:
 
 def test_expressions_are_worth_what_is_recorded() -> None:
     from mbdkit.events.watch import values_at_start
-    from mbdkit.run_preparation import build
+    from mbdkit.runs.preparation import build
     from mbdkit.spec import load_spec
 
     wanted = {f"e{number}": {"when": when} for number, when in enumerate(EXPECTED)}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.gradients import gradient_check
 from mbdkit.gradients.gradient_parameters import resolved
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from tests.gradients.test_gradients import SLIDER_CRANK
 
 MEASURES = (

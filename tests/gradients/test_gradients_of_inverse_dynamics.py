@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 TIME = np.linspace(0.0, 2.0, 101)
 

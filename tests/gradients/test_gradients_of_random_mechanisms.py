@@ -13,11 +13,11 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path
 from mbdkit.gradients.differentiated_run import differentiated_run
 from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
-from mbdkit.plain_data import Path
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.varied_specs import VariedSpecs
 from tests.engine.strategies import Drawn, mechanisms

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 
 STEEL = {"E": 2.0e11, "nu": 0.25, "density": 8000.0}

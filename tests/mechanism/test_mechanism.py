@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import assemble
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism import Mechanism

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import parse_path
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameter_values
-from mbdkit.plain_data import parse_path
 from mbdkit.plot.drawing_geometry import draw_spec
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import put

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.models._segments import Person
 from mbdkit.models.four_bar_knee import FourBarKneeOptions, KneeLinks, KneePitches, build, linkage
 

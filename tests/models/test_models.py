@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import description
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.models import MODELS
 from mbdkit.models.free_form import MechanismOptions, build
-from mbdkit.strict_model import description
 
 LEAST = {"n-pendulum": {"n": 2}, "mechanism": {"bodies": {"a": {"mass": 1, "inertia": 1}}}}
 

@@ -85,7 +85,7 @@ def test_a_kernel_shows_results_and_progress(in_tmp_path: Path, monkeypatch: pyt
     for variable in ("JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR", "JUPYTER_RUNTIME_DIR", "IPYTHONDIR"):
         monkeypatch.setenv(variable, str(in_tmp_path / "jupyter"))
     notebook = nbformat.reads(jupyter_text(notebook_text("first-run")), as_version=4)
-    bars = "import mbdkit.progress_bars; mbdkit.progress_bars.PATIENCE = 0.0; mbdkit.progress_bars._PAUSE = 0.0"
+    bars = "from mbdkit.base import progress_bars as bars; bars.PATIENCE = bars._PAUSE = 0.0"
     notebook.cells.insert(0, nbformat.v4.new_code_cell(bars))
     told = []
     client = nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3")

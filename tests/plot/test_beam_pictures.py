@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.history import UnknownNameError
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.plot.beam_curves import bending_moments, bezier_polylines
 from mbdkit.plot.drawing_geometry import draw_mechanism
 from mbdkit.plot.pose import body_colors

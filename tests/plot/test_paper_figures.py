@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import pytest
 from PIL import Image
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.plot.paper_figure import size_in_mm
 from mbdkit.plot.plot_kinds import PLOT_KINDS
 from mbdkit.plot.save_plot import plot

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from mbdkit.archive.history import NotRecordedError
-from mbdkit.errors import ResourceError, SpecError
+from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.plot import energy_plot, save_plot
 from mbdkit.plot.plot_kinds import PLOT_KINDS
 from mbdkit.plot.save_plot import figure, plot

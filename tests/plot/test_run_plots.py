@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import mbdkit
 from mbdkit.archive.history import NotRecordedError
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.plot import reactions_plot
 
 MASS, HALF, RATE, STIFFNESS = 2.0, 0.5, 3.0, 40.0

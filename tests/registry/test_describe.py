@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from mbdkit.errors import PluginError, SpecError
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.strict_model import description
 from mbdkit.registry import describe
 from mbdkit.registry.manager import load_registry, registry
-from mbdkit.strict_model import description
 
 
 def _fail():

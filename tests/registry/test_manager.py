@@ -10,7 +10,7 @@ import pytest
 from pydantic import BaseModel, RootModel
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import load_registry, registry
 
 

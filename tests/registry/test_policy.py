@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import mbdkit
-from mbdkit.errors import PluginError, SpecError
+from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.registry import describe
 from mbdkit.registry.manager import load_registry
 from mbdkit.registry.policy import API, Policy, check_api

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.animation import FFMpegWriter
 from PIL import Image
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.plot import film
 from mbdkit.plot.scene import nearest_rows, round_speed, scene
 from mbdkit.report.animate import animate

@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.verdict import Answer
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.report.methods_used import methods
 from mbdkit.report.report import report
 from mbdkit.report.run_report import run_report, yaml_text

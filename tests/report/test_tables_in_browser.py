@@ -7,8 +7,8 @@ import csv
 import pytest
 
 import mbdkit
+from mbdkit.base.text import csv_cell
 from mbdkit.report.run_report import run_report
-from mbdkit.text import csv_cell
 from tests.report.browser import opened
 
 

@@ -9,7 +9,7 @@ import tomllib
 
 import pytest
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.scaffold.new_plugin import KINDS, new_project
 from tests.installing import install_project, python
 

@@ -12,8 +12,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from mbdkit.errors import ResourceError, SpecError
-from mbdkit.plain_data import DEEPEST, parse_path
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.plain_data import DEEPEST, parse_path
 from mbdkit.spec import load_spec
 
 TOML = """

@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.spec import RunSpec, load_spec
 
 

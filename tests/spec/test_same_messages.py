@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import load_spec
 

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 import mbdkit
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.stabilization import NONE, Stabilization
-from mbdkit.errors import SpecError
 from mbdkit.methods.kinds import SciPySolver
-from mbdkit.run_preparation import caution
+from mbdkit.runs.preparation import caution
 from mbdkit.spec import load_spec
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.schema import run_schema

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from mbdkit.errors import SpecError
-from mbdkit.plain_data import Path
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path
 from mbdkit.spec import RunSpec
 from mbdkit.spec.loading import example_names, load_spec
 from mbdkit.spec.reading import put

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
 
 

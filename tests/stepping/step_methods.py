@@ -14,7 +14,7 @@ import mbdkit
 from mbdkit import StepMethod, StepState
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import load_registry
-from mbdkit.simulation import simulate
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec.run_spec import spec_type
 
 

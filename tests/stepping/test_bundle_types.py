@@ -13,11 +13,11 @@ import pytest
 
 import mbdkit
 from mbdkit import stepping
-from mbdkit.batch import simulate_batch
 from mbdkit.engine import kernels
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.jit.bundle import PinnedBundle
-from mbdkit.run_preparation import build
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 
 RUNS: dict[str, dict[str, Any]] = {

@@ -15,10 +15,10 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import mbdkit
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.errors import SpecError
-from mbdkit.run_corners import stops_of
-from mbdkit.run_preparation import caution, make_method, timetable
+from mbdkit.runs.corners import stops_of
+from mbdkit.runs.preparation import caution, make_method, timetable
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Guards
 from mbdkit.stepping.start import start_method

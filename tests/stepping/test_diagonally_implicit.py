@@ -12,7 +12,7 @@ import mbdkit
 from mbdkit import ButcherTableau, ImplicitRungeKutta
 from mbdkit.methods import gauss
 from mbdkit.methods.tableau import TableauError
-from mbdkit.run_preparation import build
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.python_stepper import PythonStepper

@@ -16,7 +16,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
-from mbdkit.run_preparation import build
+from mbdkit.runs.preparation import build
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.controlled_lanes import ControlledLaneStepper
 from mbdkit.stepping.interface import Guards, Timetable

@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit import EquationsOfMotion, StepError, StepMethod, StepState
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.run_preparation import build
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.start import start_method

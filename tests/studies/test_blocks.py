@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import batch
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import data_sha256, datasets
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.runs import batch
 from mbdkit.spec import RunSpec
 from mbdkit.studies import compute_block as compute_block_module
 from mbdkit.studies import known_blocks, pool

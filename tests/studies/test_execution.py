@@ -12,7 +12,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.errors import ResourceError, SpecError
+from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.studies import pool, study_index
 from mbdkit.studies.shard import Shard
 

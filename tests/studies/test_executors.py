@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from typer.testing import CliRunner
 
 import mbdkit
+from mbdkit.base.errors import SpecError
 from mbdkit.cli import app
-from mbdkit.errors import SpecError
 from mbdkit.studies import executor_pool, worker
 from mbdkit.studies.executor_pool import ExecutorPool
 from mbdkit.studies.submitit_executor import SubmititExecutor

@@ -19,7 +19,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import mbdkit
-from mbdkit.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.report.report import report
 from mbdkit.spec import load_study_spec
 from mbdkit.studies import folder_lock

@@ -8,7 +8,7 @@ import h5py
 import pytest
 
 from mbdkit.archive.fingerprint import data_sha256
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.studies import study_index
 from mbdkit.studies.study_index import Index, Row
 from tests.tiny_disk import tiny_disk

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.spec import load_spec, load_study_spec
 from mbdkit.studies.planned_points import plan_points
 

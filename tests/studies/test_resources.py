@@ -14,8 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 import mbdkit
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.cli import app
-from mbdkit.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.studies import pool
 from mbdkit.studies.tasks import Outcome
 

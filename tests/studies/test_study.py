@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.studies.study import Study
 
 

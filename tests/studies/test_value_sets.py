@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.spec.value_sets import check_values, expand
 
 

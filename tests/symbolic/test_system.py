@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import sympy as sp
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.errors import SpecError
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.symbolic_system import SymbolicSystem

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 import mbdkit
-from mbdkit.errors import with_place
+from mbdkit.base.errors import with_place
 from mbdkit.registry.manager import registry
 from mbdkit.testing import Report, Result, checks_of, verify
 from mbdkit.testing.drift_checks import CHECKS as DRIFT

@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 import mbdkit.testing
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
 from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.testing import Report, Result, checks_of, conformance

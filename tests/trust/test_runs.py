@@ -17,7 +17,7 @@ from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.info import describe
 from mbdkit.methods.step_method import StepMethod, StepState
 from mbdkit.report.run_report import run_report
-from mbdkit.run_preparation import guards, size_at_start
+from mbdkit.runs.preparation import guards, size_at_start
 from mbdkit.spec import example_names, load_spec
 
 from .mechanisms import cranks, guided_tip, spec, two_cranks
@@ -61,9 +61,9 @@ class Exploding(StepMethod):
 def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: int) -> None:
     # a state between rows is recorded when a run stops there: it is refused too if its joints are apart
     from mbdkit.archive.writer import ArchiveWriter
-    from mbdkit.recorder import archive_names
-    from mbdkit.run_preparation import build
-    from mbdkit.simulated_run import SimulatedRun
+    from mbdkit.runs.preparation import build
+    from mbdkit.runs.recorder import archive_names
+    from mbdkit.runs.simulated_run import SimulatedRun
 
     given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())
     workspace, _ = build(given)
@@ -244,7 +244,7 @@ def test_specs_from_before_the_limits_keep_their_canonical_form_and_hash() -> No
 
 
 def test_limits_reach_the_stepper_in_metres_and_radians() -> None:
-    from mbdkit.run_preparation import build
+    from mbdkit.runs.preparation import build
 
     given = load_spec(spec(DOUBLE, RK4, 0.1, 0.01, limits={"misalignment": 0.1, "energy_jump": 0.2}), ())
     size = size_at_start(given, build(given)[0])

@@ -14,7 +14,7 @@ import mbdkit
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.run_preparation import build
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 
 from .known_motions import Known

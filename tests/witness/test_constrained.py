@@ -11,8 +11,8 @@ import pytest
 
 import mbdkit
 from mbdkit.analysis.energy import trend
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.errors import SpecError
 
 from . import constrained as dense
 from .parallelogram import Parallelogram

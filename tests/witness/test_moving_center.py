@@ -18,7 +18,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
-from mbdkit.errors import SpecError
+from mbdkit.base.errors import SpecError
 
 from .running import gauss, run
 

@@ -40,10 +40,10 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.extending import is_jitted
 
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.files import replacing
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.jit.numba_version import INSTALLED, PLAIN
-from mbdkit.errors import MbdkitError
-from mbdkit.files import replacing
 
 log = logging.getLogger("mbdkit")
 

@@ -6,7 +6,7 @@ import os
 
 from llvmlite import binding
 
-from mbdkit.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 CHOICES = (2, 4, 8)
 

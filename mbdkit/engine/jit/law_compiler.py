@@ -20,12 +20,12 @@ from typing import Any
 
 from numba import types
 
+from mbdkit.base.errors import PluginError
+from mbdkit.base.text import one_line
 from mbdkit.engine.jit.cache import FOLDER, store, stored
 from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PARAMETERS, PASSIVE, compiled
-from mbdkit.errors import PluginError
 from mbdkit.mechanism.force_law import ExpressionLaw, ForceLaw
 from mbdkit.mechanism.law_parameters import law_parameters
-from mbdkit.text import one_line
 
 _HEAD = """from math import nan
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from mbdkit.errors import SpecError
-from mbdkit.run_preparation import build
+from mbdkit.base.errors import SpecError
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.start import start_method

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from mbdkit.files import replacing
+from mbdkit.base.files import replacing
 
 from .collocation import collocation
 from .compiled import compiled

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.errors import SpecError
-from mbdkit.files import replacing
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
 from mbdkit.spec import RunSpec
 
 EVALUATIONS = 24

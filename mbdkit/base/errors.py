@@ -1,0 +1,167 @@
+"""Exceptions raised by mbdkit."""
+
+from __future__ import annotations
+
+import errno
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+from mbdkit.base.text import one_line, shortened, shown
+
+
+class MbdkitError(Exception):
+    """Base class of the exceptions raised by mbdkit; `str(error)` is a message for the user."""
+
+
+class SpecError(MbdkitError, ValueError):
+    """Wrong input, such as a spec, a mechanism, an expression or a file name.
+
+    Parameters
+    ----------
+    message
+        What is wrong and how to correct it.
+    key
+        Dotted key path in the spec, such as ``model.joints.A.bodies[1]``; empty if not in a spec.
+    file, line
+        Location of the input, if known (lines count from 1).
+    """
+
+    def __init__(self, message: str, *, key: str = "", file: str | Path | None = None, line: int | None = None):
+        super().__init__(message)
+        self.message = message
+        self.key = key
+        self.file = None if file is None else str(file)
+        self.line = line
+
+    def __str__(self) -> str:
+        place = shown(self.file or "")
+        if self.line is not None:
+            place += f":{self.line}" if place else f"line {self.line}"
+        where = ": ".join(part for part in (place, shortened(shown(self.key))) if part)
+        return f"{where}: {self.message}" if where else self.message
+
+    def located(self, *, prefix: str = "", file: str | Path | None = None, line: int | None = None) -> SpecError:
+        """Return a copy with `prefix` prepended to the key, and with `file` and `line` if the error has none."""
+        joint = "" if not prefix or not self.key or self.key.startswith("[") else "."
+        key = f"{prefix}{joint}{self.key}"
+        new = type(self)(self.message, key=key, file=self.file or file, line=self.line or line)
+        new.__cause__ = self.__cause__
+        return new
+
+
+class ResourceError(MbdkitError):
+    """The computer refused a resource: disk space, memory, a permission, or a file that another process uses.
+
+    The input is not the cause, so that the same call may succeed later.
+
+    Parameters
+    ----------
+    message
+        What was refused and why.
+    file
+        The file or folder concerned, if any.
+    """
+
+    def __init__(self, message: str, *, file: str | Path | None = None):
+        super().__init__(message)
+        self.message = message
+        self.file = None if file is None else str(file)
+
+    def __str__(self) -> str:
+        return f"{shown(self.file)}: {self.message}" if self.file else self.message
+
+
+#: Error numbers of the system that are due to a file name given by the user.
+_OF_NAMES = {
+    getattr(errno, name) for name in ("ENOENT", "ENOTDIR", "EISDIR", "ENAMETOOLONG", "EINVAL", "ELOOP", "EILSEQ")
+}
+
+
+def file_error(number: int | None, message: str, *, file: str | Path | None = None) -> SpecError | ResourceError:
+    """Return the error for a file that cannot be used: SpecError if its name is the cause, otherwise ResourceError.
+
+    Parameters
+    ----------
+    number
+        Error number of the system; None if unknown.
+    """
+    return (SpecError if number in _OF_NAMES else ResourceError)(message, file=file)
+
+
+class PluginError(MbdkitError):
+    """A plugin could not be imported, conflicts with another, or raised an exception."""
+
+
+@contextmanager
+def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
+    """Convert whatever a plugin raises in this block, an exit included, to a PluginError that begins with `what`.
+
+    Ctrl-C, errors of mbdkit about the input or a plugin, and the `expected` exceptions pass unchanged.
+    """
+    unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, PluginError, *expected)
+    try:
+        yield
+    except unchanged:
+        raise
+    except BaseException as error:
+        raise PluginError(f"{what}: {with_place(error)}") from error
+
+
+_NO_PLUGINS = frozenset({"mbdkit", "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"})
+"""Packages that call plugins, and those that plugins call."""
+
+
+def with_place(error: BaseException) -> str:
+    """Return an exception of a plugin on one line, with the file and line of the plugin where it was raised, if any.
+
+    The line is the last one of the package that was called first, so that an exception raised in a library is told
+    with the line of the plugin that called the library.
+    """
+    place = _place_of(error)
+    cause = error.__cause__
+    while not place and cause is not None:  # raised by mbdkit because of an exception of the plugin
+        place, cause = _place_of(cause), cause.__cause__
+    return f"{one_line(error)} ({shown(place)})" if place else one_line(error)
+
+
+def _place_of(error: BaseException) -> str:
+    package, place = "", ""
+    trace = error.__traceback__
+    while trace is not None:
+        frame = trace.tb_frame
+        name = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if not package and name and name not in _NO_PLUGINS | sys.stdlib_module_names:
+            package = name
+        if package and name == package:
+            place = f"{frame.f_code.co_filename}, line {trace.tb_lineno}"
+        trace = trace.tb_next
+    return place
+
+
+class RunError(MbdkitError):
+    """A run did not complete; raised by `Run.check`."""
+
+
+class StepError(Exception):
+    """A step failed. The run ends with the status ``failed`` and this reason; rows recorded before are kept.
+
+    `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
+    iteration does not converge.
+
+    Parameters
+    ----------
+    code
+        Code of the reason, stored in the archive.
+    sentence
+        Description of the failure, without the time and without a full stop.
+    """
+
+    def __init__(self, code: Literal["newton-failed", "singular", "not-finite", "step-too-small"], sentence: str):
+        super().__init__(code, sentence)
+        self.code, self.sentence = code, sentence
+
+    def __str__(self) -> str:
+        return self.sentence

@@ -1,0 +1,193 @@
+"""Writes files: checks where, writes beside, and renames at the end, so that no failure harms what was there before."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import stat
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from mbdkit.base.errors import ResourceError, SpecError, file_error
+
+
+def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str) -> Path:
+    """Return `path` as a Path after checking its suffix.
+
+    Raises
+    ------
+    SpecError
+        If the suffix is not one of `allowed`.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in allowed:
+        names = ", ".join(allowed[:-1]) + " or " + allowed[-1]
+        given = f"ends in {target.suffix!r}" if target.suffix else "has no suffix"
+        raise SpecError(f"{what} cannot be written to {str(target)!r}, which {given}; its name must end in {names}")
+    return target
+
+
+def check_output(path: Path, *, overwrite: bool, source: str | Path | None = None, suffix: str = "") -> None:
+    """Check that a file may be written at `path`, without changing the file system.
+
+    Parameters
+    ----------
+    overwrite
+        Whether an existing regular file may be replaced. Nothing else is ever replaced: no folder, device, pipe, socket
+        or symbolic link.
+    source
+        The input, which is never replaced; None or ``-`` if it is no file.
+    suffix
+        Suffix of the name that is suggested if `path` is a folder; by default that of `path`.
+
+    Raises
+    ------
+    SpecError
+        If the folder or an existing file does not allow it.
+    ResourceError
+        If writing into the folder is not permitted.
+    """
+    # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
+    if os.path.isdir(path):
+        suffix = suffix or path.suffix
+        example = f", such as {path / 'results'}{suffix}" if suffix else ""
+        raise SpecError(f"this is a folder; name a file in it{example}", file=path)
+    check_folder(path.parent, path)
+    if os.path.lexists(path):
+        if not stat.S_ISREG(os.lstat(path).st_mode):
+            kind = "a symbolic link, not a regular file," if os.path.islink(path) else "not a regular file"
+            raise SpecError(f"this is {kind} and is not replaced; choose another name", file=path)
+        check_not_input(path, source)
+        if not overwrite:
+            raise SpecError(
+                "this file exists already; choose another name, or replace it with --overwrite (overwrite=True in "
+                "Python)",
+                file=path,
+            )
+    check_writable(path.parent, path)
+
+
+def check_folder(folder: Path, path: Path) -> None:
+    """Raise SpecError about `path`, which is to be created in `folder`, if that is no folder."""
+    if not os.path.isdir(folder):
+        what = "is not a folder" if os.path.exists(folder) else "does not exist; create it first"
+        raise SpecError(f"the folder {folder} {what}", file=path)
+
+
+def check_writable(folder: Path, path: Path) -> None:
+    """Raise ResourceError about `path` if writing into `folder` is not permitted."""
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ResourceError(f"the folder {folder} cannot be written to", file=path)
+
+
+def check_not_input(path: Path, source: str | Path | None) -> None:
+    """Raise SpecError if `path` is the file `source`, the input of a command; None or ``-`` if that is no file."""
+    if source in (None, "-") or not os.path.isfile(path) or not os.path.isfile(str(source)):
+        return
+    if os.path.samefile(path, str(source)):
+        raise SpecError("this file is the input, which is not overwritten; choose another name", file=path)
+
+
+@contextmanager
+def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None = None) -> Iterator[Path]:
+    """Yield a temporary file in the folder of `target`; it becomes `target` if the block succeeds.
+
+    The temporary file, ``.NAME-xxxxxxxx.mbdkit.SUFFIX``, is locked while it is being written. One that a killed process
+    left is removed when `target` is written the next time.
+
+    Parameters
+    ----------
+    overwrite, source
+        As for `check_output`.
+
+    Raises
+    ------
+    SpecError
+        If the file may not or cannot be written. An existing file is unchanged then.
+    """
+    check_output(target, overwrite=overwrite, source=source)
+    stem = f".{target.stem[:40]}"
+    temporary: Path | None = None
+    lock: int | None = None
+    try:
+        _remove_left(target.parent, re.compile(rf"{re.escape(stem)}-[0-9a-f]{{8}}\.mbdkit{re.escape(target.suffix)}"))
+        temporary, lock = _created(target, stem)
+        yield temporary
+        os.fsync(lock)
+        if os.path.lexists(target) and not stat.S_ISREG(os.lstat(target).st_mode):
+            check_output(target, overwrite=overwrite)  # it appeared meanwhile
+        if overwrite:
+            temporary.replace(target)
+        else:
+            rename_new(temporary, target)
+    except FileExistsError:
+        raise SpecError("this file was created meanwhile and is not overwritten", file=target) from None
+    except OSError as error:
+        if not error.errno:  # an error of HDF5 reading the run, not of this file
+            raise
+        raise file_error(error.errno, f"this file cannot be written: {error.strerror or error}", file=target) from error
+    finally:
+        if temporary is not None and lock is not None:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            os.close(lock)
+
+
+def _created(target: Path, stem: str) -> tuple[Path, int]:
+    """Create a temporary file in the folder of `target`, lock it, and return it with its handle."""
+    while True:
+        path = target.with_name(f"{stem}-{secrets.token_hex(4)}.mbdkit{target.suffix}")
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        _locked(handle, wait=True)
+        # Until it is locked, another process may take it for the file of a killed process, and remove it.
+        with suppress(FileNotFoundError):
+            if sys.platform == "win32" or os.path.samestat(os.fstat(handle), os.lstat(path)):
+                return path, handle
+        os.close(handle)
+
+
+def rename_new(source: Path, target: Path) -> None:
+    """Rename `source` atomically, or raise FileExistsError if `target` exists."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:
+        # The file system has no hard links. A file created between the check and the renaming is overwritten.
+        if os.path.lexists(target):
+            raise FileExistsError(str(target)) from None
+        os.rename(source, target)
+    else:
+        source.unlink()
+
+
+def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
+    """Remove temporary files of killed processes; those of running ones are locked."""
+    if sys.platform == "win32":  # locks are not visible there
+        return
+    with os.scandir(folder) as entries:
+        left = [entry.name for entry in entries if pattern.fullmatch(entry.name)]
+    for name in left:
+        with suppress(OSError):
+            handle = os.open(folder / name, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+            try:
+                if stat.S_ISREG(os.fstat(handle).st_mode) and _locked(handle):
+                    os.unlink(folder / name)
+            finally:
+                os.close(handle)
+
+
+def _locked(handle: int, *, wait: bool = False) -> bool:
+    """Lock an open file, and return whether that was possible; `wait` until another process unlocks it."""
+    if sys.platform == "win32":
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # locked by another process, or a file system without locks
+        return False
+    return True

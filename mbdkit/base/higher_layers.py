@@ -1,0 +1,25 @@
+"""Functions of higher rooms that lower rooms call; ``mbdkit/__init__.py`` assigns them.
+
+Imports point down: a room cannot import the rooms that are built on it. Where an object of a lower room offers what a
+higher room computes, such as `Mechanism.to_sympy`, it calls one of these functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+installed_plugins: Callable[[], Any]
+"""Returns the `PluginLookup` of the installed plugins, for the options of plugins."""
+
+symbolic_system: Callable[..., Any]
+"""Returns the `SymbolicSystem` of a mechanism; `numbers=True` selects numbers instead of symbols for its parameters."""
+
+check_gradients: Callable[[Any, Any], None]
+"""Raises `SpecError` if the gradients that a run spec asks for do not exist with this method."""
+
+gradients_json: Callable[[Any], str]
+"""Returns the gradients that a run spec asks for, as its archive stores them."""
+
+html_of: Callable[[Any], str] = repr
+"""Returns the HTML of an object that notebooks show."""

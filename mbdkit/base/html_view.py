@@ -1,0 +1,12 @@
+"""Objects that notebooks show as HTML; the room `notebook` writes it."""
+
+from __future__ import annotations
+
+from mbdkit.base import higher_layers
+
+
+class HtmlView:
+    """Base class of what notebooks show as tables and pictures."""
+
+    def _repr_html_(self) -> str:
+        return higher_layers.html_of(self)

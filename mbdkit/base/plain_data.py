@@ -1,0 +1,203 @@
+"""Plain data of a spec: conversion of Python objects, canonical form, key paths, and values in error messages."""
+
+from __future__ import annotations
+
+import gc
+import json
+import math
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from pydantic import BaseModel
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed, shown
+
+Path = tuple[str | int, ...]
+
+DEEPEST = 100
+"""Levels of mappings and lists in a spec."""
+
+LONGEST_TITLE = 10_000
+"""Characters of a title; pictures with longer ones take minutes."""
+
+LARGEST_NUMBER = int(sys.float_info.max)
+"""Largest magnitude of a whole number in a spec: that of a number in double precision."""
+
+
+@contextmanager
+def without_collection() -> Iterator[None]:
+    """Pause the cyclic garbage collector, which would take half of the time in which large plain data are built."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if before:
+            gc.enable()
+
+
+@contextmanager
+def collecting_new_objects_only() -> Iterator[None]:
+    """Hide the objects that exist from the cyclic garbage collector.
+
+    Otherwise it would go through all modules again and again, which takes a sixth of the time of a block of runs.
+    """
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+def path_text(path: Path) -> str:
+    """Return a key path as text, such as ``model.joints.A.bodies[1]``."""
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
+    return text
+
+
+def parse_path(text: str) -> Path:
+    """Return the parts of a key path such as ``model.joints.A.bodies[1]``; the inverse of `path_text`.
+
+    No spec is deeper than `DEEPEST` levels, so that at most one part more is returned.
+    """
+    parts: list[str | int] = []
+    for word in text.split(".", DEEPEST) if text else ():
+        name, *indices = re.split(r"\[(\d{1,9})\]", word, maxsplit=DEEPEST)
+        parts += [name] if name or not indices else []
+        parts += [int(index) for index in indices[::2]]
+    return tuple(parts[: DEEPEST + 1])
+
+
+def plain(value: Any, path: Path = ()) -> Any:
+    """Convert `value` to plain data: dicts, lists, text, numbers, booleans and None.
+
+    Raises
+    ------
+    SpecError
+        For a number that is too large or not finite, a key that is not text, an object that a spec cannot contain, or
+        more than `DEEPEST` levels, as in a list that contains itself.
+    """
+    if len(path) > DEEPEST:
+        raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
+    match value:
+        case None | bool() | str():
+            return value
+        case int():
+            if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:
+                raise SpecError(f"is too large: numbers go up to {float(LARGEST_NUMBER):.2g}", key=path_text(path))
+            return int(value)
+        case float():
+            if not math.isfinite(value):
+                raise SpecError(f"should be a finite number, not {float(value)!r}", key=path_text(path))
+            return float(value)
+        case BaseModel():
+            return plain(canonical(value), path)
+        case Mapping():
+            return {_key(key, path): plain(item, (*path, key)) for key, item in value.items()}
+        case list() | tuple():
+            return [plain(item, (*path, index)) for index, item in enumerate(value)]
+        case os.PathLike():
+            return os.fspath(value)
+    if hasattr(value, "tolist"):  # a NumPy array or number
+        return plain(value.tolist(), path)
+    raise SpecError(f"a spec cannot contain an object of type {type(value).__name__}", key=path_text(path))
+
+
+def copied(value: Any, path: Path = ()) -> Any:
+    """Return a copy of a mapping or list in which only mappings and lists are copied, at all levels.
+
+    Raises
+    ------
+    SpecError
+        If it has more than `DEEPEST` levels, as a list that contains itself, or if a key is not text.
+    """
+    if len(path) > DEEPEST:
+        raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
+    match value:
+        case Mapping():
+            return {_key(key, path): copied(item, (*path, key)) for key, item in value.items()}
+        case list():
+            return [copied(item, (*path, index)) for index, item in enumerate(value)]
+    return value
+
+
+def canonical(value: Any) -> Any:
+    """Convert models to dicts with sorted keys; mappings whose keys are names given by the user keep their order.
+
+    Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty or have their default.
+    """
+    match value:
+        case BaseModel():
+            fields, absent = type(value).model_fields, getattr(type(value), "ABSENT_BY_DEFAULT", ())
+            names = {
+                name: info.serialization_alias or info.alias or name
+                for name, info in fields.items()
+                if name not in absent or (getattr(value, name) and getattr(value, name) != info.default)
+            }
+            return {names[name]: canonical(getattr(value, name)) for name in sorted(names, key=lambda n: names[n])}
+        case Mapping():
+            return {key: canonical(item) for key, item in value.items()}
+        case list() | tuple():
+            return [canonical(item) for item in value]
+        case set() | frozenset():
+            return sorted(canonical(item) for item in value)
+    return value
+
+
+def canonical_text(data: Any) -> str:
+    """Return plain data as the JSON that is hashed: without spaces, keys in their order, numbers in shortest form."""
+    return json.dumps(data, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def json_text(data: Any, indent: int | None = None) -> str:
+    """Return data as JSON; numbers that are not finite become null, and objects unknown to JSON become text."""
+    return json.dumps(_finite(data), indent=indent, ensure_ascii=indent is None, allow_nan=False)
+
+
+def _finite(data: Any) -> Any:
+    match data:
+        case None | bool() | str() | int():
+            return data
+        case float():
+            return float(data) if math.isfinite(data) else None
+        case Mapping():
+            return {str(key): _finite(value) for key, value in data.items()}
+        case list() | tuple():
+            return [_finite(value) for value in data]
+    return _finite(data.tolist()) if hasattr(data, "tolist") else str(data)
+
+
+def found(value: Any) -> str:
+    """Return a short description of a value for an error message, including its type unless it is obvious."""
+    match value:
+        case None:
+            return "nothing"
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return f"the text '{shown(value if len(value) <= 60 else value[:57] + '...')}'"
+        case Mapping():
+            return (
+                f"a mapping with the keys {listed(shown(key) for key in list(value)[:5])}"
+                if value
+                else "an empty mapping"
+            )
+        case list() | tuple():
+            return f"a list of {len(value)}" if value else "an empty list"
+    if hasattr(value, "tolist") and not isinstance(value, type):  # a NumPy array or number
+        return found(value.tolist())
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _key(key: Any, path: Path) -> str:
+    if not isinstance(key, str):
+        raise SpecError(f"the key {found(key)} is not text; put it in quotes", key=path_text(path))
+    return key

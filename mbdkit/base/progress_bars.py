@@ -1,0 +1,159 @@
+"""Progress bars of runs, studies and designs, on a terminal and in Jupyter notebooks."""
+
+from __future__ import annotations
+
+import html
+import importlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, Protocol
+
+from mbdkit.base.text import counted, shown
+
+PATIENCE = 0.5
+"""Time before the bar of a run appears [s]."""
+_PAUSE = 0.1
+"""Least time between two changes of a bar in a notebook [s]."""
+
+
+class _Bar(Protocol):
+    def draw(self, share: float | None, note: str) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@contextmanager
+def _drawing(what: str, quiet: bool, patience: float = 0.0) -> Iterator[Callable[[float | None, str], None] | None]:
+    """Yield a function that draws a bar from a share, None if that is not known, and a note.
+
+    Yields None if `quiet` is set, or if this is no notebook and stderr is not a terminal.
+    """
+    make = None if quiet else _kind_of_bar()
+    if make is None:
+        yield None
+        return
+    begin = time.perf_counter()
+    bar: _Bar | None = None if patience else make(shown(what))
+
+    def draw(share: float | None, note: str) -> None:
+        nonlocal bar
+        if bar is None and time.perf_counter() - begin >= patience:
+            bar = make(shown(what))
+        if bar is not None:
+            bar.draw(share, note)
+
+    try:
+        yield draw
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+@contextmanager
+def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
+    """Yield a function of (time reached, end time) [s] that draws a bar after `PATIENCE` seconds; see `_drawing`."""
+    first: float | None = None
+    with _drawing(what, quiet, PATIENCE) as draw:
+
+        def advance(now: float, end: float) -> None:
+            nonlocal first
+            assert draw is not None
+            if first is None:
+                first = now
+            draw((now - first) / (end - first) if end > first else 1.0, f"t = {now:.4g} of {end:.4g} s")
+
+        yield None if draw is None else advance
+
+
+@contextmanager
+def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
+    """Yield a function of (items done, total items, failed runs) that draws a bar; see `_drawing`."""
+    with _drawing(what, quiet) as draw:
+
+        def advance(done: int, total: int, failed: int) -> None:
+            assert draw is not None
+            draw(done / total if total else 1.0, f"{done}/{total}{_failed(failed)}")
+
+        yield None if draw is None else advance
+
+
+@contextmanager
+def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield a function of (runs done, failed runs) that draws a bar of work whose end is not known; see `_drawing`."""
+    with _drawing(what, quiet) as draw:
+
+        def advance(done: int, failed: int) -> None:
+            assert draw is not None
+            draw(None, f"{counted(done, 'run')}{_failed(failed)}")
+
+        yield None if draw is None else advance
+
+
+def _failed(count: int) -> str:
+    return f", {count} failed" if count else ""
+
+
+def in_notebook() -> bool:
+    """Return whether this process is the kernel of a notebook; IPython is not imported to find out."""
+    get_shell = getattr(sys.modules.get("IPython"), "get_ipython", None)
+    return get_shell is not None and getattr(get_shell(), "kernel", None) is not None
+
+
+def _kind_of_bar() -> Callable[[str], _Bar] | None:
+    if in_notebook():
+        return _NotebookBar
+    return _TerminalBar if sys.stderr.isatty() else None
+
+
+class _TerminalBar:
+    """A bar on stderr, which vanishes at the end."""
+
+    def __init__(self, what: str):
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[note]}", markup=False),
+            TimeRemainingColumn(),
+            console=Console(file=getattr(sys.stderr, "stream", sys.stderr)),
+            transient=True,
+        )
+        self._task = self._bar.add_task(what, total=None, note="")
+        with suppress(OSError):
+            self._bar.start()
+
+    def draw(self, share: float | None, note: str) -> None:
+        total = None if share is None else 1.0
+        with suppress(OSError):  # the terminal has been closed; the run goes on, or ends by SIGHUP
+            self._bar.update(self._task, completed=share, total=total, note=note)
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._bar.stop()
+
+
+class _NotebookBar:
+    """A bar in the output of a cell, which is empty at the end."""
+
+    def __init__(self, what: str):
+        self._what, self._drawn = what, time.perf_counter()
+        display = importlib.import_module("IPython.display").display
+        self._handle = display(self._content(None, ""), raw=True, display_id=True)
+
+    def _content(self, share: float | None, note: str) -> dict[str, Any]:
+        value = "" if share is None else f' value="{share:.4f}"'
+        text = " ".join(filter(None, (self._what, note)))
+        bar = f'<progress{value} max="1" style="width: 20em; vertical-align: middle"></progress>'
+        return {"text/html": f"<div>{bar} {html.escape(text)}</div>", "text/plain": text}
+
+    def draw(self, share: float | None, note: str) -> None:
+        if time.perf_counter() - self._drawn >= _PAUSE:
+            self._drawn = time.perf_counter()
+            self._handle.update(self._content(share, note), raw=True)
+
+    def close(self) -> None:
+        self._handle.update({"text/html": "", "text/plain": ""}, raw=True)

@@ -1,0 +1,237 @@
+"""Results, error messages and exit statuses of the commands.
+
+stdout belongs to the results that `show` and `show_json` print. While a command runs, everything else that is written
+to stdout, such as the prints of a plugin, goes to stderr.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from typing import Any, TextIO
+
+import typer
+from typer.core import TyperGroup
+
+from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
+from mbdkit.base.interrupts import INTERRUPTED as INTERRUPTED
+from mbdkit.base.text import one_line, shown
+
+DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED = 0, 1, 2, 3, 4
+DIFFERS = NOT_VERIFIED = 1
+
+DEBUG, JSON = "mbdkit.debug", "mbdkit.json"
+
+
+class PlainStream:
+    """A text stream that escapes control characters: titles, names and messages from outside must not steer a terminal.
+
+    Parameters
+    ----------
+    stream
+        The stream to write to; progress bars, which need its control characters, use it directly.
+    """
+
+    def __init__(self, stream: TextIO):
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Write text with its control characters escaped; raise TypeError for bytes, by which click tells streams."""
+        if not isinstance(text, str):
+            raise TypeError(f"text is written here, not {type(text).__name__}")
+        self.stream.write(shown(text, lines=True))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write several pieces of text."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+
+class Commands(TyperGroup):
+    """The top-level command group: reports exceptions on stderr and converts them to exit statuses.
+
+    With ``--json``, an exception is also printed on stdout, as one object.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments, and note whether JSON is asked for."""
+        ctx.meta[JSON] = "--json" in args
+        parsed: list[str] = super().parse_args(ctx, args)
+        return parsed
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command whose function, unlike its help, prints to stdout through `show` only."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None:
+            _guard(command)
+        return command
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the selected command."""
+        with _results_apart() as results:
+            try:
+                return super().invoke(ctx)
+            except BrokenPipeError:
+                raise
+            except (Exception, KeyboardInterrupt, SystemExit) as error:
+                if hasattr(error, "exit_code"):  # a usage error or an exit of the framework
+                    if ctx.meta[JSON] and hasattr(error, "format_message"):
+                        results.show(_json_error(error.format_message(), error.exit_code))
+                    raise
+                if ctx.meta.get(DEBUG):
+                    traceback.print_exc()
+                sentence, status = _sentence(error), _status(error)
+                say(sentence)
+                if ctx.meta[JSON] and not results.shown:
+                    with suppress(OSError):
+                        results.show(_json_error(sentence.removeprefix("error: "), status, error))
+                raise typer.Exit(status) from None
+
+
+class _Results:
+    """The stream of results, and whether something was printed there."""
+
+    def __init__(self, stream: TextIO):
+        self.stream, self.shown = stream, False
+
+    def show(self, text: Any) -> None:
+        try:
+            print(text, file=self.stream, flush=True)
+        except OSError:
+            with suppress(OSError, ValueError):  # Python would try again at the exit, and print a warning
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
+            raise
+        self.shown = True
+
+
+_results: _Results | None = None
+
+
+@contextmanager
+def _results_apart() -> Iterator[_Results]:
+    """Yield the stream of results, which is stdout; `show` prints there in this block."""
+    global _results
+    before = _results
+    _results = results = _Results(sys.stdout)
+    try:
+        yield results
+    finally:
+        _results = before
+
+
+def _guard(command: Any) -> None:
+    """Redirect stdout to stderr while the functions of a command and of its subcommands run."""
+    for subcommand in getattr(command, "commands", {}).values():
+        _guard(subcommand)
+    function = command.callback
+    if function is None or hasattr(function, "_is_guarded"):
+        return
+
+    @functools.wraps(function)
+    def guarded(*arguments: Any, **options: Any) -> Any:
+        with redirect_stdout(sys.stderr):
+            return function(*arguments, **options)
+
+    guarded._is_guarded = True  # type: ignore[attr-defined]
+    command.callback = guarded
+
+
+def show(result: Any) -> None:
+    """Print a result to stdout."""
+    (_results or _Results(sys.stdout)).show(result)
+
+
+def show_json(data: Any, indent: int | None = None) -> None:
+    """Print a result to stdout as JSON; numbers that are not finite become null."""
+    from mbdkit.base.plain_data import json_text
+
+    show(json_text(data, indent))
+
+
+def _json_error(message: str, status: int, error: BaseException | None = None) -> str:
+    from mbdkit.base.plain_data import json_text
+
+    place = {}
+    if isinstance(error, SpecError):
+        place = {"key": error.key or None, "file": error.file, "line": error.line}
+    return json_text({"error": message, "exit_status": status, **place})
+
+
+def open_streams() -> None:
+    """Open the null device in place of standard streams that are closed, as after ``2>&-``.
+
+    Otherwise the next file that is opened would receive what is written to these streams.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # becomes the lowest free number, which is this one
+        if getattr(sys, name) is None:
+            stream = os.fdopen(number, "w" if number else "r", encoding="utf-8")
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)  # so that the descriptor stays open when the stream is replaced
+
+
+def keep_results_apart() -> None:
+    """Make file descriptor 1 stderr for the rest of the process, and `sys.stdout` a stream to the former one.
+
+    Compiled code and child processes can then not write into the results.
+    """
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        stream = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors="backslashreplace")
+        os.dup2(2, 1)
+        sys.stdout = stream
+
+
+def say(text: str) -> None:
+    """Print a line to stderr; only results go to stdout."""
+    with suppress(OSError):  # the disk of a redirected stderr may be full
+        print(text, file=sys.stderr, flush=True)
+
+
+def silence(text: str) -> None:
+    """Print nothing; replaces `say` in quiet mode."""
+
+
+def _status(error: BaseException) -> int:
+    match error:
+        case PluginError() | SystemExit():
+            return PLUGIN_FAILED
+        case RunError() | ResourceError() | MemoryError():
+            return STOPPED_EARLY
+        case OSError() if error.errno:
+            return _status(file_error(error.errno, ""))
+        case MbdkitError() | OSError():
+            return WRONG_INPUT
+        case KeyboardInterrupt():
+            return INTERRUPTED
+    return BUG
+
+
+def _sentence(error: BaseException) -> str:
+    match error:
+        case MbdkitError():
+            return f"error: {error}"
+        case OSError():
+            why = error.strerror or str(error) or type(error).__name__
+            return f"error: {error.filename}: {why}" if error.filename else f"error: {why}"
+        case MemoryError():
+            return "error: there is not enough memory for this"
+        case KeyboardInterrupt():
+            return "interrupted"
+        case SystemExit():  # mbdkit never raises it
+            return "error: a plugin tried to end the program"
+    return (
+        f"error: this is a bug in mbdkit: {one_line(error)}\n"
+        "  rerun the command with --debug for a traceback, and please report it"
+    )

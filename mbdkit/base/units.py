@@ -1,0 +1,163 @@
+"""Units of measured quantities: dimensions, SI factors, and reading of texts such as ``N m`` or ``deg/s``."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
+
+Exponents = tuple[Fraction, Fraction, Fraction]
+"""Exponents of metre, kilogram and second."""
+
+_NONE: Exponents = (Fraction(0), Fraction(0), Fraction(0))
+_BASE = ("m", "kg", "s")
+LARGEST_EXPONENT = 99
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit. Two units can be compared and added if their `exponents` are equal.
+
+    Parameters
+    ----------
+    text
+        The unit as it is shown, such as ``N m``.
+    exponents
+        Exponents of metre, kilogram and second. Angles are numbers, as in the SI.
+    factor
+        Size of the unit in SI units.
+    """
+
+    text: str
+    exponents: Exponents = _NONE
+    factor: float = 1.0
+
+    def __str__(self) -> str:
+        return self.text
+
+    def is_like(self, other: Unit) -> bool:
+        """Return whether both units measure the same kind of quantity, such as m and mm."""
+        return self.exponents == other.exponents
+
+    def times(self, other: Unit, power: Fraction = Fraction(1)) -> Unit:
+        """Return the SI unit of a product with a `power` of another quantity."""
+        a, b = self.exponents, other.exponents
+        return si_unit((a[0] + power * b[0], a[1] + power * b[1], a[2] + power * b[2]))
+
+
+def _exponents(m: int = 0, kg: int = 0, s: int = 0) -> Exponents:
+    return Fraction(m), Fraction(kg), Fraction(s)
+
+
+_FORCE, _ENERGY, _POWER = _exponents(1, 1, -2), _exponents(2, 1, -2), _exponents(2, 1, -3)
+_PRESSURE = _exponents(-1, 1, -2)
+_SYMBOLS: dict[str, tuple[Exponents, float]] = {
+    "m": (_exponents(m=1), 1.0),
+    "km": (_exponents(m=1), 1e3),
+    "cm": (_exponents(m=1), 1e-2),
+    "mm": (_exponents(m=1), 1e-3),
+    "um": (_exponents(m=1), 1e-6),
+    "kg": (_exponents(kg=1), 1.0),
+    "g": (_exponents(kg=1), 1e-3),
+    "s": (_exponents(s=1), 1.0),
+    "ms": (_exponents(s=1), 1e-3),
+    "min": (_exponents(s=1), 60.0),
+    "Hz": (_exponents(s=-1), 1.0),
+    "rad": (_NONE, 1.0),
+    "deg": (_NONE, math.pi / 180.0),
+    "%": (_NONE, 1e-2),
+    "1": (_NONE, 1.0),
+    "N": (_FORCE, 1.0),
+    "kN": (_FORCE, 1e3),
+    "mN": (_FORCE, 1e-3),
+    "J": (_ENERGY, 1.0),
+    "kJ": (_ENERGY, 1e3),
+    "mJ": (_ENERGY, 1e-3),
+    "Pa": (_PRESSURE, 1.0),
+    "kPa": (_PRESSURE, 1e3),
+    "MPa": (_PRESSURE, 1e6),
+    "GPa": (_PRESSURE, 1e9),
+    "W": (_POWER, 1.0),
+    "kW": (_POWER, 1e3),
+    "mW": (_POWER, 1e-3),
+}
+"""Exponents and SI factor of each symbol."""
+
+_NAMED = {
+    exponents: text
+    for text, exponents in {
+        "1": _NONE,
+        "N": _FORCE,
+        "J": _ENERGY,
+        "W": _POWER,
+        "N s": _exponents(1, 1, -1),
+        "N/m": _exponents(0, 1, -2),
+        "N s/m": _exponents(0, 1, -1),
+        "J s": _exponents(2, 1, -1),
+    }.items()
+}
+"""Usual names of SI units with several base units."""
+
+_PART = re.compile(r"(%|1|[A-Za-z]+)(?:(?:\^|\*\*)(-?\d{1,2}))?")
+
+
+def si_unit(exponents: Exponents) -> Unit:
+    """Return the SI unit with these exponents."""
+    text = _NAMED.get(exponents)
+    if text is None:
+        length, mass, time = exponents
+        parts = list(zip(_BASE, exponents, strict=True))
+        if mass > 0 and time == -2 * mass:  # a power of forces, such as N^2 m^2
+            parts = [("N", mass), ("m", length - mass)]
+        above = [_power(name, e) for name, e in parts if e > 0]
+        below = [_power(name, -e) for name, e in parts if e < 0]
+        text = "/".join([" ".join(above) or "1", *below])
+    return Unit(text, exponents)
+
+
+def _power(name: str, exponent: Fraction) -> str:
+    shown = f"({exponent})" if exponent.denominator > 1 else str(exponent)
+    return name if exponent == 1 else f"{name}^{shown}"
+
+
+def read_unit(text: str) -> Unit:
+    """Return the unit that a text names: symbols with integer powers, multiplied by blanks or ``*``, divided by ``/``.
+
+    Raises
+    ------
+    SpecError
+        If the text is not a unit.
+    """
+    exponents, factor = list(_NONE), 1.0
+    sign, place, written = 1, 0, text.strip()
+    if not written:
+        raise SpecError("should be a unit such as N, N m, mm or deg, not an empty text")
+    while place < len(written):
+        found = _PART.match(written, place)
+        if found is None:
+            raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
+        symbol, power = found[1], sign * int(found[2] or 1)
+        if symbol not in _SYMBOLS:
+            hint = did_you_mean(symbol, _SYMBOLS) or f"; known: {listed(_SYMBOLS)}"
+            raise SpecError(f"'{_short(symbol)}' is not a known unit{hint}")
+        of_symbol, size = _SYMBOLS[symbol]
+        exponents = [total + power * one for total, one in zip(exponents, of_symbol, strict=True)]
+        if any(abs(total) > LARGEST_EXPONENT for total in exponents):
+            raise SpecError(f"'{_short(text)}' has an exponent larger than {LARGEST_EXPONENT}")
+        factor *= size**power
+        between = re.compile(r"\s*([*/])\s*|\s+|$").match(written, found.end())
+        if between is None or (between.end() == len(written) and between[1]):
+            raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
+        sign = -1 if between[1] == "/" else 1
+        place = between.end()
+        if place == found.end():
+            break
+    return Unit(" ".join(written.split()), (exponents[0], exponents[1], exponents[2]), factor)
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:37]}..."

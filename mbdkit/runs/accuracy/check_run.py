@@ -1,0 +1,124 @@
+"""Checks the accuracy of a run: runs its companions, and estimates its errors."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.accuracy.companion import Budget, Companion, CompanionRows, run_companion
+from mbdkit.runs.accuracy.companion_choice import Chosen, choose_companions
+from mbdkit.runs.accuracy.error_estimate import ErrorEstimate, Units, estimate_errors
+from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.spec import RunSpec
+
+
+def check_run(
+    spec: RunSpec,
+    method: Method,
+    workspace: Workspace,
+    rows: ObservedRows,
+    steps: int,
+    interrupted: Callable[[], bool],
+    progress: Callable[[float, float], None] | None = None,
+) -> Accuracy:
+    """Estimate the errors of a run by companion runs.
+
+    A check costs 6 times the steps of the run, and those of the guard. If the spec limits wall time, all companions
+    together may take as long again.
+
+    Parameters
+    ----------
+    spec, method, workspace
+        The run.
+    rows
+        Its recorded rows.
+    steps
+        Number of its steps.
+    interrupted
+        Whether the user has asked to stop; then the errors are unknown.
+    progress
+        Called with (time reached, end time) [s] of each companion.
+    """
+    begin = time.perf_counter()
+    if len(rows.time) < 2:
+        return as_accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
+    budget = Budget(spec.limits.wall_time, interrupted)
+    chosen = choose_companions(spec, method, workspace, rows.time, steps)
+    runs = [run_companion(companion, workspace, rows.time, budget.stopped, progress) for companion in chosen.finer]
+    guard, guarded = _guard(chosen, workspace, rows.time, budget, progress)
+    units = units_of(workspace, rows)
+    errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
+    told = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
+    return as_accuracy(rows, errors, _sentence(chosen, told), begin)
+
+
+def units_of(workspace: Workspace, rows: ObservedRows) -> Units:
+    """Return the natural units of the mechanism in a run with these rows, at least two."""
+    mass = float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))
+    return Units.of(workspace.mechanism.length, mass, float(rows.time[-1] - rows.time[0]))
+
+
+def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: float) -> Accuracy:
+    """Return the estimates as they are stored."""
+    return Accuracy(
+        rows.time,
+        errors.position,
+        errors.velocity,
+        errors.reaction,
+        errors.torque,
+        errors.known_until,
+        errors.order,
+        method,
+        time.perf_counter() - begin,
+    )
+
+
+def _guard(
+    chosen: Chosen,
+    workspace: Workspace,
+    times: np.ndarray,
+    budget: Budget,
+    progress: Callable[[float, float], None] | None,
+) -> tuple[Companion, CompanionRows]:
+    """Return the first guard that reaches the end; the one that gets farthest if none does."""
+    best: tuple[Companion, CompanionRows] | None = None
+    for companion in chosen.guards:
+        found = run_companion(companion, workspace, times, budget.stopped, progress)
+        if best is None or _reached(found) > _reached(best[1]):
+            best = companion, found
+        if not found.failure or budget.stopped():
+            break
+    assert best is not None
+    return best
+
+
+def _reached(found: CompanionRows) -> float:
+    """Return the time of the last row [s]."""
+    rows = np.flatnonzero(np.all(np.isfinite(found.rows.position), axis=(1, 2)))
+    return float(found.rows.time[rows[-1]]) if len(rows) else -math.inf
+
+
+def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> str:
+    """Return how the estimate was made, and which companions stopped early."""
+    first, second = (companion.name for companion in chosen.finer)
+    text = (
+        f"Richardson extrapolation from companion runs with {first} and {second}, confirmed by a run with "
+        f"{told[-1][0].name}; nan where neither the differences fall with the {chosen.what} nor the runs approach the "
+        "last one."
+    )
+    for companion, found in told:
+        if found.failure:
+            text += f" The run with {companion.name} ended at {_reached(found):.6g} s: {found.failure}."
+    return text
+
+
+def _no_errors(rows: ObservedRows) -> ErrorEstimate:
+    """Return the estimates of a run that recorded only its start, which has no error."""
+    position, velocity, torque = (np.zeros_like(x) for x in (rows.position, rows.velocity, rows.torque))
+    return ErrorEstimate(position, velocity, torque, torque.copy(), float(rows.time[0]), math.nan)

@@ -1,0 +1,441 @@
+"""Chooses method and step for an accuracy that is asked, from pilot runs and a model of error and work.
+
+The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p near 1; C is the
+difference of two pilots, and p is observed where the model is used far from them. Work is the number of evaluations.
+
+Without a given integrator, DOP853 in adaptive steps is the first candidate. On smooth mechanisms no other built-in
+method needs less than about two thirds of its work, over all accuracies from 1e-3 to 1e-9, while pilots of many methods
+would cost more than that saves. If its steps hardly become shorter with the tolerance, they are limited by stability
+(stiff springs, dampers); then Radau IIA of order 9 is the second one.
+
+Everything is decided by counts, not by the clock: equal specs lead to equal choices on every machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.plain_data import canonical
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.method_options import ControlledOptions
+from mbdkit.runs.accuracy.coarser_estimate import error_share
+from mbdkit.runs.accuracy.pilot_run import IMPLICIT_WORK, SAMPLES, PilotRun, difference, run_pilot
+from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.accuracy.recorded_pilot import RecordedPilot, can_be_recorded
+from mbdkit.spec import RunSpec
+from mbdkit.spec.asked_accuracy import EXPLICIT, IMPLICIT
+
+MARGIN = 0.3
+"""The expected error, as a share of the error asked. A third costs 15 % more work in order 8; errors of regular motions
+follow the tolerance within this factor."""
+
+SATURATED = 0.2
+"""Differences above this share of the size say nothing about smaller steps. Those a little below are larger than the
+model expects, so that the choice is on the safe side."""
+
+FOLLOWS = 0.93
+"""Expected exponent of the error of an adaptive method in its tolerance; below 1, because the prediction often spans
+several decades, and a missed accuracy costs another run."""
+
+TIGHTEST, LOOSEST = 1e-13, 1e-3
+"""Range of the tolerance: below the first, rounding errors dominate; above the second, errors do not follow it."""
+
+ROUNDING = f"rounding errors dominate at tolerances below {TIGHTEST:g}"
+"""Why no smaller tolerance is possible."""
+
+GAUSS: Mapping[str, Any] = {"name": "gauss", "stages": 6}
+"""Method of fixed steps that is tried where rounding errors limit adaptive ones."""
+
+TENTH = 10.0
+"""Factor between the tolerances of the first two pilots."""
+
+STIFF = 1.15
+"""Growth of the number of steps from one tolerance to a tenth of it below which stability limits the steps of DOP853;
+accuracy alone makes it 10^(1/8) = 1.33."""
+
+FIRST_STEPS = 20_000
+"""Most steps of the first pilots of a candidate; those of stiff mechanisms exceed it."""
+
+IMPLICIT_STEP = 20.0 * IMPLICIT_WORK
+"""Least work of a step of Radau IIA with 5 stages, which iterates at least four times: 20 evaluations."""
+
+MANY_STEPS = 2_000
+"""Number of steps up to which it does not matter that stability limits them: they take 0.1 s."""
+
+APART = 100.0
+"""Factor between the tolerances of the first two kept pilots. Errors of single runs scatter about the tolerance by a
+factor of up to 10, so that closer runs may differ by less than their errors; with 10 instead, runs cost 15 % more."""
+
+AIM = 0.25
+"""The estimated error of a kept pilot, as a share of the error asked; a missed accuracy costs another one."""
+
+MOST_ATTEMPTS = 3
+"""Most runs of the chosen method, if the check does not confirm the accuracy at once."""
+
+FAR = {True: 1e5, False: 30.0}
+"""Ratio of the error asked to that of the last pilot over which the model is used without another pilot, of adaptive
+methods, whose errors follow the tolerance, and of fixed steps, whose observed order may be lower than the method's."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A method whose step or tolerance is to be chosen.
+
+    Parameters
+    ----------
+    integrator
+        Name and options.
+    adaptive
+        Whether the setting is a tolerance; otherwise it is the step [s].
+    order
+        Expected exponent of the error in the setting.
+    """
+
+    integrator: Mapping[str, Any]
+    adaptive: bool
+    order: float
+
+    @classmethod
+    def of(cls, spec: RunSpec) -> Candidate:
+        """Return the integrator of a spec as the candidate."""
+        claims = spec.claims
+        return cls(
+            canonical(spec.integrator), claims.adaptive, FOLLOWS if claims.adaptive else float(claims.order or 2)
+        )
+
+    def settle(self, spec: RunSpec, setting: float, size: float) -> RunSpec:
+        """Return the spec with this method and a setting; absolute tolerances are relative to small mechanisms."""
+        has_default = isinstance(spec.integrator, ControlledOptions)  # follows rtol and the size of the mechanism
+        if not self.adaptive:
+            return spec.settled(dict(self.integrator), setting)
+        tolerances = {"rtol": setting, "atol": None if has_default else _rounded(setting * min(1.0, size))}
+        return spec.settled({**self.integrator, **tolerances}, spec.time.step if spec.choose == "step" else None)
+
+    def name(self, setting: float) -> str:
+        """Return name and setting, such as ``dop853 in adaptive steps with tolerance 1e-08``."""
+        options = "".join(
+            f" {key} {value}" for key, value in self.integrator.items() if key in ("stages",) and value is not None
+        )
+        how = f"in adaptive steps with tolerance {setting:g}" if self.adaptive else f"with step {setting:g} s"
+        return f"{self.integrator['name']}{options} {how}"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen.
+
+    Attributes
+    ----------
+    candidate, setting
+        The method, and its tolerance or step [s].
+    size
+        Size of the mechanism [m].
+    why
+        Reason, as sentences.
+    work
+        Work of all pilots, in evaluations.
+    limited
+        Why no smaller setting is possible; empty if one is.
+    pilots
+        The last pilots of the same method, of which the errors of the run are estimated; empty: by companions.
+    final
+        The pilot that is accurate enough to be the run, or None.
+    """
+
+    candidate: Candidate
+    setting: float
+    size: float
+    why: str
+    work: float
+    limited: str = ""
+    pilots: tuple[RecordedPilot, ...] = ()
+    final: RecordedPilot | None = None
+
+    @property
+    def chosen(self) -> str:
+        """Method and setting, as the start of a sentence."""
+        return self.candidate.name(self.setting)
+
+    def settle(self, spec: RunSpec) -> RunSpec:
+        """Return the spec with what was chosen."""
+        return self.candidate.settle(spec, self.setting, self.size)
+
+    def tightened(self, spec: RunSpec, asked: float, reached: float) -> Choice:
+        """Return the choice for another attempt.
+
+        Parameters
+        ----------
+        spec
+            The spec.
+        asked, reached
+            Accuracy that was asked, and the one estimated by the check; nan if it was not known to the end.
+        """
+        order, least = self.candidate.order, 3.0 if self.candidate.adaptive else 1.5
+        # a kept pilot checks the next attempt in turn; after that, companions do
+        pilots = () if self.final is None else (*self.pilots[-1:], self.final)
+        factor = TENTH if pilots else 100.0 if self.candidate.adaptive else 4.0
+        if math.isfinite(reached):
+            factor = max(least, (reached / (MARGIN * asked)) ** (1 / order))
+        setting, limited = _limited(spec, self.candidate, self.setting / factor)
+        found = f"an error of {reached:.2g}" if math.isfinite(reached) else "no error that is known to the end"
+        why = f"{self.why} The check of {self.chosen} found {found}, so that it was tightened."
+        return replace(self, setting=min(setting, self.setting), limited=limited, why=why, pilots=pilots, final=None)
+
+
+def choose_method(
+    spec: RunSpec, workspace: Workspace, progress: Callable[[float, float], None] | None = None
+) -> Choice:
+    """Choose method and step for the accuracy of a spec.
+
+    Parameters
+    ----------
+    spec
+        The spec, with `RunSpec.is_to_be_chosen`.
+    workspace
+        Its mechanism and start.
+    progress
+        Called with (time reached, end time) [s] of each pilot.
+    """
+    first = Candidate.of(spec)
+    search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)
+    if first.adaptive and not spec.events and can_be_recorded(first.settle(spec, LOOSEST, search.measure.size)):
+        found = search.ladder(first)
+        if found is not None:
+            return found
+    if spec.choose == "step":
+        return search.of(first)
+    if first.integrator["name"] != EXPLICIT["name"]:
+        return search.of(first)
+    second = replace(first, integrator=dict(IMPLICIT))
+    return search.better(first, second)
+
+
+def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice | None:
+    """Return the choice of a step of Gauss's method where rounding errors limit the tolerance of another one.
+
+    Fixed steps of high order are far fewer than adaptive ones at the tightest tolerance, and collect fewer rounding
+    errors. None if the spec gives the method, or something else limits it.
+    """
+    if spec.choose != "method" or choice.limited != ROUNDING or choice.candidate.integrator["name"] == GAUSS["name"]:
+        return None
+    search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), None)
+    told = f"Rounding errors limit {choice.candidate.integrator['name']}. "
+    return search.of(Candidate(GAUSS, False, 2.0 * GAUSS["stages"]), told=told)
+
+
+class _Search:
+    def __init__(
+        self,
+        spec: RunSpec,
+        workspace: Workspace,
+        measure: PositionMeasure,
+        progress: Callable[[float, float], None] | None,
+    ):
+        self.spec, self.workspace, self.measure, self.progress = spec, workspace, measure, progress
+        assert spec.accuracy is not None
+        self.asked = spec.accuracy
+        self.work = 0.0
+
+    def pilot(self, candidate: Candidate, setting: float, most_steps: int | None = None) -> PilotRun:
+        """Run a pilot."""
+        spec = candidate.settle(self.spec, setting, self.measure.size)
+        pilot = run_pilot(spec, setting, self.workspace, most_steps or self.spec.limits.max_steps)
+        self.work += pilot.work
+        return pilot
+
+    def ladder(self, candidate: Candidate) -> Choice | None:
+        """Return the choice of a tolerance by kept pilots, each tighter than the one before, until one is good enough.
+
+        The last one is the run, and the ones before it estimate its error. None if the steps are limited by stability,
+        or too many to be kept.
+        """
+        runs: list[RecordedPilot] = []
+        setting = min(max(_rounded(self.asked), APART * TIGHTEST), LOOSEST)
+        while True:
+            spec = candidate.settle(self.spec, setting, self.measure.size)
+            try:
+                run = RecordedPilot(spec, setting, self.workspace, FIRST_STEPS, self.progress)
+            except SingularSystemError:
+                return None
+            self.work += run.work
+            if run.failure == "max-steps" or (run.failure and setting <= TIGHTEST):
+                return None
+            runs = [run] if run.failure else [*runs, run]
+            if len(runs) < 2:
+                setting = _setting(candidate, setting / APART)
+                continue
+            compared = runs[-3:]
+            differences = [self.difference(other, run) for other in compared[:-1]]
+            if not differences[0] <= SATURATED and len(compared) > 2:
+                compared, differences = compared[1:], differences[1:]
+            if self.is_stiff(compared):
+                return None
+            error = error_share(differences, [other.setting for other in compared])
+            limited = ROUNDING if setting <= TIGHTEST else ""
+            if error <= self.asked or limited:
+                return Choice(
+                    candidate,
+                    setting,
+                    self.measure.size,
+                    self.why_last(compared, differences, error),
+                    self.work,
+                    limited,
+                    tuple(compared[:-1]),
+                    run,
+                )
+            setting = _setting(candidate, self.next_tolerance(compared, differences, error))
+
+    def difference(self, other: RecordedPilot, run: RecordedPilot) -> float:
+        """Return the largest difference of two kept pilots as a share of the size; inf if one has failed."""
+        share = self.measure.share(other.positions(run.time) - run.positions(run.time))
+        return float(np.nan_to_num(np.max(share), nan=math.inf))
+
+    def is_stiff(self, runs: list[RecordedPilot]) -> bool:
+        """Return whether stability limits the steps of the last pilots, and they are so many that it matters."""
+        return runs[-1].steps > MANY_STEPS and runs[-1].steps <= STIFF * runs[-2].steps
+
+    def next_tolerance(self, runs: list[RecordedPilot], differences: list[float], error: float) -> float:
+        """Return the tolerance of the next kept pilot."""
+        if not differences[-1] <= SATURATED:
+            return runs[-1].setting / APART
+        if len(differences) == 1:  # the difference is the error of the coarser one
+            wanted = runs[-2].setting * (AIM * self.asked / differences[-1]) ** (1 / FOLLOWS)
+        else:
+            wanted = runs[-1].setting * (AIM * self.asked / error) ** (1 / FOLLOWS)
+        return float(min(wanted, runs[-1].setting / 4))  # closer runs hardly differ
+
+    def why_last(self, runs: list[RecordedPilot], differences: list[float], error: float) -> str:
+        """Return the sentence on the last of the kept pilots."""
+        size = f"of the mechanism's size of {self.measure.size:.3g} m"
+        return (
+            f"Pilot runs with tolerances {runs[-2].setting:.3g} and {runs[-1].setting:.3g} differ by "
+            f"{differences[-1]:.2g} {size}; the estimated error of the last one is {error:.2g}."
+        )
+
+    def better(self, explicit: Candidate, implicit: Candidate) -> Choice:
+        """Return the better of both: the explicit one, unless stability limits its steps and the other needs less."""
+        pilots = self.two(explicit, FIRST_STEPS)
+        if pilots[-1].failure != "max-steps" and pilots[-1].steps > STIFF * pilots[0].steps:
+            return self.of(explicit, pilots)
+        # stopped at half the work of the explicit one: less is not worth looking for
+        budget = max(8, int(pilots[-1].work / (2 * IMPLICIT_STEP)))
+        other = self.pilot(implicit, pilots[-1].setting, budget)
+        name, rival = explicit.integrator["name"], implicit.integrator["name"]
+        if other.failure or other.work >= pilots[-1].work:
+            told = f"Stability limits the steps of {name}, but {rival} would cost more. "
+            return self.of(explicit, None if pilots[-1].failure == "max-steps" else pilots, told)
+        costs = f"a pilot run costs {other.work:.3g} evaluations instead of {pilots[-1].work:.3g}"
+        more = " or more" if pilots[-1].failure == "max-steps" else ""
+        return self.of(implicit, None, f"Stability limits the steps of {name}; with {rival}, {costs}{more}. ")
+
+    def two(self, candidate: Candidate, most_steps: int | None = None) -> list[PilotRun]:
+        """Return the first two pilots of a candidate."""
+        coarse, factor = self.first(candidate)
+        runs = [self.pilot(candidate, coarse, most_steps)]
+        return [*runs, self.pilot(candidate, _setting(candidate, coarse / factor), most_steps)]
+
+    def first(self, candidate: Candidate) -> tuple[float, float]:
+        """Return the first setting, and the factor to the second one."""
+        spec = self.spec
+        if candidate.adaptive:
+            given = candidate.integrator.get("rtol") if spec.choose == "step" else None
+            # pilots are looser than the run, so that they cost less; three decades of accuracy are one of tolerance
+            loose = LOOSEST * (self.asked / LOOSEST) ** (1 / 3)
+            return min(max(_rounded(float(given or loose)), TENTH * TIGHTEST), LOOSEST), TENTH
+        span = spec.time.final - spec.time.start
+        steps = span / spec.time.step if spec.time.step is not None else 2 * SAMPLES
+        return span / _dividing(steps), 2.0
+
+    def of(self, candidate: Candidate, runs: list[PilotRun] | None = None, told: str = "") -> Choice:
+        """Return the setting of a candidate."""
+        runs = runs or self.two(candidate)
+        _, factor = self.first(candidate)
+        differences = [difference(runs[0], runs[1], self.measure)]
+        while not differences[-1] <= SATURATED:  # too coarse to tell
+            setting = _setting(candidate, runs[-1].setting / (factor if candidate.adaptive else 2 * factor))
+            if setting >= runs[-1].setting or _limited(self.spec, candidate, setting)[1]:
+                break
+            runs.append(self.pilot(candidate, setting))
+            differences.append(difference(runs[-2], runs[-1], self.measure))
+        order = candidate.order
+        setting = self.predicted(candidate, runs[-2].setting, differences[-1], order)
+        if differences[-1] <= SATURATED and setting < runs[-1].setting / FAR[candidate.adaptive] ** (1 / order):
+            between = _setting(candidate, math.sqrt(runs[-1].setting * setting))
+            if not candidate.adaptive:
+                span = self.spec.time.final - self.spec.time.start
+                between = span / _dividing(span / between)
+            runs.append(self.pilot(candidate, between))
+            differences.append(difference(runs[-2], runs[-1], self.measure))
+            order = self.observed(candidate, runs, differences)
+            setting = self.predicted(candidate, runs[-2].setting, differences[-1], order)
+        setting, limited = _limited(self.spec, candidate, setting)
+        return Choice(
+            candidate, setting, self.measure.size, told + self.why(candidate, runs, differences), self.work, limited
+        )
+
+    def predicted(self, candidate: Candidate, setting: float, error: float, order: float) -> float:
+        """Return the setting for `MARGIN` of the error asked, if the error at `setting` is `error`."""
+        if not error > 0:
+            return setting
+        factor = math.pow(MARGIN * self.asked / max(min(error, 1.0), 1e-15), 1 / order)
+        return setting * min(factor, TENTH if candidate.adaptive else 2.0)
+
+    def observed(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> float:
+        """Return the order observed in the last three pilots, within the limits of the expected one."""
+        (e0, e1), (x0, x1) = differences[-2:], (runs[-3].setting, runs[-2].setting)
+        if not (e0 > 0 and e1 > 0 and e0 < math.inf):
+            return candidate.order
+        return min(max(math.log(e0 / e1) / math.log(x0 / x1), 0.6 * candidate.order), 1.2 * candidate.order)
+
+    def why(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> str:
+        """Return the sentence on the pilots."""
+        unit = "tolerances" if candidate.adaptive else "steps"
+        end = "" if candidate.adaptive else " s"
+        settings = f"{unit} {runs[-2].setting:.3g} and {runs[-1].setting:.3g}{end}"
+        part = f"differ by {differences[-1]:.2g} of the mechanism's size of {self.measure.size:.3g} m"
+        aim = f"aims at {MARGIN:g} of the error asked"
+        if not differences[-1] <= SATURATED:
+            return f"Pilot runs with {settings} {part}, too much for a prediction."
+        return f"Pilot runs with {settings} {part}; the choice {aim}."
+
+
+def _limited(spec: RunSpec, candidate: Candidate, setting: float) -> tuple[float, str]:
+    """Return a setting rounded within its limits, and which limit it meets."""
+    if candidate.adaptive:
+        if setting <= TIGHTEST:
+            return TIGHTEST, ROUNDING
+        return min(_rounded(setting), LOOSEST), ""
+    span = spec.time.final - spec.time.start
+    most = spec.limits.max_steps
+    if span / setting > most:
+        return _shorter(span / most, up=True), f"limits.max_steps allows {most} steps"
+    return min(_shorter(setting), span), ""
+
+
+def _setting(candidate: Candidate, setting: float) -> float:
+    """Return the tolerance of a pilot run, rounded and at least `TIGHTEST`, or its fixed step, unchanged."""
+    return max(_rounded(setting), TIGHTEST) if candidate.adaptive else setting
+
+
+def _rounded(value: float) -> float:
+    """Return a tolerance with two digits."""
+    return float(f"{value:.1e}")
+
+
+def _shorter(step: float, *, up: bool = False) -> float:
+    """Return a step with three digits, rounded down, or `up`."""
+    unit = 10.0 ** (math.floor(math.log10(step)) - 2)
+    return float(f"{(math.ceil if up else math.floor)(step / unit * (1 + 1e-12)) * unit:.2e}")
+
+
+def _dividing(steps: float) -> int:
+    """Return the next number of steps whose ends include the samples, or that divides them."""
+    if steps >= SAMPLES:
+        return SAMPLES * math.ceil(steps / SAMPLES - 1e-9)
+    return 1 << max(3, math.ceil(math.log2(steps)))

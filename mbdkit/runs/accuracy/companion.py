@@ -1,0 +1,265 @@
+"""Companion runs: the same mechanism from the same start with another method, step or tolerance, at given times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import one_line
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.stabilization import Stabilization
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.stepping.interface import SAME_TIME, Stepper, Timetable
+from mbdkit.stepping.start import start_method
+
+NEVER = 2**53
+"""`Timetable.every` of a companion whose rows are taken from within its steps."""
+
+
+@dataclass(frozen=True)
+class Companion:
+    """A companion run.
+
+    Parameters
+    ----------
+    name
+        Description for the user, such as ``step 0.005 s``.
+    create
+        Creates the method.
+    timetable
+        Its times. If `within_steps`, the rows are computed by steps to the times of the main run; otherwise, the
+        timetable records rows at these times.
+    formulation, stabilization
+        Formulation and stabilization of the equations.
+    within_steps
+        See `timetable`.
+    after_stops
+        If `within_steps`: whether rows of the main run at a stop show the state after it, as dense output does, or
+        before it, as rows at ends of steps do.
+    """
+
+    name: str
+    create: Callable[[], Method]
+    timetable: Timetable
+    formulation: str
+    stabilization: Stabilization
+    within_steps: bool
+    after_stops: bool = False
+
+
+@dataclass(frozen=True)
+class CompanionRows:
+    """Rows of a companion at the times of the main run, nan where it has none.
+
+    Attributes
+    ----------
+    rows
+        The rows.
+    failure
+        Why the companion stopped early, as the rest of a sentence; empty if it did not.
+    """
+
+    rows: ObservedRows
+    failure: str
+
+
+def run_companion(
+    companion: Companion,
+    workspace: Workspace,
+    times: np.ndarray,
+    stopped: Callable[[], str],
+    progress: Callable[[float, float], None] | None = None,
+) -> CompanionRows:
+    """Run a companion.
+
+    Parameters
+    ----------
+    companion
+        What is run.
+    workspace
+        Workspace of the main run. Its mechanism and start are shared; working arrays and pivots are not.
+    times
+        (T,) times of the main run [s], the first one its start.
+    stopped
+        Returns why the companion must stop now; empty if it need not.
+    progress
+        Called with (time reached, end time) [s].
+
+    Returns
+    -------
+    CompanionRows
+        Its rows. Exceptions of a plugin are reported as a failure.
+    """
+    own = workspace.for_another_run(companion.formulation, companion.stabilization)
+    found = _States(times, own, companion)
+    try:
+        stepper = start_method(companion.create(), own, companion.timetable)
+        failure = _advance(stepper, companion, found, stopped, progress)
+    except SingularSystemError:
+        failure = "its equations are singular at the start"
+    except MbdkitError as error:
+        failure = str(error)
+    except (Exception, SystemExit) as error:  # of a plugin
+        failure = f"its method raised {one_line(error)}"
+    return CompanionRows(_observed(found, own), failure.rstrip("."))
+
+
+class _States:
+    """States of a companion at the times of the main run."""
+
+    def __init__(self, times: np.ndarray, workspace: Workspace, companion: Companion):
+        self.times = times
+        self.sides, self.at_stop = _beside_stops(times, companion)
+        self.q, self.v = (np.full((len(times), len(x)), np.nan) for x in (workspace.q0, workspace.v0))
+        self.q[0], self.v[0] = workspace.q0, workspace.v0
+        self.done = 1
+
+    def take(self, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> None:
+        """Take recorded states; those at times other than the next ones of the main run are ignored."""
+        for row, at in enumerate(times):
+            if self.done < len(self.times) and _equal(at, self.times[self.done], self.times):
+                self.q[self.done], self.v[self.done] = q[row], v[row]
+                self.done += 1
+
+    def take_within(self, stepper: Stepper) -> None:
+        """Take the states inside the last step and at its end."""
+        step = stepper.last_step
+        while step is not None and self.done < len(self.times):
+            at = self.sides[self.done]
+            if at > step.t1 and (self.at_stop[self.done] or not _equal(at, step.t1, self.times)):
+                return
+            if _equal(at, step.t1, self.times):
+                q, v = step.q1, step.v1
+            elif self.at_stop[self.done]:  # after the stop at which the step begins
+                q, v = step.q0, step.v0
+            else:
+                q, v = stepper.within((at - step.t0) / (step.t1 - step.t0))
+            self.q[self.done], self.v[self.done] = q, v
+            self.done += 1
+
+
+def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times of rows (T,), those at a stop moved to the side of it that they show, and which these are."""
+    table = companion.timetable
+    moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
+    for stop, margin in zip(table.stops, table.stop_margins, strict=True):
+        near = np.abs(times - stop) <= SAME_TIME * margin
+        moved[near], at_stop[near] = stop + (margin if companion.after_stops else -margin), True
+    return moved, at_stop
+
+
+def _equal(a: float, b: float, times: np.ndarray) -> bool:
+    """Return whether two times are equal but for rounding."""
+    return bool(abs(a - b) <= 1e-13 * max(abs(times[0]), abs(times[-1]), times[-1] - times[0]))
+
+
+def _advance(
+    stepper: Stepper,
+    companion: Companion,
+    found: _States,
+    stopped: Callable[[], str],
+    progress: Callable[[float, float], None] | None,
+) -> str:
+    """Advance to the last of the times; return why that failed, or nothing."""
+    while found.done < len(found.times):
+        if stepper.finished:
+            return ""
+        if why := stopped():
+            return why
+        if stepper.failure is not None:
+            return stepper.failure.sentence
+        stretch = stepper.advance()
+        if companion.within_steps:
+            found.take_within(stepper)
+        else:
+            found.take(stretch.time, stretch.q, stretch.v)
+        if progress is not None:
+            progress(stepper.time, float(found.times[-1]))
+    return ""
+
+
+def _observed(found: _States, workspace: Workspace) -> ObservedRows:
+    """Return the states with their reactions; rows from the first one that is missing or singular on are nan."""
+    count = found.done
+    finite = np.all(np.isfinite(found.q[:count]) & np.isfinite(found.v[:count]), axis=1)
+    count = count if np.all(finite) else int(np.argmin(finite))
+    observer = StateObserver(workspace.with_own_pivots())
+    q, v = found.q[:count].copy(), found.v[:count].copy()
+    out = observer.arrays(count)
+    singular = observer.observe(found.times[:count], q, v, out)
+    if singular is not None:
+        count = singular.row
+    reactions = JointSums(workspace.mechanism).sum(out.reactions)
+    total, bodies, joints = len(found.times), len(workspace.mechanism.bodies), len(workspace.mechanism.joints)
+    position, velocity = np.full((2, total, bodies, 3), np.nan)
+    wrench = np.full((total, joints, 3), np.nan)
+    position[:count] = q[:count, :-3].reshape(count, bodies, 3)
+    velocity[:count] = v[:count, :-3].reshape(count, bodies, 3)
+    wrench[:count] = reactions[:count]
+    return ObservedRows(found.times, position, velocity, wrench[..., :2], wrench[..., 2])
+
+
+class Budget:
+    """Says when companions must stop: after a time, or if the user asks for it.
+
+    Parameters
+    ----------
+    seconds
+        Wall time of all companions together [s]; None: not limited.
+    interrupted
+        Whether the user has asked to stop.
+    """
+
+    def __init__(self, seconds: float | None, interrupted: Callable[[], bool]):
+        self._begin, self._seconds, self._interrupted = time.perf_counter(), seconds, interrupted
+
+    def stopped(self) -> str:
+        """Return why companions must stop now; empty if they need not."""
+        if self._interrupted():
+            return "stopped by the user"
+        if self._seconds is not None and time.perf_counter() - self._begin > self._seconds:
+            return f"stopped after limits.wall_time = {self._seconds:g} s"
+        return ""
+
+
+def until(timetable: Timetable, end: float) -> Timetable:
+    """Return a timetable that ends at `end` [s], without the stops from there on."""
+    table = timetable
+    margins = {
+        stop: margin
+        for stop, margin in zip(table.stops, table.stop_margins, strict=True)
+        if stop < end - SAME_TIME * margin
+    }
+    impacts = tuple(stop for stop in table.impacts if stop in margins)
+    return replace(table, end=end, stops=tuple(margins), stop_margins=tuple(margins.values()), impacts=impacts)
+
+
+def finer(timetable: Timetable, times: np.ndarray, factor: int) -> Timetable:
+    """Return the timetable of a fixed-step companion whose steps are shorter by `factor`, with rows at `times`."""
+    assert timetable.step is not None
+    step = timetable.step / factor
+    start, end = timetable.start, float(times[-1])
+    return replace(
+        until(timetable, end),
+        step=step,
+        steps=max(1, int(np.ceil((end - start) / step - 1e-9))),
+        every=factor * timetable.every,
+        max_steps=factor * timetable.max_steps,
+        single=False,
+    )
+
+
+def row_interval(timetable: Timetable) -> float:
+    """Return the distance of the recorded rows of a fixed-step run [s]; the last one may be shorter."""
+    if timetable.interval is not None:
+        return timetable.interval
+    assert timetable.step is not None
+    return timetable.every * timetable.step

@@ -1,0 +1,221 @@
+"""Chooses the companions of a run: two finer runs of its own method, and guards of other methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from mbdkit.engine.stabilization import NONE, Stabilization
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods import dop853, gauss, radau_iia
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, LobattoPair, Method, SciPySolver, Tolerances
+from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
+from mbdkit.runs.preparation import make_method, timetable
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Guards, Timetable
+
+HALVINGS = (2, 4)
+"""Factors by which the steps of the companions of a fixed-step run are shorter."""
+
+TENTHS = (10.0, 100.0)
+"""Factors by which the tolerances of the companions of an adaptive run are tighter."""
+
+OTHER_TENTHS = (1e3, 1e5)
+"""The same for companions of another method than the run's: SciPy's Radau is up to 100 times as accurate as asked."""
+
+TIGHTEST = 1e-13
+"""Smallest tolerance of a companion; below it, rounding errors dominate."""
+
+GUARD_TOLERANCE = 1e-13
+"""Tolerance of the guard DOP853. Its error must be small beside that of the run, or the guard widens the estimate."""
+
+IMPLICIT_GUARD_TOLERANCE = 1e-11
+"""Tolerance of an implicit guard, which takes more steps for it."""
+
+GUARD_STEPS = (20_000, 40)
+"""Most steps of a guard: a number, plus this number times the steps of the run. Stiff problems exceed it in explicit
+steps, and the next guard is tried. A limit on wall time would make the result depend on the machine."""
+
+SINGLE_STEPS = (5_000, 10)
+"""The same for companions that stop after each step, each of which takes about 0.1 ms more."""
+
+
+LOOKS = 2_000
+"""Least number of steps of a guard, unless the run itself has as many fixed steps. Adaptive steps of a body at rest
+grow without bound, and pass over a pulse at any tolerance."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The companions of a run.
+
+    Attributes
+    ----------
+    finer
+        Two runs of increasing accuracy.
+    guards
+        Runs by other methods; the first one that reaches the end is used.
+    refinement
+        Factor between their steps or tolerances; base of the observed order.
+    what
+        What is divided by that factor: ``step`` or ``tolerance``.
+    """
+
+    finer: tuple[Companion, Companion]
+    guards: tuple[Companion, ...]
+    refinement: float
+    what: str
+
+
+def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times: np.ndarray, steps: int) -> Chosen:
+    """Choose the companions of a run.
+
+    Parameters
+    ----------
+    spec, method, workspace
+        The run.
+    times
+        (T,) times of its recorded rows [s].
+    steps
+        Number of its steps.
+    """
+    within = _steps_within(spec, times)
+    if not spec.claims.adaptive:
+        plan = timetable(spec, Guards())
+        tables = [finer(plan, times, factor) for factor in HALVINGS]
+        first, second = (
+            Companion(
+                f"step {table.step:.4g} s",
+                partial(make_method, spec),
+                table,
+                spec.formulation,
+                spec.stabilized,
+                within_steps=False,
+            )
+            for table in tables
+        )
+        interval = row_interval(plan)
+        return Chosen((first, second), _guards(spec, method, workspace, within, steps, interval), 2.0, "step")
+    first, second = _tighter(spec, method, workspace, within)
+    own = _has_tolerances(spec, method)
+    rough, fine = TENTHS if own else OTHER_TENTHS
+    return Chosen((first, second), _guards(spec, method, workspace, within, steps, None), fine / rough, "tolerance")
+
+
+def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:
+    """Return two companions of an adaptive run with tighter tolerances.
+
+    Methods of SciPy have no states inside steps that are as accurate as their ends, and of plugins the names of the
+    tolerances are not known. Their companions are runs of the adaptive Radau IIA method.
+    """
+    options, after = spec.integrator, spec.output.interval is not None
+    own = _has_tolerances(spec, method)
+    given = _tolerances(spec, method)
+    found = []
+    for factor in TENTHS if own else OTHER_TENTHS:
+        rtol, atol = max(given.rtol / factor, TIGHTEST), max(given.atol / factor, TIGHTEST * given.atol / given.rtol)
+        tolerances = replace(given, rtol=rtol, atol=atol)
+        table = replace(within, max_steps=spec.limits.max_steps * int(factor), step=spec.time.step if own else None)
+        if own:
+            update = {"rtol": tolerances.rtol, "atol": None if given.by_size else tolerances.atol}
+            create: Callable[[], Method] = partial(spec.integrator_plugin.create, options.model_copy(update=update))
+            name = f"tolerance {tolerances.rtol:.2g}"
+            run: tuple[str, Stabilization] = (spec.formulation, spec.stabilized)
+        else:
+            create = partial(_radau, tolerances)
+            name = f"adaptive radau-iia with tolerance {tolerances.rtol:.2g}"
+            run = ("index-1", _projected(workspace))
+        found.append(Companion(name, create, table, *run, within_steps=True, after_stops=after))
+    return found[0], found[1]
+
+
+def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
+    """Return the tolerances of an adaptive run; of a plugin's method, those of its options with the usual names."""
+    if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) and method.tolerances is not None:
+        return replace(method.tolerances, max_step=None)
+    if isinstance(method, SciPySolver):
+        return Tolerances(method.rtol, method.atol or method.rtol, by_size=method.by_size)
+    rtol = getattr(spec.integrator, "rtol", None) or 1e-6
+    atol = getattr(spec.integrator, "atol", None)
+    return Tolerances(rtol, atol or rtol, by_size=atol is None)
+
+
+def _has_tolerances(spec: RunSpec, method: Method) -> bool:
+    """Return whether the companions of an adaptive run can be runs of its own method."""
+    known = "rtol" in type(spec.integrator).model_fields
+    return known and isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta)
+
+
+def _guards(
+    spec: RunSpec, method: Method, workspace: Workspace, within: Timetable, steps: int, interval: float | None
+) -> tuple[Companion, ...]:
+    """Return guards by methods other than that of the run: explicit first, then implicit.
+
+    Guards solve the index-1 equations and are projected onto the constraints, so that they also differ in drift, and
+    pass singular positions on the right branch. The last one, for stiff methods, solves the index-2 equations: index-1
+    accelerations of stiff beams consist of round-off, and adaptive steps on them become small without end. It may be of
+    the family of the run, but has another order.
+    """
+    name = method.tableau.name if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else ""
+    within = replace(within, max_steps=LOOKS + _most(SINGLE_STEPS, steps))
+    dense, longest = within, (within.end - within.start) / LOOKS
+    tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE, longest, by_size=True)
+    loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE, longest, by_size=True)
+    if interval is not None and steps >= LOOKS and not within.impacts:  # rows there may show either side
+        dense = replace(within, every=1, interval=interval, single=False, max_steps=_most(GUARD_STEPS, steps))
+        tight = replace(tight, max_step=None)
+    candidates: Sequence[tuple[str, str, Callable[[], Method], Timetable]] = (
+        ("dop853", "dop853", partial(_dop853, tight), dense),
+        ("radau-iia", "radau-iia of order 9", partial(_radau, loose), within),
+        ("gauss", "gauss of order 10", partial(_gauss, loose), within),
+    )
+    stiff = isinstance(method, ImplicitRungeKutta | LobattoPair | SciPySolver)
+    after = spec.output.interval is not None
+    found = tuple(
+        Companion(
+            f"adaptive {told}",
+            create,
+            table,
+            "index-1",
+            _projected(workspace),
+            within_steps=table is within,
+            after_stops=after,
+        )
+        for family, told, create, table in candidates
+        if not name.startswith(family) and (family != "gauss" or stiff)
+    )
+    if not stiff or not workspace.mechanism.rows or name == radau_iia.tableau(5).name:
+        return found
+    told = "adaptive radau-iia of order 9 and index 2"
+    create = partial(_radau, loose)
+    return *found, Companion(told, create, within, "index-2", NONE, within_steps=True, after_stops=after)
+
+
+def _most(limits: tuple[int, int], steps: int) -> int:
+    return limits[0] + limits[1] * steps
+
+
+def _projected(workspace: Workspace) -> Stabilization:
+    """Return projection after every step, if there is anything to project onto."""
+    return Stabilization("projection") if len(workspace.mechanism.rows) else NONE
+
+
+def _steps_within(spec: RunSpec, times: np.ndarray) -> Timetable:
+    """Return the timetable of an adaptive run over `times` that returns after each step."""
+    run = until(timetable(spec, Guards(), all_knots=True), float(times[-1]))
+    return replace(run, step=None, steps=0, every=NEVER, interval=None, single=True)
+
+
+def _dop853(tolerances: Tolerances) -> Method:
+    return ExplicitRungeKutta(dop853.tableau(), dop853.pair(), tolerances)
+
+
+def _radau(tolerances: Tolerances) -> Method:
+    return ImplicitRungeKutta(radau_iia.tableau(5), tolerances=tolerances)
+
+
+def _gauss(tolerances: Tolerances) -> Method:
+    return ImplicitRungeKutta(gauss.tableau(5), tolerances=tolerances)

@@ -1,0 +1,294 @@
+"""Estimates errors from the differences of runs of increasing accuracy, by Richardson extrapolation; arrays only.
+
+Three runs of one method with steps h, h/2 and h/4 differ by d01 and d12. If the error is C h^p, then d12 / d01 = 2^-p,
+and the error of the first run is ``|y0 - y2| / (1 - (d12 / d01)^2)`` (Richardson 1911; Hairer, Norsett and Wanner 1993,
+II.4). Nothing is assumed about p: stabilization, stiffness or dense output change it, and it differs between positions
+and reactions. It is observed, for every body and every joint. What is required is that the differences fall at all, to
+`LARGEST_RATIO` or less. The same holds for adaptive methods, with tolerances instead of steps.
+
+Runs of one method may share an error, such as a pulse between two steps. A run by another method, the guard, must
+therefore agree with the most accurate one. Conversely, the step may be too long for the order to show, as in the sudden
+turns of a pendulum; then it is sufficient that the most accurate run is closer to the guard than the first one, by
+`CONFIRMED`.
+
+Where neither holds (chaos, another branch, a step too long for the motion), the estimate is nan. All differences are
+replaced by their running maxima, because a difference passes through zero where its sign changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mbdkit.runs.recorded_columns import ObservedRows
+
+LARGEST_RATIO = 0.6
+"""Largest d12 / d01 of differences that count as falling: a little above those of a method of order 1, 0.5."""
+
+CONFIRMED = 0.25
+"""Largest distance of the most accurate run from the guard, relative to that of the first one, that replaces an
+observed order: that of a method of order 1."""
+
+ROUND_OFF = 1e-9
+"""Differences from the guard below this share of the size of a quantity are explained by its own tolerance, and left
+out of the estimate."""
+
+AGREED = 1e-5
+"""Differences of all four runs below this share need not fall. The step no longer matters where rounding errors
+dominate; chaos multiplies them, from 1e-13 at the start. The largest difference is then the estimate. For the same
+reason, the guard may then be less accurate than the run, and the difference from it widens the estimate."""
+
+AT_REST = 1e-12
+"""The same share of the natural unit of the quantity (`Units`), for mechanisms that hardly move."""
+
+MINOR = 0.05
+"""A body or joint whose differences are below this share of those of all bodies or joints need not show an order."""
+
+LARGEST_ERROR = 0.1
+"""Errors above this share of the size of a quantity count as unknown: they are no longer linear in the error before."""
+
+GUARD_RATIO = 3.0
+"""Largest difference from the guard, relative to the estimate; a larger one means an error that the runs share."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Natural units of a mechanism.
+
+    Parameters
+    ----------
+    length
+        Characteristic length [m]; it turns angles into lengths, and torques into forces.
+    speed
+        Length over duration of the run [m/s].
+    force
+        Mass times length over the square of the duration [N].
+    """
+
+    length: float
+    speed: float
+    force: float
+
+    @classmethod
+    def of(cls, length: float, mass: float, duration: float) -> Units:
+        """Return the units of a mechanism of this length [m] and total mass [kg] in a run of this duration [s]."""
+        return cls(length, length / duration, mass * length / duration**2)
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimated errors of a run, nan where unknown; envelopes, which never decrease with time.
+
+    Attributes
+    ----------
+    position, velocity
+        (T, B, 3) errors of positions [m, rad] and velocities [m/s, rad/s].
+    reaction
+        (T, J) bounds of the norm of the error of reaction forces [N].
+    torque
+        (T, J) errors of reaction torques [N m].
+    known_until
+        Time [s] until which all of these are known; nan if not even at the first row.
+    order
+        Observed exponent of the error of positions in the step, or in the tolerance of an adaptive run, at the last
+        known row: log(d01 / d12) over the logarithm of the factor between the runs; nan if only rounding errors were
+        seen.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    reaction: np.ndarray
+    torque: np.ndarray
+    known_until: float
+    order: float
+
+
+def estimate_errors(
+    runs: tuple[ObservedRows, ObservedRows, ObservedRows], guard: ObservedRows, units: Units, refinement: float = 2.0
+) -> ErrorEstimate:
+    """Estimate the errors of the first of three runs.
+
+    Parameters
+    ----------
+    runs
+        The run, and two companions of increasing accuracy, with values at the times of the run. Rows that a companion
+        did not reach are nan.
+    guard
+        The same by another method.
+    units
+        Natural units of the mechanism.
+    refinement
+        Factor of the steps, or of the tolerances, from one run to the next; the base of the observed order.
+
+    Returns
+    -------
+    ErrorEstimate
+        The estimates; zero at the first row if all runs start from the same state.
+    """
+
+    def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:
+        return _Quantity(values, unit, size, refinement)
+
+    return assemble(runs[0], (*runs, guard), units, estimated)
+
+
+class Estimated(Protocol):
+    """Estimates for one quantity of all bodies or joints (U), which have K components each."""
+
+    @property
+    def known(self) -> np.ndarray:
+        """(T,) whether the error of every unit is known."""
+        ...
+
+    def errors(self) -> np.ndarray:
+        """Return the errors of the components, (T, U, K)."""
+        ...
+
+    def norm_errors(self, part: slice) -> np.ndarray:
+        """Return the errors of the norm of some of the components, (T, U)."""
+        ...
+
+    def order(self, count: int) -> float:
+        """Return the observed order at the last of `count` known rows; nan if only rounding errors were seen."""
+        ...
+
+
+def assemble(
+    main: ObservedRows,
+    every: Sequence[ObservedRows],
+    units: Units,
+    estimated: Callable[[list[np.ndarray], float, float], Estimated],
+) -> ErrorEstimate:
+    """Return the estimates for positions, velocities and reactions.
+
+    Parameters
+    ----------
+    main
+        The run whose errors are estimated.
+    every
+        All runs, in the order that `estimated` expects.
+    units
+        Natural units of the mechanism.
+    estimated
+        ``estimated(values, unit, size)`` estimates one quantity from its values (T, U, K) in every run, its natural
+        unit and its size in the run. Angles are multiplied, and torques divided, by the length of the mechanism.
+    """
+    length = units.length
+    scale = np.array([1.0, 1.0, length])
+
+    def of(values: list[np.ndarray], in_main: np.ndarray, unit: float) -> Estimated:
+        return estimated(values, unit, float(np.max(np.linalg.norm(in_main, axis=-1), initial=0.0)))
+
+    def wrench(run: ObservedRows) -> np.ndarray:
+        return np.concatenate([run.force, run.torque[..., None] / length], axis=-1)
+
+    position = estimated([run.position * scale for run in every], length, size_of_motion(main.position, length))
+    velocity = of([run.velocity * scale for run in every], main.velocity * scale, units.speed)
+    reaction = of([wrench(run) for run in every], wrench(main), units.force)
+    count = int(np.sum(position.known & velocity.known & reaction.known))
+    return ErrorEstimate(
+        position.errors() / scale,
+        velocity.errors() / scale,
+        reaction.norm_errors(slice(0, 2)),
+        reaction.norm_errors(slice(2, 3)) * length,
+        float(main.time[count - 1]) if count else math.nan,
+        position.order(count),
+    )
+
+
+def size_of_motion(position: np.ndarray, length: float) -> float:
+    """Return how far a body moves at most [m], from positions (T, B, 3); angles count times `length`, up to 1 rad."""
+    moved = np.abs(position - position[:1])
+    across = float(np.max(np.linalg.norm(moved[..., :2], axis=-1), initial=0.0))
+    return max(across, length * min(float(np.max(moved[..., 2], initial=0.0)), 1.0))
+
+
+class _Quantity:
+    """One quantity in three runs and by the guard; implements `Estimated`.
+
+    Parameters
+    ----------
+    values
+        Four arrays (T, B or J, K) in one unit of measurement.
+    unit
+        Natural unit of the quantity.
+    size
+        Size of the quantity.
+    refinement
+        See `estimate_errors`.
+    """
+
+    def __init__(self, values: list[np.ndarray], unit: float, size: float, refinement: float):
+        first, second, third, guard = values
+        self._values, self._refinement = values, refinement
+        d01, d12, d02 = running_norms(first - second), running_norms(second - third), running_norms(first - third)
+        d0g, d2g = running_norms(first - guard), running_norms(third - guard)
+        all01, all12, all02 = (np.max(d, axis=1, initial=0.0, keepdims=True) for d in (d01, d12, d02))
+        floor, agreed = (max(share * size, AT_REST * unit) for share in (ROUND_OFF, AGREED))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio, common = np.where(d01 > 0, d12 / d01, np.inf), np.where(all01 > 0, all12 / all01, np.inf)
+        spread = _largest(d01, d12, d02, d0g)
+        tiny = spread <= agreed
+        minor = (_largest(d01, d12, d02) <= MINOR * all02) & (common <= LARGEST_RATIO)
+        falls, confirmed = ratio <= LARGEST_RATIO, d2g <= CONFIRMED * d0g
+        #: Factor of Richardson's extrapolation (T, U).
+        self._factor = 1.0 / (1.0 - np.where(falls, ratio, 0.0) ** 2)
+        self._falls = falls
+        estimate = np.where(falls, self._factor * d02, np.where(confirmed, np.fmax(d02, d0g), spread))
+        self._confirmed = confirmed
+        agrees = d2g <= np.maximum(GUARD_RATIO * estimate, np.maximum(agreed, MINOR * all02))
+        #: Whether the guard is too inaccurate to confirm the estimate closely, so that its difference is included.
+        self._widened = (d2g > 0.5 * estimate) & (d2g > floor)
+        finite = np.isfinite(d02) & np.isfinite(d2g)
+        small = np.where(self._widened, np.fmax(estimate, d0g), estimate) <= max(LARGEST_ERROR * size, floor)
+        seen = finite & (falls | confirmed | tiny | minor) & agrees & small
+        self._seen = np.minimum.accumulate(seen, axis=0)
+        self._all = (all01, all12, floor)
+
+    @property
+    def known(self) -> np.ndarray:
+        """See `Estimated.known`."""
+        return np.asarray(np.all(self._seen, axis=1))
+
+    def errors(self) -> np.ndarray:
+        """See `Estimated.errors`."""
+        return self._estimates(np.abs, np.s_[:, :, None])
+
+    def norm_errors(self, part: slice) -> np.ndarray:
+        """See `Estimated.norm_errors`."""
+        return self._estimates(lambda difference: np.linalg.norm(difference[..., part], axis=-1), np.s_[:, :])
+
+    def _estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: Any) -> np.ndarray:
+        first, second, third, guard = self._values
+        d01, d12, d02, d0g = (
+            np.maximum.accumulate(size(difference), axis=0)
+            for difference in (first - second, second - third, first - third, first - guard)
+        )
+        known = (self._falls, self._confirmed, self._factor, self._widened, self._seen)
+        falls, confirmed, factor, widened, seen = (x[axes] for x in known)
+        spread = np.where(confirmed, np.fmax(d02, d0g), _largest(d01, d12, d02, d0g))
+        estimate = np.where(falls, factor * d02, spread)
+        estimate = np.where(widened, np.fmax(estimate, d0g), estimate)
+        return np.where(seen, np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)
+
+    def order(self, count: int) -> float:
+        """Return log(d01 / d12) / log(refinement); see `Estimated.order`."""
+        all01, all12, floor = self._all
+        if not count:
+            return math.nan
+        before, after = float(all01[count - 1, 0]), float(all12[count - 1, 0])
+        return math.log(before / after) / math.log(self._refinement) if after > 0 and before > floor else math.nan
+
+
+def _largest(*arrays: np.ndarray) -> np.ndarray:
+    """Return the largest of several arrays, element by element; nan counts as smallest."""
+    return np.asarray(np.fmax.reduce(arrays))
+
+
+def running_norms(difference: np.ndarray) -> np.ndarray:
+    """Return the running maxima over time of the norms of (T, U, K), (T, U); nan from the first nan on."""
+    return np.asarray(np.maximum.accumulate(np.linalg.norm(difference, axis=-1), axis=0))

@@ -1,0 +1,66 @@
+"""Until when the steps of a run resolve its motions and loads: the expressions and tables of time in its spec.
+
+All runs of one method can pass over the same short pulse. Whether a pulse lies between the evaluations of a step is
+seen without integrating: the polynomial through the values of a motion at `NODES` times of a step must reproduce it
+between them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mbdkit.mechanism.checks import motions_by_key
+from mbdkit.mechanism.time_jets import EPS, jet_of
+from mbdkit.mechanism.values import Motion
+from mbdkit.runs.corners import stops_of
+from mbdkit.spec import RunSpec
+
+NODES = 8
+"""Number of times in a step at which a motion counts as seen: those of the stages of DOP853, without repeated ones."""
+
+LOOKS, LOOKS_OF_STEP = 20_000, 16
+"""Number of samples over a run, and the least number in one step."""
+
+UNRESOLVED = 1e-3
+"""Largest deviation from the polynomial, as a share of the range of the motion over the run."""
+
+
+def resolved_until(spec: RunSpec, time: np.ndarray) -> float:
+    """Return the time until which steps resolve all motions and loads [s]; inf if they do so to the end.
+
+    Parameters
+    ----------
+    spec
+        The spec of the run.
+    time
+        (N,) ends of all steps, with the start [s].
+    """
+    mechanism = spec.mechanism()
+    varying = [motion for _, motion in motions_by_key(mechanism.joints, mechanism.forces) if _varies(motion)]
+    if not varying or len(time) < 2:
+        return math.inf
+    margin = 4.0 * max(stops_of(spec).margins, default=4.0 * EPS * float(np.max(np.abs(time))))
+    begin, end = time[:-1] + margin, time[1:] - margin  # a motion may jump at the ends of a step
+    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+    samples = (np.arange(max(LOOKS_OF_STEP, LOOKS // len(begin))) + 0.5) / max(LOOKS_OF_STEP, LOOKS // len(begin))
+    through = np.linalg.solve(np.vander(2 * nodes - 1, NODES).T, np.vander(2 * samples - 1, NODES).T)  # (NODES, M)
+    first = math.inf
+    for motion in varying:
+        seen, sampled = (_values(motion, begin, end, at) for at in (nodes, samples))
+        deviation = np.max(np.abs(seen @ through - sampled), axis=1)
+        unresolved = np.flatnonzero(deviation > UNRESOLVED * float(np.ptp(sampled)))
+        if len(unresolved):
+            first = min(first, float(time[unresolved[0]]))
+    return first
+
+
+def _varies(motion: Motion) -> bool:
+    return not isinstance(motion, int | float)
+
+
+def _values(motion: Motion, begin: np.ndarray, end: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return a motion at shares of steps (M,), for every step, (N, M)."""
+    times = begin[:, None] + (end - begin)[:, None] * at
+    return np.asarray(jet_of(motion, times.ravel()).value).reshape(times.shape)

@@ -1,0 +1,112 @@
+"""Runs many specs one after another, without an archive of each, and yields their results in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.text import one_line
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.runs.lane_runs import LaneRuns
+from mbdkit.runs.simulation import simulate_arrays
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.warm_up import to_stderr
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A run that has no results, because an exception was raised.
+
+    Parameters
+    ----------
+    status
+        ``failed`` if the run is to blame; ``missing`` if a resource was lacking, so that a second attempt may succeed.
+    reason
+        Code and sentence.
+    """
+
+    status: str
+    reason: str
+
+
+CHUNK = 8 * WIDTH
+"""Number of runs that are prepared before they are advanced; those that suit each other become lanes of one loop."""
+
+
+def simulate_batch(
+    specs: Iterable[RunSpec],
+    *,
+    notify: Callable[[str], None] = to_stderr,
+    begun: Callable[[int], None] | None = None,
+    measures: Sequence[str] = (),
+) -> Iterator[FinishedRun | Refused]:
+    """Run validated specs, and yield the result of each, in the order of `specs`.
+
+    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs of explicit
+    methods, and with fixed steps of Gauss and Radau IIA methods, on index-1 equations are advanced in lanes
+    (`mbdkit.runs.lane_runs`), all others one after another.
+
+    Parameters
+    ----------
+    notify
+        Called with a message before long operations.
+    begun
+        Called with the place of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
+        runs are prepared before the first result is yielded.
+    measures
+        As for `simulate`. Runs whose measures have time integrals are advanced one after another.
+    """
+    begun = begun or _ignored
+    starts = Starts()
+    lanes, remaining = LaneRuns(starts, measures), iter(enumerate(specs))
+    while chunk := list(islice(remaining, CHUNK)):
+        with one_thread_of_linear_algebra():
+            prepared = lanes.members(_noted(chunk, begun), notify)
+            finished = iter(lanes.finished([member for member in prepared if member is not None]))
+        for (place, spec), member in zip(chunk, prepared, strict=True):
+            run = None if member is None else next(finished)
+            if run is None:
+                begun(place)
+            yield _alone(spec, notify, starts, measures) if run is None else run
+
+
+def _ignored(place: int) -> None:
+    """Ignore that a run begins."""
+
+
+def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:
+    """Yield the specs of runs, each after its place is noted."""
+    for place, spec in chunk:
+        begun(place)
+        yield spec
+
+
+def _alone(
+    spec: RunSpec, notify: Callable[[str], None], starts: Starts, measures: Sequence[str]
+) -> FinishedRun | Refused:
+    """Run one spec."""
+    try:
+        return simulate_arrays(spec, notify=notify, starts=starts, measures=measures)
+    except (Exception, SystemExit) as error:
+        return refusal(error)
+
+
+def refusal(error: BaseException) -> Refused:
+    """Return what an exception means for the run that raised it."""
+    match error:
+        case SpecError():
+            return Refused("failed", f"wrong-input: {error}")
+        case ResourceError() | OSError():
+            return Refused("missing", f"no-resources: {error}")
+        case MemoryError():
+            return Refused("missing", "no-resources: there is not enough memory.")
+        case PluginError():
+            return Refused("failed", f"plugin-error: {error}")
+        case MbdkitError():
+            return Refused("failed", f"error: {error}")
+    return Refused("failed", f"error: {one_line(error)}")

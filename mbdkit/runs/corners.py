@@ -1,0 +1,180 @@
+"""Knots and corners of the motions and loads of a run: where its steps end, what is refused, and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.checks import motions_by_key
+from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, overshoot
+from mbdkit.mechanism.time_jets import jet_of
+from mbdkit.mechanism.values import Motion, Table
+from mbdkit.stepping.interface import SAME_TIME
+
+if TYPE_CHECKING:
+    from mbdkit.spec import RunSpec
+
+MOST_STOPS = 5000
+"""Largest number of knots or corners of one motion at which steps end."""
+
+ON_GRID = 1e-4
+"""A knot without a jump of the acceleration needs no stop if it is nearer to the end of a fixed step than this share of
+the step."""
+
+QUINTIC_ORDER = 4
+"""Highest order of methods whose fixed steps may cross the knots of a quintic spline."""
+
+OVERSHOOT = 0.1
+"""Share of the range of its values by which a table may leave it without a warning."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """Times at which steps end [s], their margins [s], and those of them at which the rate of a driver jumps."""
+
+    times: tuple[float, ...] = ()
+    margins: tuple[float, ...] = ()
+    impacts: tuple[float, ...] = ()
+
+
+def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
+    """Return where the steps of a run end, apart from the fixed grid; raises the errors of `RunSpec.mechanism`.
+
+    If `all_knots`, knots close to the grid are stops too, for a run of the same mechanism without this grid.
+    """
+    start, end = spec.time.start, spec.time.final
+    found: list[tuple[Corner, bool]] = []
+    for key, motion in _motions(spec):
+        corners = corners_of(motion, start, end)
+        for corner in corners:
+            is_impact = _is_driver(key) and corner.jumps[1]
+            if is_impact or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner, motion))):
+                found.append((corner, is_impact))
+    times: list[float] = []
+    margins: list[float] = []
+    impacts: list[float] = []
+    for corner, is_impact in sorted(found, key=lambda item: item[0].time):
+        if _is_at_end(corner, start, end):
+            continue
+        if times and corner.time - times[-1] <= 2.0 * (corner.margin + margins[-1]):  # the same corner of two motions
+            margins[-1] = max(margins[-1], corner.time + corner.margin - times[-1])
+        else:
+            times.append(corner.time)
+            margins.append(corner.margin)
+        if is_impact and times[-1] not in impacts:
+            impacts.append(times[-1])
+    return Stops(tuple(times), tuple(margins), tuple(impacts))
+
+
+def knots_of(spec: RunSpec) -> tuple[float, ...]:
+    """Return the times of all knots and corners of the motions and loads of a run, its start and end included [s]."""
+    start, end = spec.time.start, spec.time.final
+    return tuple(sorted(corner.time for _, motion in _motions(spec) for corner in corners_of(motion, start, end)))
+
+
+def check_jumps(spec: RunSpec) -> None:
+    """Check that the motions of all drivers are continuous, and their rates too unless the spec allows impacts.
+
+    Raises
+    ------
+    SpecError
+        With the key path of the first motion that is not.
+    """
+    for name, joint in spec.mechanism().joints.items():
+        for key, motion in joint.motions():
+            try:
+                _check_driver(spec, motion, joint.units[0])
+            except SpecError as error:
+                raise spec.placed(error.located(prefix=f"model.joints.{name}.{key}")) from None
+
+
+def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
+    """Raise SpecError if the value or the rate of the motion of a driver jumps."""
+    start, end = spec.time.start, spec.time.final
+    for corner in corners_of(motion, start, end):
+        if _is_at_end(corner, start, end):
+            _check_end(motion, corner, start, end, unit)
+        elif corner.jumps[0]:
+            raise SpecError(
+                f"the value of this motion jumps from {corner.before[0]:.6g} to {corner.after[0]:.6g} {unit} "
+                f"at t = {corner.time:.6g} s, which no driver can follow; write it without the jump "
+                "(atan2 jumps by 2 pi where its first argument changes sign and the second is negative)",
+            )
+        elif corner.jumps[1] and spec.impacts == "refuse":
+            raise SpecError(
+                f"the rate of this motion jumps from {corner.before[1]:.6g} to {corner.after[1]:.6g} {unit}/s "
+                f"at t = {corner.time:.6g} s, which takes an impulse; round the corner, for example by a "
+                "smooth ramp such as 0.5*(1 - cos(pi*t)) or a table with a few points around it, or set "
+                "`impacts: allow` to change the velocities there by an impulse",
+            )
+
+
+def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
+    """Return warnings about tables that overshoot, and motions with too many corners."""
+    warnings = []
+    for key, motion in _motions(spec):
+        if isinstance(motion, Table) and (share := overshoot(motion)) > OVERSHOOT:
+            warnings.append(
+                f"the {motion.interpolation} spline of the table at {key} leaves the range of its values by "
+                f"{share:.3g} times this range; use points closer together where the values change quickly, or "
+                "`interpolation: linear`"
+            )
+        count = len(corners_of(motion, spec.time.start, spec.time.final))
+        if count > MOST_STOPS and not (isinstance(motion, Table) and not motion.period):
+            what = "periodic table" if isinstance(motion, Table) else "expression"
+            warnings.append(
+                f"the {what} at {key} has {count} corners, more than {MOST_STOPS}, so that steps do not end there; "
+                "methods of high order lose their order"
+            )
+    return tuple(warnings)
+
+
+def _is_at_end(corner: Corner, start: float, end: float) -> bool:
+    """Return whether a corner and the start or the end of the run are the same but for rounding errors."""
+    return min(corner.time - start, end - corner.time) <= SAME_TIME * corner.margin
+
+
+def _motions(spec: RunSpec) -> Iterator[tuple[str, Motion]]:
+    mechanism = spec.mechanism()
+    yield from motions_by_key(mechanism.joints, mechanism.forces)
+
+
+def _is_driver(key: str) -> bool:
+    return key.startswith("model.joints.")
+
+
+def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
+    """Return whether steps have to end at a corner.
+
+    They need not for fixed steps at knots that are close to the grid, nor at knots of quintic splines for methods of up
+    to order 4. Only the fifth derivative jumps there. It is the third derivative of accelerations if a driver follows
+    the spline, and a step across a jump of the third derivative has an error of order 4.
+    """
+    step = spec.time.step
+    if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):
+        return True
+    if isinstance(motion, Table) and motion.interpolation == "quintic":
+        orders = spec.claims.orders_on(spec.formulation)
+        if orders is not None and max(orders.positions, orders.velocities) <= QUINTIC_ORDER:
+            return False
+    place = (corner.time - spec.time.start) / step
+    return abs(place - round(place)) > ON_GRID
+
+
+def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: str) -> None:
+    """Raise SpecError if a motion jumps exactly at the start or end of the run and has its value from outside there."""
+    is_start = corner.time - start <= end - corner.time
+    inner = corner.after if is_start else corner.before
+    here = jet_of(motion, np.array([start if is_start else end])).derivatives[0]
+    for k, (what, per) in enumerate((("value", ""), ("rate", "/s"))):
+        scale = max(abs(corner.before[k]), abs(corner.after[k]))
+        if corner.jumps[k] and not abs(here[k] - inner[k]) <= 1e3 * JUMP * scale:
+            where, side = ("start", "after") if is_start else ("end", "before")
+            raise SpecError(
+                f"the {what} of this motion jumps from {corner.before[k]:.6g} to {corner.after[k]:.6g} {unit}{per} at "
+                f"the {where} of the run, t = {corner.time:.6g} s; write the motion that holds {side} it"
+            )

@@ -1,0 +1,120 @@
+"""Collects the evidence from which a finished run is judged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorder import Recorder
+from mbdkit.stepping.interface import StepEvidence
+from mbdkit.trust.criteria import EstimatedErrors, Evidence
+from mbdkit.trust.energy_record import EnergyRecord
+
+
+class Recorded(Protocol):
+    """What has been recorded of a run; a `Recorder` is one."""
+
+    @property
+    def mechanism(self) -> CompiledMechanism:
+        """The compiled mechanism."""
+        ...
+
+    @property
+    def largest_angle(self) -> np.ndarray:
+        """(J,) largest angle misalignment of the recorded states [rad]."""
+        ...
+
+    @property
+    def energies(self) -> EnergyRecord:
+        """Largest energies and energy errors of the recorded states."""
+        ...
+
+    @property
+    def last_time(self) -> float:
+        """Time of the last recorded state [s]."""
+        ...
+
+
+def evidence_of_run(
+    recorder: Recorded,
+    steps: StepEvidence | None,
+    ending: tuple[str, str],
+    misalignment_max: np.ndarray,
+    size: float,
+    warnings: Sequence[str],
+) -> Evidence:
+    """Return the evidence of a run that has ended.
+
+    Parameters
+    ----------
+    recorder
+        The recorder, with all rows written.
+    steps
+        What has been observed over all steps, recorded or not; None if the method could not be started.
+    ending
+        Status and reason.
+    misalignment_max
+        (J,) largest misalignment of each joint over all steps [m].
+    size
+        Size of the mechanism [m].
+    warnings
+        Warnings that question the result.
+    """
+    steps = steps or StepEvidence(0.0, 0.0, 0.0)
+    energies, angles = recorder.energies, recorder.largest_angle
+    return Evidence(
+        status=ending[0],
+        status_reason=ending[1],
+        end=recorder.last_time,
+        size=size,
+        misalignment=float(np.max(misalignment_max, initial=0.0)),
+        joint=_name_of_largest(recorder, misalignment_max),
+        angle_misalignment=float(np.max(angles, initial=0.0)),
+        angle_joint=_name_of_largest(recorder, angles),
+        kinetic=max(energies.kinetic, steps.kinetic),
+        energy=energies.energy,
+        balance=energies.balance,
+        energy_jump=steps.energy_jump,
+        energy_jump_time=steps.energy_jump_time,
+        branch=steps.branch,
+        warnings=warnings,
+    )
+
+
+def estimated_errors(
+    recorder: Recorder, accuracy: Accuracy, position_error: float, missed: str = ""
+) -> EstimatedErrors:
+    """Return the estimated errors of a checked run, as they are judged.
+
+    Parameters
+    ----------
+    recorder
+        The recorder, which has kept the rows.
+    accuracy
+        The estimates.
+    position_error
+        Largest estimated error of positions as a share of the mechanism's size; nan if nothing is known.
+    missed
+        Why the accuracy that was asked is not reached, as a clause.
+    """
+    rows = ObservedRows.joined(recorder.kept or [])
+    figures = accuracy.figures(recorder.workspace.mechanism.joints, rows.force)
+    worst = figures.worst_joint
+    return EstimatedErrors(
+        position=position_error,
+        reaction=0.0 if worst is None else worst.share,
+        known_until=figures.known_until,
+        **({} if math.isnan(accuracy.asked) else {"asked": accuracy.asked, "reached": accuracy.reached}),
+        missed=missed,
+    )
+
+
+def _name_of_largest(recorder: Recorded, values: np.ndarray) -> str:
+    """Return the name of the joint with the largest of the values (J,); empty without joints."""
+    return recorder.mechanism.joints[int(np.argmax(values))] if len(values) else ""

@@ -1,0 +1,207 @@
+"""Time integrals that measures need, computed with the run by the weights of its method.
+
+The sum of the weighted values at the stages is what the method itself gives for an additional equation ``z' = f(t, q,
+v)``, so an integral has the order of the method, however few states are recorded.
+
+The values of an integrand that contains other integrals, as in ``rms(x - mean(x))``, are known at the end of the run
+only. The quantities that it reads are kept at all nodes until then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.archive import layout
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.run_writer import UNJUDGED
+from mbdkit.archive.stored_run import Heading, StoredRun
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.events.event_expression import Quantity
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.measured_quantities import beam_along, is_vector, recorded
+from mbdkit.measures.reductions import Integrand, Series
+from mbdkit.runs.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
+from mbdkit.runs.recorder import archive_names
+from mbdkit.stepping.interface import Nodes, Stretch
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.spec import RunSpec
+
+BLOCK = 1024
+"""Number of nodes that are added up at once. The number of steps between two calls depends on wall time, and the last
+bits of the integrals must not."""
+
+
+def integrands_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Integrand, ...]:
+    """Return what the measures of a run integrate over time.
+
+    Parameters
+    ----------
+    expressions
+        Expressions of further measures, beside those of the spec.
+
+    Raises
+    ------
+    SpecError
+        If an expression is not valid for the spec.
+    """
+    texts = [*(one.expression for one in spec.defined_measures() if one.item is None), *expressions]
+    found = [one for text in texts for one in MeasureExpression.integrands_of(text, spec)]
+    return tuple({one.text: one for one in found}.values())
+
+
+class RunIntegrals:
+    """Integrals over time of quantities of one run.
+
+    Parameters
+    ----------
+    spec
+        The spec of the run.
+    workspace
+        The mechanism at its start. Accelerations and reactions are computed with pivots of their own.
+    integrands
+        What is integrated.
+    """
+
+    def __init__(self, spec: RunSpec, workspace: Workspace, integrands: Sequence[Integrand]):
+        self.spec, self.integrands = spec, integrands
+        self._workspace = workspace.with_own_pivots()
+        self._observer = StateObserver(self._workspace)
+        mechanism = workspace.mechanism
+        self._rows, self._joints = ConstraintRows(mechanism), JointSums(mechanism)
+        self._names = archive_names(mechanism)
+        self._layout = layout.recorded(self._names.present(spec.output.recorded))
+        self._waiting = [Nodes.none(mechanism.size)]
+        self._direct = [one for one in integrands if not one.is_nested]
+        self._nested = [one for one in integrands if one.is_nested]
+        self._sums: list[np.ndarray] | None = None
+        self._low: list[np.ndarray] = []
+        self._read = tuple(dict.fromkeys(quantity for one in self._nested for quantity in one.read))
+        self._kept: list[list[np.ndarray]] = []
+
+    def add(self, nodes: Nodes) -> None:
+        """Add the nodes of further steps."""
+        self._waiting.append(nodes)
+        if sum(len(one.time) for one in self._waiting) >= BLOCK:
+            self._take(whole=True)
+
+    def totals(self) -> Integrals:
+        """Return the integrals of all nodes by the texts of the integrands, in SI units; nan where undefined."""
+        self._take(whole=False)
+        found: dict[str, float | tuple[float, float]] = {}
+        for one, total in zip(self._direct, self._sums or [np.zeros(1)] * len(self._direct), strict=True):
+            found[one.text] = _plain(total)
+        if self._nested:
+            time, weight, *values = self._joined_kept()
+            series, duration = Series(time, dict(zip(self._read, values, strict=True)).__getitem__), float(weight.sum())
+            for one in self._nested:
+                at_nodes = one.values(series, found, duration)
+                found[one.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
+        return found
+
+    def stored(self) -> dict[str, Any]:
+        """Return the sums and the waiting nodes as plain values, for a checkpoint."""
+        waiting = Nodes.joined(self._waiting)
+        return {
+            "texts": [one.text for one in self.integrands],
+            "sums": self._sums,
+            "low": self._low,
+            "waiting": [waiting.time, waiting.weight, waiting.q, waiting.v],
+            "kept": self._joined_kept(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a checkpoint; raise ValueError if it does not fit."""
+        sums, low, size = state["sums"], state["low"], self._workspace.mechanism.size
+        if state["texts"] != [one.text for one in self.integrands]:
+            raise ValueError("it has other integrals")
+        waiting = Nodes(*state["waiting"])
+        count = len(waiting.time)
+        shapes = [x.shape for x in (waiting.time, waiting.weight, waiting.q, waiting.v)]
+        if shapes != [(count,), (count,), (count, size), (count, size)]:
+            raise ValueError("its nodes have other shapes")
+        if sums is not None and not len(sums) == len(low) == len(self._direct):
+            raise ValueError("it has other integrals")
+        kept, empty = list(state["kept"]), self._joined_kept()
+        if [x.shape[:-1] for x in kept] != [x.shape[:-1] for x in empty] or len({x.shape[-1] for x in kept}) > 1:
+            raise ValueError("its nodes have other shapes")
+        self._waiting, self._sums, self._low, self._kept = [waiting], sums, list(low), [kept]
+
+    def _take(self, *, whole: bool) -> None:
+        """Add up the waiting nodes in blocks; if `whole`, those that do not fill a block wait."""
+        nodes = Nodes.joined(self._waiting)
+        count = len(nodes.time)
+        done = count - count % BLOCK if whole else count
+        for first in range(0, done, BLOCK):
+            self._add_block(nodes.part(slice(first, min(first + BLOCK, done))))
+        self._waiting = [nodes.part(slice(done, None))]
+
+    def _joined_kept(self) -> list[np.ndarray]:
+        """Return times, weights and quantities that nested integrands read at all nodes; empty arrays without them."""
+        if not self._kept:
+            return [np.zeros(0), np.zeros(0), *(self._unknown(one, 0) for one in self._read)]
+        return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]
+
+    def _unknown(self, quantity: Quantity, count: int) -> np.ndarray:
+        """Return nan as the values of a quantity at nodes, in their shape."""
+        if beam := beam_along(quantity):
+            elements = self._workspace.mechanism.beam_elements(beam)
+            return np.full((elements.stop - elements.start, count), np.nan)
+        return np.full((2, count) if is_vector(quantity) else count, np.nan)
+
+    def _add_block(self, nodes: Nodes) -> None:
+        run, count = self._run_at(nodes), len(nodes.time)
+        values = [np.full(count, np.nan)] * len(self._direct)
+        kept = [self._unknown(one, count) for one in self._read]
+        if run is not None:
+            series = Series(run.time, lambda one: recorded(one, run))
+            values = [np.broadcast_to(x, (*x.shape[:-1], count)) for x in self._values(series)]
+            kept = [series.of(one) for one in self._read]
+        if self._nested:
+            self._kept.append([nodes.time, nodes.weight, *kept])
+        gains = [np.atleast_1d(np.sum(x * nodes.weight, axis=-1)) for x in values]
+        if self._sums is None:
+            self._sums, self._low = ([np.zeros_like(x) for x in gains] for _ in range(2))
+        for place, gain in enumerate(gains):  # compensated sums
+            y = gain + self._low[place]
+            total = self._sums[place] + y
+            self._low[place], self._sums[place] = y - (total - self._sums[place]), total
+
+    def _values(self, series: Series) -> list[np.ndarray]:
+        return [one.values(series, {}, 0.0) for one in self._direct]
+
+    def _run_at(self, nodes: Nodes) -> StoredRun | None:
+        """Return a run whose rows are nodes; None if a node has no unique accelerations."""
+        count = len(nodes.time)
+        observed = self._observer.arrays(count)
+        q, v = np.ascontiguousarray(nodes.q), np.ascontiguousarray(nodes.v)
+        if self._observer.observe(nodes.time, q, v, observed) is not None:
+            return None
+        none = np.zeros(count)
+        stretch = Stretch(nodes.time, q, v, none, none, np.zeros((count, 6)))
+        states = RecordedStates(stretch, observed, none, 0.0, self._rows, self._joints)
+        columns = _Columns(states)
+        finished = FinishedRun(self._names, self._layout, columns, None, "running", "", {}, none, UNJUDGED, (), "")
+        return StoredRun(finished, Heading(self.spec, ""))
+
+
+class _Columns(dict[str, np.ndarray]):
+    """Columns of the archive at given states, each computed when it is first asked for."""
+
+    def __init__(self, states: RecordedStates):
+        super().__init__()
+        self._states = states
+
+    def __missing__(self, key: str) -> np.ndarray:
+        self[key] = found = COLUMNS[key](self._states)
+        return found
+
+
+def _plain(total: np.ndarray) -> float | tuple[float, float]:
+    return (float(total[0]), float(total[1])) if len(total) > 1 else float(total[0])

@@ -1,0 +1,192 @@
+"""Preparation of a run: method, workspace, timetable, optional arrays and disk space."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+from mbdkit.archive.disk_space import check_room, row_bytes
+from mbdkit.archive.layout import CORRECTIONS, EVENTS
+from mbdkit.base.errors import PluginError, SpecError, blaming, with_place
+from mbdkit.engine.assembly import AssembledState
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
+from mbdkit.engine.redundancy import require_unique_start
+from mbdkit.engine.workspace import Workspace
+from mbdkit.measures.take import check_measures
+from mbdkit.mechanism.size import mechanism_size
+from mbdkit.methods.baumgarte_stability import stiff_baumgarte
+from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.runs.corners import corner_warnings, stops_of
+from mbdkit.runs.recorder import archive_names
+from mbdkit.runs.warnings import spec_warnings
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.interface import Failure, Guards, Timetable
+from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
+
+
+def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
+    """Return warnings about settings that are valid but unlikely to work, as sentences.
+
+    Parameters
+    ----------
+    method
+        Method of the spec; created if omitted.
+
+    Raises
+    ------
+    PluginError
+        If the plugin fails to create the method.
+    """
+    method = method if method is not None else make_method(spec)
+    unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
+    return (*([unstable] if unstable else []), *spec_warnings(spec), *corner_warnings(spec))
+
+
+def build(
+    spec: RunSpec, notify: Callable[[str], None] = to_stderr, starts: Starts | None = None
+) -> tuple[Workspace, AssembledState]:
+    """Compile the mechanism of a spec and make its initial state consistent.
+
+    Parameters
+    ----------
+    notify
+        Called with a message before long operations.
+    starts
+        Keeps compiled mechanisms for further runs, if given.
+
+    Returns
+    -------
+    Workspace
+        Workspace for the integration.
+    AssembledState
+        Consistent initial state, and its change by assembly.
+
+    Raises
+    ------
+    SpecError
+        If the joints cannot be assembled, the initial accelerations are not unique, or a measure is not valid.
+    """
+    mechanism = spec.mechanism()
+    check_measures(spec)
+    ensure_compiled(notify)
+    try:
+        workspace, start = workspace_at_start(
+            mechanism,
+            spec.time.start,
+            spec.time.final,
+            formulation=spec.formulation,
+            stabilization=spec.stabilized,
+            starts=starts,
+        )
+        with within_double_precision():
+            require_unique_start(workspace)
+    except SpecError as error:
+        raise spec.placed(error) from error
+    return workspace, start
+
+
+def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
+    """Raise SpecError if the archive will not fit on its disk or in memory.
+
+    The check is skipped if the number of rows is not known in advance: if an adaptive method records its steps, or if
+    wall time is limited.
+    """
+    rows = rows_expected(spec)
+    if rows is None or spec.limits.wall_time is not None:
+        return
+    names = archive_names(mechanism)
+    row = row_bytes(names.sizes, names.present(spec.output.recorded))
+    try:
+        check_room(path, rows, row, spec.output.every)
+    except SpecError as error:
+        raise spec.placed(error) from None
+
+
+def rows_expected(spec: RunSpec) -> int | None:
+    """Return the number of rows that a run records; None if step control decides."""
+    time, output = spec.time, spec.output
+    if output.interval is not None:
+        return math.ceil((time.final - time.start) / output.interval) + 1
+    if time.count is not None and not spec.claims.adaptive:
+        return math.ceil(min(time.count, spec.limits.max_steps) / (output.every or 1)) + 1
+    return None
+
+
+def make_method(spec: RunSpec) -> Method:
+    """Create the method of a spec; raise PluginError if the plugin fails to do so."""
+    try:
+        with blaming(f"integrator {spec.integrator_item.id} failed to start"):
+            method: Method = spec.integrator_plugin.create(spec.integrator)
+    except SpecError as error:
+        raise PluginError(f"integrator {spec.integrator_item.id}: {error}") from error
+    if not isinstance(method, Method):
+        raise PluginError(
+            f"integrator {spec.integrator_item.id} created an object of type {type(method).__name__}; it must "
+            "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver or an instance of a StepMethod subclass"
+        )
+    if isinstance(method, SciPySolver) and spec.stabilized.kind == "projection":
+        raise PluginError(
+            f"integrator {spec.integrator_item.id} claims to support projection, which SciPy's solvers do not: "
+            'it should claim `stabilizations=("none", "baumgarte")`'
+        )
+    return method
+
+
+def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> list[str]:
+    """Return the paths of the optional arrays of the layout that a run records."""
+    if isinstance(method, ImplicitRungeKutta):
+        carries_multipliers = spec.formulation != "index-1"
+    else:
+        carries_multipliers = bool(getattr(method, "carries_multipliers", False))
+    return [
+        *(["constraints/method_multiplier"] if carries_multipliers else []),
+        *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
+        *CORRECTIONS[spec.stabilized.kind],
+        *(EVENTS if spec.events else ()),
+    ]
+
+
+def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:
+    """Return the size of the mechanism at its start [m]; its characteristic length if all points coincide."""
+    position = start.q0[:-3].reshape(-1, 3)
+    return mechanism_size(spec.mechanism(), position) or start.mechanism.length
+
+
+def guards(spec: RunSpec, size: float) -> Guards:
+    """Return the limits that stop a run of a mechanism of a given size [m]."""
+    limits = spec.limits
+    return Guards(
+        misalignment=limits.misalignment * size,
+        angle_misalignment=limits.misalignment,
+        energy_jump=math.inf if limits.energy_jump is None else limits.energy_jump,
+    )
+
+
+def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False, nodes: bool = False) -> Timetable:
+    """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits."""
+    stops = stops_of(spec, all_knots=all_knots)
+    return Timetable(
+        start=spec.time.start,
+        end=spec.time.final,
+        step=spec.time.step,
+        steps=spec.time.count or 0,
+        every=spec.output.every or 1,
+        interval=spec.output.interval,
+        max_steps=spec.limits.max_steps,
+        nodes=nodes,
+        single=bool(spec.events),
+        guards=guards,
+        stops=stops.times,
+        stop_margins=stops.margins,
+        impacts=stops.impacts,
+    )
+
+
+def plugin_failure(spec: RunSpec, error: BaseException) -> Failure:
+    """Return the failure of a run whose third-party integrator has raised an exception; raise that of another again."""
+    item = spec.integrator_item
+    if item.origin.distribution == "mbdkit":
+        raise error
+    return Failure("plugin-error", f"integrator {item.id} raised {with_place(error)}.")

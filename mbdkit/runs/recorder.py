@@ -1,0 +1,334 @@
+"""Evaluates and checks the states to be recorded and writes them to the archive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.archive.run_writer import ArchiveNames, RunWriter, SharedForces
+from mbdkit.base.text import listed
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.observed_states import SingularState, StateObserver
+from mbdkit.engine.redundant_gaps import units_of_pairs
+from mbdkit.engine.singularity import describe_nearness
+from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.runs.recorded_columns import COLUMNS, ConstraintRows, ObservedRows, RecordedStates
+from mbdkit.stepping.interface import Failure, Guards, Stretch
+from mbdkit.trust.energy_record import EnergyRecord
+
+if TYPE_CHECKING:
+    from mbdkit.events.watch import Found
+
+APART = 1e-6
+"""Gap of a redundant row that round-off can explain, as a share of the characteristic length; of angles, in radians.
+
+A start is assembled to 1e-11 of the largest coordinate."""
+
+SECOND_ORDER = 1.0
+"""Multiple of the uncertainty returned by `unexplained_gaps` that the gap of a redundant row must exceed as well.
+
+Measured on parallelograms with spare rods, with seven methods in steps up to 0.3 s: while the joints hold, gaps stay
+below 0.1 of the uncertainty, near singular positions below 0.3; of drivers that part, they exceed it fivefold.
+"""
+
+
+NO_GUARDS = Guards()
+
+
+@lru_cache(maxsize=16)
+def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
+    """Return the names of bodies, joints, constraint rows, force elements, markers and elements of beams."""
+    return ArchiveNames(
+        bodies=tuple(mechanism.bodies),
+        joints=tuple(mechanism.joints),
+        constraints=tuple(row.label for row in mechanism.rows),
+        constraint_units=tuple(row.unit for row in mechanism.rows),
+        joint_bodies=tuple(mechanism.joint_bodies),
+        joint_units=tuple(mechanism.joint_units),
+        forces=tuple(force.name for force in mechanism.forces),
+        force_bodies=tuple(force.bodies for force in mechanism.forces),
+        force_units=tuple(force.unit for force in mechanism.forces),
+        markers=tuple(name for name, _ in mechanism.markers),
+        marker_bodies=tuple(body for _, body in mechanism.markers),
+        elements=tuple(f"{beam}[{i}]" for beam, count in mechanism.beams for i in range(count)),
+        element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
+    )
+
+
+def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
+    """Return the description of non-unique reactions of redundant joints; None without redundant constraints."""
+    redundancy = mechanism.redundancy
+    if not redundancy.rows:
+        return None
+    drivers = [name for name in redundancy.not_unique if name in mechanism.drivers]
+    return SharedForces(redundancy.describe(mechanism.drivers), redundancy.not_unique, mechanism.length, drivers)
+
+
+class Recorder:
+    """Writes the recorded states of a run to its archive.
+
+    Parameters
+    ----------
+    workspace
+        The mechanism at its start. The recorder uses a copy with its own pivots.
+    writer
+        Takes the rows.
+    guards
+        Limits of the misalignment of a recorded state.
+
+    Attributes
+    ----------
+    reached : (2, J) array
+        Smallest and largest recorded coordinate of each joint [rad or m].
+    largest, largest_angle : (J,) arrays
+        Largest misalignment [m] and angle misalignment [rad] of the recorded states.
+    energies
+        Largest energies and energy errors of the recorded states.
+    last_time : float
+        Time of the last recorded state [s].
+    kept : list of ObservedRows or None
+        If a list, recorded rows are also appended to it.
+    """
+
+    def __init__(self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS):
+        # The number of steps between two calls depends on wall time. If pivots were shared with the stepper, the last
+        # bits of both results would depend on it.
+        self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards
+        mechanism = workspace.mechanism
+        self._observer = StateObserver(self.workspace)
+        self._rows, self._joints = ConstraintRows(mechanism), JointSums(mechanism)
+        self._start_energy: float | None = None
+        self._refused = False
+        self.largest, self.largest_angle = np.zeros((2, len(mechanism.joints)))
+        self.reached = np.tile([[np.inf], [-np.inf]], len(mechanism.joints))
+        self.energies = EnergyRecord()
+        self.last_time = workspace.t0
+        self.kept: list[ObservedRows] | None = None
+
+    @property
+    def mechanism(self) -> CompiledMechanism:
+        """The compiled mechanism."""
+        return self.workspace.mechanism
+
+    def record(self, stretch: Stretch, elapsed: tuple[float, float], *, start: bool = False) -> Failure | None:
+        """Write the rows of a stretch.
+
+        Parameters
+        ----------
+        elapsed
+            Wall time since the first step at the start and at the end of the stretch [s]; interpolated for the rows.
+        start
+            Whether this is the initial state, which has no preceding interval.
+
+        Returns
+        -------
+        Failure or None
+            Reason why a state cannot be recorded; this state and later ones are not written.
+        """
+        count = len(stretch.time)
+        if count == 0:
+            return None
+        observed = self._observer.arrays(count)
+        q, v = np.ascontiguousarray(stretch.q), np.ascontiguousarray(stretch.v)
+        singular = self._observer.observe(stretch.time, q, v, observed)
+        valid, failure = self._checked(stretch, observed, singular)
+        if valid:
+            part = slice(0, valid)
+            times = elapsed[0] + (elapsed[1] - elapsed[0]) * np.arange(1, valid + 1) / valid
+            self._write_states(stretch.rows(part), observed.rows(part), times)
+        if not start:
+            self._write_intervals(stretch.rows(slice(0, valid)))
+        self.writer.flush_if_due()
+        self._refused = self._refused or failure is not None
+        return failure
+
+    def _checked(
+        self, stretch: Stretch, observed: Observed, singular: SingularState | None
+    ) -> tuple[int, Failure | None]:
+        """Return the number of leading states that can be recorded, and the reason why the next one cannot."""
+        mechanism = self.workspace.mechanism
+        count, failure = len(stretch.time), None
+        if singular is not None:
+            count = singular.row
+            near = describe_nearness(self.workspace, stretch.time[count], stretch.q[count])
+            where = f"near {mechanism.unknown_name(singular.unknown)} at {_at(stretch, count)}"
+            failure = Failure("singular", f"no unique solution {where}{near and '; ' + near}.")
+        good = observed.rows(slice(0, count))
+        moving = np.all(np.isfinite(good.acc), axis=1) & np.all(np.isfinite(good.lam), axis=(1, 2))
+        finite = moving & np.isfinite(good.kinetic) & np.isfinite(good.potential)
+        if not np.all(finite):
+            count = int(np.argmin(finite))
+            what = "the energy is not a finite number" if moving[count] else "accelerations are not finite numbers"
+            failure = Failure("not-finite", f"{what} at {_at(stretch, count)}.")
+        for check in (self._contradiction, self._fallen_apart):
+            found = check(stretch.rows(slice(0, count)), observed.rows(slice(0, count)))
+            if found is not None:
+                count, failure = found
+        return count, failure
+
+    def _contradiction(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
+        """Return the row of the first state in which redundant joints contradict others, and the failure."""
+        count = len(observed.phi)
+        gaps, uncertainty = self._observer.gaps[:count], self._observer.gap_uncertainty[:count]
+        apart = gaps > APART + SECOND_ORDER * uncertainty
+        if not np.any(apart):
+            return None
+        row = int(np.argmax(np.any(apart, axis=1)))
+        direction = int(np.argmax(np.where(apart[row], gaps[row], 0.0)))
+        mechanism = self.workspace.mechanism
+        pair = int(mechanism.topology.spare[direction, 0])
+        gap = float(gaps[row, direction] * units_of_pairs(mechanism)[pair])
+        unit = next(one.unit for one in mechanism.rows if one.pair == pair)
+        return row, self._contradicting(pair, f"{gap:.2g} {unit} at {_at(stretch, row)}")
+
+    def _contradicting(self, pair: int, gap: str) -> Failure:
+        """Return the failure of a redundant joint that is misaligned by `gap`, naming the joints that it contradicts.
+
+        Joints are redundant only if they agree at the start and in its neighborhood. On one branch they then agree
+        everywhere, unless drivers move them.
+        """
+        mechanism = self.workspace.mechanism
+        joint, names = mechanism.joints[self._joints.joint[pair]], mechanism.redundancy.not_unique
+        others = listed([name for name in names if name != joint], "and")
+        what = f"joint '{joint}' is misaligned by {gap}, and numerical error does not explain it: it constrains the "
+        if not mechanism.drivers & set(names):
+            return Failure(
+                "branch-left",
+                f"{what}same motion as {others}, with which it agrees on the branch of the start, so the run has left "
+                "this branch, as happens in singular positions; smaller steps or `stabilization: projection` may help.",
+            )
+        return Failure(
+            "singular",
+            f"{what}same motion as {others} and contradicts them; remove one of them. If they agree, the run has left "
+            "its branch in a singular position.",
+        )
+
+    def _fallen_apart(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
+        """Return the row of the first state in which a joint exceeds the limits of misalignment, and the failure."""
+        smallest = min(self.guards.misalignment, self.guards.angle_misalignment)
+        if np.max(np.abs(observed.phi), initial=0.0) <= smallest / 4:  # a joint has at most three rows; saves time
+            return None
+        found: tuple[int, Failure] | None = None
+        for values, limit, unit in (
+            (self._joints.misalignment(observed.phi), self.guards.misalignment, "m"),
+            (self._joints.angle_misalignment(observed.phi), self.guards.angle_misalignment, "rad"),
+        ):
+            beyond = ~(values <= limit)
+            if not np.any(beyond):
+                continue
+            row = int(np.argmax(np.any(beyond, axis=1)))
+            if found is None or row < found[0]:
+                joint = int(np.argmax(np.where(beyond[row], values[row], -np.inf)))
+                name, gap = self.workspace.mechanism.joints[joint], f"{values[row, joint]:.3g} {unit}"
+                sentence = (
+                    f"joint '{name}' is misaligned by {gap} at {_at(stretch, row)}, more than limits.misalignment "
+                    f"allows ({limit:.3g} {unit}); this state is not recorded; use smaller steps or, with stiff "
+                    "springs or dampers, an implicit method."
+                )
+                found = row, Failure("fell-apart", sentence)
+        return found
+
+    def _write_states(self, stretch: Stretch, observed: Observed, elapsed: np.ndarray) -> None:
+        if self._start_energy is None:
+            self._start_energy = float(observed.kinetic[0] + observed.potential[0])
+        states = RecordedStates(stretch, observed, elapsed, self._start_energy, self._rows, self._joints)
+        self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
+        peaks = np.abs(observed.phi).max(axis=0, keepdims=True)  # of each pair, and a joint has one pair with an angle
+        self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
+        if len(observed.joints):
+            coordinates = observed.joints[:, :, 0]
+            self.reached[0] = np.minimum(self.reached[0], coordinates.min(axis=0))
+            self.reached[1] = np.maximum(self.reached[1], coordinates.max(axis=0))
+        others = np.array([observed.potential, stretch.work, stretch.dissipated])
+        self.last_time = float(stretch.time[-1])
+        self.energies.add(observed.kinetic, others, states.balance)
+        self.writer.append({key: COLUMNS[key](states) for key in self.writer.row_keys})
+        if self.kept is not None:
+            self.kept.append(states.essence)
+
+    def _write_intervals(self, stretch: Stretch) -> None:
+        time, steps, size, iterations, iterations_max, rejected = stretch.intervals.T
+        rows = {
+            "time": time,
+            "steps": steps.astype(np.int64),
+            "size": size,
+            "iterations": iterations.astype(np.int64),
+            "iterations_max": iterations_max.astype(np.int64),
+            "rejected": rejected.astype(np.int64),
+        }
+        if stretch.corrections is not None:  # the layout selects those of the stabilization
+            projections, position, velocity, acceleration = stretch.corrections.T
+            rows |= {
+                "projections": projections.astype(np.int64),
+                "position_correction": position,
+                "velocity_correction": velocity,
+                "acceleration_correction": acceleration,
+            }
+        self.writer.append_steps(rows)
+
+    def record_events(self, found: Sequence[Found]) -> None:
+        """Write the crossings found since the last call."""
+        if not found:
+            return
+        shape = (len(found), len(self.workspace.mechanism.bodies), 3)
+        self.writer.append_events(
+            {
+                "name": np.array([one.name for one in found], dtype=object),
+                "time": np.array([one.time for one in found]),
+                "direction": np.array([one.direction for one in found]),
+                "position": np.array([one.q[:-3] for one in found]).reshape(shape),
+                "velocity": np.array([one.v[:-3] for one in found]).reshape(shape),
+            }
+        )
+
+    def stored(self) -> dict[str, Any]:
+        """Return what later rows depend on, as plain values for a checkpoint."""
+        energies = self.energies
+        return {
+            "start_energy": self._start_energy,
+            "largest": self.largest,
+            "largest_angle": self.largest_angle,
+            "reached": self.reached,
+            "energies": [energies.kinetic, energies.energy, energies.balance],
+            "last_time": self.last_time,
+            "near": self._observer.kept,
+            "solver": stored_solver(self.workspace.solver),
+            "pivotings": self.workspace.pivotings,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue after the rows of a checkpoint; raise ValueError if its values do not fit."""
+        self._start_energy = float(state["start_energy"])
+        fill(self.largest, state["largest"])
+        fill(self.largest_angle, state["largest_angle"])
+        fill(self.reached, state["reached"])
+        energies = self.energies
+        energies.kinetic, energies.energy, energies.balance = map(float, state["energies"])
+        self.last_time = float(state["last_time"])
+        fill(self._observer.kept, state["near"])
+        self.workspace.use_solver(solver_of(self.workspace, state["solver"]))
+        self.workspace.pivotings = int(state["pivotings"])
+
+    def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
+        """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].
+
+        If a state was refused, only recorded states count: steps after the last row are not part of the run.
+
+        Parameters
+        ----------
+        worst_pairs
+            (P,) largest squared norm of each pair's Phi over the steps.
+        """
+        if self._refused:
+            return self.largest
+        return np.asarray(np.maximum(self._joints.misalignment_of_squares(worst_pairs), self.largest))
+
+
+def _at(stretch: Stretch, row: int) -> str:
+    return f"the state to be recorded at t = {stretch.time[row]:.6g} s"

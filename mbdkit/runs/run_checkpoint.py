@@ -1,0 +1,232 @@
+"""What a run needs to continue to the same bits, collected from its parts and put back into them.
+
+A checkpoint is written between two stretches of steps, when all rows and crossings so far are in the tables of the
+archive. It holds the whole state of the stepper: positions and velocities with the low parts of their sums, step-size
+control, stage values, factors and pivots; and what the recorder and the watch for events keep from row to row.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import one_line
+from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
+from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.methods.step_method import StepMethod
+from mbdkit.runs.integrals import RunIntegrals
+from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorder import Recorder
+from mbdkit.stepping.collocation import CompiledCollocation
+from mbdkit.stepping.collocation_stages import new_systems
+from mbdkit.stepping.compiled_method import CompiledMethod
+from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.interface import Impact
+from mbdkit.stepping.lobatto_iiia_iiib import MOST_PAST, CompiledLobattoPair
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.events.watch import Watch
+    from mbdkit.spec import RunSpec
+
+INTERVAL = 5.0
+"""Least wall time between two checkpoints [s]."""
+
+SHARE = 0.01
+"""Largest share of the wall time that checkpoints may take."""
+
+TIMES = ("setup_s", "wall_s", "cpu_s")
+
+_OF_RUN = frozenset(
+    {
+        *("top", "still", "w", "solver", "has_power", "rest"),
+        *("row_time", "row_q", "row_v", "row_energy", "row_interval", "row_lam"),
+        *("node_time", "node_weight", "node_q", "node_v", "nodes"),
+    }
+)
+"""Parts of `RunState` that a checkpoint leaves out: constants, scratch, the solver, rows and nodes that are taken."""
+
+_CONSTANT = frozenset(("rk", "a", "b", "c", "error", "dense", "tolerance"))
+"""Parts of the bundles of methods that do not change."""
+
+_IN_PARTS = _CONSTANT | {"systems", "settings", "constraints"}
+"""Parts of the bundle of a collocation method that are constant or stored apart."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The parts of a run whose state a checkpoint holds."""
+
+    workspace: Workspace
+    stepper: CompiledStepper
+    watch: Watch | None
+    recorder: Recorder
+    integrals: RunIntegrals | None
+
+    def stored(self) -> dict[str, Any]:
+        """Return their state as plain values; arrays are not copied."""
+        workspace = self.workspace
+        return {
+            "workspace": {
+                "solver": stored_solver(workspace.solver),
+                "sides": workspace.scratch.sides,
+                "pivotings": workspace.pivotings,
+            },
+            "stepper": _stored_stepper(self.stepper),
+            "watch": None if self.watch is None else self.watch.stored(),
+            "recorder": self.recorder.stored(),
+            "integrals": None if self.integrals is None else self.integrals.stored(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Put a stored state into these parts, which are those of a run at its start.
+
+        Raises
+        ------
+        SpecError
+            If it does not fit. The hash of a checkpoint excludes damage, so that someone has made this state.
+        """
+        try:
+            kept, workspace = state["workspace"], self.workspace
+            workspace.use_solver(solver_of(workspace, kept["solver"]))
+            fill(workspace.scratch.sides, kept["sides"])
+            workspace.pivotings = int(kept["pivotings"])
+            _restore_stepper(self.stepper, state["stepper"])
+            if self.watch is not None:
+                self.watch.restore(state["watch"])
+            self.recorder.restore(state["recorder"])
+            if self.integrals is not None:
+                self.integrals.restore(state["integrals"])
+        except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
+            raise SpecError(
+                f"this run cannot be resumed: the state of its checkpoint does not fit its spec ({one_line(error)})"
+            ) from error
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """A checkpoint to continue from.
+
+    Parameters
+    ----------
+    state
+        The state of the run.
+    rows
+        Returns states and reactions of the rows up to it, for the estimate of their errors.
+    restored
+        Called when the state is restored.
+    """
+
+    state: Mapping[str, Any]
+    rows: Callable[[], list[ObservedRows]]
+    restored: Callable[[], None]
+
+    @property
+    def times(self) -> dict[str, float]:
+        """The times ``setup_s``, ``wall_s`` and ``cpu_s`` that the run took so far [s]; 0 if a value is no number."""
+        known = self.state.get("times")
+        found = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
+        return {name: float(one) if isinstance(one, float) else 0.0 for name, one in zip(TIMES, found, strict=True)}
+
+
+def why_without(spec: RunSpec, method: Method) -> str:
+    """Return why a run writes no checkpoints, as a clause; empty if it writes some."""
+    if spec.is_to_be_chosen:
+        return "its method or step is chosen by pilot runs, whose results are not stored"
+    if isinstance(method, SciPySolver):
+        return "SciPy offers no way to store the state of its solvers"
+    if isinstance(method, StepMethod):
+        return "the state of a method written in Python cannot be stored"
+    if isinstance(method, ImplicitRungeKutta) and not method.tableau.is_diagonalisable:
+        return f"the steps of {method.tableau.name} are taken in Python, and their state cannot be stored"
+    if spec.estimates_errors and "joints" not in spec.output.recorded:
+        return "the check of its accuracy needs the reactions of all rows, which it does not record"
+    return ""
+
+
+class Checkpoints:
+    """Writes checkpoints of a run from time to time.
+
+    Parameters
+    ----------
+    writer
+        Takes the rows and the checkpoints.
+    state
+        Returns the state to be stored.
+    """
+
+    def __init__(self, writer: ArchiveWriter, state: Callable[[], Mapping[str, Any]]):
+        self._writer, self._state = writer, state
+        self._due = time.monotonic() + INTERVAL
+
+    def write_if_due(self) -> None:
+        """Write a checkpoint if the last one is old enough."""
+        begin = time.monotonic()
+        if begin < self._due:
+            return
+        self._writer.keep_checkpoint(self._state())
+        end = time.monotonic()
+        self._due = end + max(INTERVAL, (end - begin) / SHARE)
+
+
+def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
+    own = stepper.run_state.solver
+    return {
+        "run": stored(stepper.run_state, _OF_RUN),
+        "method": _stored_method(stepper.method),
+        # a quantity of an event may have chosen new pivots, which the stepper does not use
+        "solver": None if own is stepper.workspace.solver else stored_solver(own),
+        "renewed": sorted(stepper._renewed),
+        "impacts": [[one.time, one.energy, one.velocity] for one in stepper.impacts],
+    }
+
+
+def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None:
+    workspace = stepper.workspace
+    restore(stepper.run_state, state["run"], _OF_RUN)
+    if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
+        raise ValueError("it has passed more stops than there are")
+    _restore_method(stepper.method, state["method"])
+    stepper._take_up_pivots()
+    if state["solver"] is not None:
+        stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
+        stepper._pinned_state.replace(stepper.run_state)
+    stepper._renewed = {(int(done), int(status)) for done, status in state["renewed"]}
+    stepper.impacts[:] = [Impact(*map(float, one)) for one in state["impacts"]]
+    stepper._count()
+
+
+def _stored_method(method: CompiledMethod) -> dict[str, Any]:
+    bundle = method.pinned.bundle
+    if not isinstance(method, CompiledCollocation):
+        return {"stages": stored(bundle, _CONSTANT)}
+    return {
+        "stages": stored(bundle, _IN_PARTS),
+        "constraints": stored(bundle.constraints, ("by_position",)),
+        "limit": stored(bundle.settings.limit),
+        "systems": stored(bundle.systems),
+    }
+
+
+def _restore_method(method: CompiledMethod, state: Mapping[str, Any]) -> None:
+    bundle = method.pinned.bundle
+    if not isinstance(method, CompiledCollocation):
+        restore(bundle, state["stages"], _CONSTANT)
+        if isinstance(method, CompiledLobattoPair) and bundle.past.known[0] > MOST_PAST:
+            raise ValueError("it knows more steps than are stored")
+        return
+    workspace = method.workspace
+    restore(bundle, state["stages"], _IN_PARTS)
+    restore(bundle.constraints, state["constraints"], ("by_position",))
+    restore(bundle.settings.limit, state["limit"])
+    pattern = pattern_of(state["systems"]["pattern"], workspace.unknowns)
+    scatter = scatter_of(state["systems"]["scatter"], len(workspace.scratch.source), len(pattern.a_column))
+    systems = new_systems(method.rk, pattern, scatter, workspace.unknowns)
+    without = ("pattern", "scatter")
+    restore(systems, {name: state["systems"][name] for name in systems._fields if name not in without}, without)
+    method.bundle = bundle._replace(systems=systems)
+    method.pinned.replace(method.bundle)

@@ -1,0 +1,382 @@
+"""A run on its way: stretches of steps, what is recorded of them, and how the run ends."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.hdf5 import set_text
+from mbdkit.archive.layout import GRADIENTS
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import Ending, RunWriter
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base import higher_layers
+from mbdkit.base.logs import logger_of
+from mbdkit.base.text import shown
+from mbdkit.engine.counters import Counters
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.workspace import Workspace
+from mbdkit.measures.take import take_all
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.accuracy.asked_accuracy_result import missed_because, with_asked
+from mbdkit.runs.accuracy.check_by_pilots import check_by_pilots
+from mbdkit.runs.accuracy.check_run import check_run
+from mbdkit.runs.accuracy.chosen_method import Choice
+from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.accuracy.recorded_pilot import Replay
+from mbdkit.runs.evidence import estimated_errors, evidence_of_run
+from mbdkit.runs.integrals import RunIntegrals
+from mbdkit.runs.preparation import (
+    guards,
+    plugin_failure,
+    size_at_start,
+    timetable,
+)
+from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorder import Recorder
+from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
+from mbdkit.runs.warnings import center_warnings, doubts, step_advice
+from mbdkit.spec import RunSpec
+from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
+from mbdkit.stepping.start import start_method
+from mbdkit.trust.criteria import judge
+
+if TYPE_CHECKING:
+    from mbdkit.events.watch import Watch
+
+Progress = Callable[[float, float], None]
+"""Called with the time reached and the end time [s]; see `mbdkit.run`."""
+
+_LOG = logger_of("mbdkit.runs.simulation")  # one logger tells the start and the end of a run
+
+_FINAL = ("wall-time", "max-steps", "plugin-error")
+"""Failures that smaller steps do not avoid."""
+
+
+class _Told:
+    """Calls the callback of a user; if it raises an exception, the run is stopped and the callback not called again.
+
+    Parameters
+    ----------
+    stop
+        Stops the run, as Ctrl-C does.
+
+    Attributes
+    ----------
+    error
+        The exception, unless it was KeyboardInterrupt.
+    """
+
+    def __init__(self, progress: Progress, stop: Callable[[], None]):
+        self.progress, self.stop = progress, stop
+        self.stopped, self.error = False, None
+
+    error: Exception | None
+
+    def __call__(self, reached: float, end: float) -> None:
+        if self.stopped:
+            return
+        try:
+            self.progress(reached, end)
+        except KeyboardInterrupt:
+            self.stopped = True
+        except Exception as error:
+            self.stopped, self.error = True, error
+        if self.stopped:
+            self.stop()
+
+
+class SimulatedRun:
+    """A run on its way: the method on its mechanism, and the recorder that writes its archive.
+
+    Parameters
+    ----------
+    spec
+        Its validated spec.
+    workspace
+        The mechanism at its start.
+    method
+        The method of integration.
+    writer
+        The archive, begun.
+    begin
+        When the run began, by `time.perf_counter` [s].
+    warnings
+        Warnings so far.
+    choice
+        The method and step chosen for the accuracy asked, if they were.
+    """
+
+    def __init__(
+        self,
+        spec: RunSpec,
+        workspace: Workspace,
+        method: Method,
+        writer: RunWriter,
+        begin: float,
+        warnings: tuple[str, ...],
+        choice: Choice | None,
+    ):
+        self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
+        self.warnings, self.choice = warnings, choice
+        self.tried = [] if choice is None else [choice]
+        self.timings: dict[str, float] = {}
+        self.file: h5py.File | None = None
+        self.integrals: RunIntegrals | None = None
+        self.size = size_at_start(spec, workspace)
+        self.guards = guards(spec, self.size)
+        self.recorder = Recorder(workspace, writer, self.guards)
+        self.stepper: Advancing | None = None
+        self.watch: Watch | None = None
+        self.failure: Failure | None = None
+        self.cause: BaseException | None = None
+        self.interrupted = False
+        self.accuracy: Accuracy | None = None
+        self.continuation: Continuation | None = None
+        if spec.estimates_errors:
+            self.recorder.kept = []
+
+    def integrate(self, progress: Progress | None) -> None:
+        """Record the initial state, integrate to the end, and check the accuracy; raise what `progress` raises."""
+        told = None if progress is None else _Told(progress, self.interrupt)
+        if self.continuation is None:
+            self.record_start()
+        with self._blaming_the_plugin():
+            if self.failure is None:
+                self.start()
+        before = dict.fromkeys(TIMES, 0.0) if self.continuation is None else self.take_up(self.continuation)
+        setup = before["setup_s"] + time.perf_counter() - self.begin
+        wall, cpu = time.perf_counter() - before["wall_s"], time.process_time() - before["cpu_s"]
+        self.timings = {"setup_s": setup}
+        if self.stepper is not None:
+            self.advance(self.stepper, told, wall, self.checkpoints(wall, cpu))
+        self.timings = {
+            "setup_s": setup,
+            "wall_s": time.perf_counter() - wall,
+            "cpu_s": time.process_time() - cpu,
+        }
+        if isinstance(self.stepper, Replay):  # its steps were taken before
+            self.timings["wall_s"] += self.stepper.wall
+            self.timings["cpu_s"] += self.stepper.cpu
+        self.check_accuracy(told)
+        if told is not None and told.error is not None:
+            raise told.error
+
+    def interrupt(self) -> None:
+        """Stop the run after the current stretch."""
+        self.interrupted = True
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether smaller steps would not help: the accuracy is reached, or the user or a limit has ended the run."""
+        if self.interrupted or (self.failure is not None and self.failure.code in _FINAL):
+            return True
+        return self.failure is None and self.accuracy is not None and self.accuracy.is_reached
+
+    @property
+    def reached(self) -> float:
+        """Estimated error of positions in the measure of the accuracy asked; nan if it is not known to the end."""
+        return self.accuracy.reached if self.accuracy is not None and self.accuracy.is_complete else math.nan
+
+    def merit(self) -> tuple[float, float]:
+        """Return a merit that orders attempts: the time until which errors are known, and their negative size."""
+        if self.accuracy is None or math.isnan(self.accuracy.known_until):
+            return -math.inf, -math.inf
+        return self.accuracy.known_until, -self.accuracy.reached
+
+    def record_start(self) -> None:
+        """Record the initial state."""
+        workspace, none = self.workspace, np.zeros(1)
+        first = Stretch(np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)))
+        self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
+
+    def start(self) -> None:
+        """Create the stepper of the method."""
+        final = self.choice.final if self.choice is not None else None
+        if final is not None and final.is_run and self.integrals is None:
+            self.stepper = Replay(final)
+            return
+        try:
+            table = timetable(self.spec, self.guards, nodes=self.integrals is not None)
+            stepper = start_method(self.method, self.workspace, table)
+        except SingularSystemError as error:
+            name = self.workspace.mechanism.unknown_name(error.index)
+            self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
+            return
+        if self.spec.events:
+            self.watch = _watch(self.spec, self.workspace, stepper)
+        self.stepper = self.watch or stepper
+
+    @contextmanager
+    def _blaming_the_plugin(self) -> Iterator[None]:
+        """Convert whatever a third-party integrator raises, errors of mbdkit included, into a failure of the run."""
+        try:
+            yield
+        except BaseException as error:
+            self.failure = plugin_failure(self.spec, error)
+            self.cause = error
+
+    def take_up(self, continuation: Continuation) -> Mapping[str, float]:
+        """Restore the state of a checkpoint, and return the times that the run took before it [s]."""
+        parts = self.parts()
+        assert parts is not None
+        parts.restore(continuation.state)
+        if self.recorder.kept is not None:
+            self.recorder.kept = continuation.rows()
+        continuation.restored()
+        return continuation.times
+
+    def parts(self) -> Parts | None:
+        """Return the parts of the run whose state makes a checkpoint; None if it has parts that cannot be stored."""
+        stepper = self.stepper if self.watch is None else self.watch.stepper
+        if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper):
+            return None
+        return Parts(self.workspace, stepper, self.watch, self.recorder, self.integrals)
+
+    def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
+        """Return the checkpoints of the run, whose steps began at these times [s]; None if it has none."""
+        writer = self.writer
+        if not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
+            return None
+        parts = self.parts()
+        if parts is None:
+            return None
+
+        def state() -> Mapping[str, Any]:
+            spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+            return {**parts.stored(), "times": {**self.timings, **spent}}
+
+        return Checkpoints(writer, state)
+
+    def advance(
+        self, stepper: Advancing, progress: Progress | None, begin: float, checkpoints: Checkpoints | None
+    ) -> None:
+        """Step until the end, a limit, a failure or an interrupt, and record the states."""
+        limit, end = self.spec.limits.wall_time, self.spec.time.final
+        elapsed = time.perf_counter() - begin if self.continuation is not None else 0.0
+        recorded = self.recorder.last_time
+        while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
+            with self._blaming_the_plugin():
+                stretch = stepper.advance()
+            if self.failure is not None:
+                break
+            now = time.perf_counter() - begin
+            self.failure = self.recorder.record(stretch, (elapsed, now))
+            if self.watch is not None:
+                self.recorder.record_events(self.watch.taken())
+            if self.integrals is not None:
+                self.integrals.add(stepper.taken_nodes())
+            if len(stretch.time):
+                recorded = float(stretch.time[-1])
+            elapsed = now
+            if progress is not None:
+                progress(stepper.time, end)
+            if checkpoints is not None and not (stepper.finished or stepper.failure or self.failure):
+                checkpoints.write_if_due()
+            if limit is not None and now > limit and not (stepper.finished or stepper.failure or self.failure):
+                self.failure = Failure(
+                    "wall-time", f"stopped at t = {stepper.time:.6g} s after limits.wall_time = {limit:g} s."
+                )
+        unrecordable = self.failure is not None and self.failure.code not in ("wall-time", "plugin-error")
+        self.failure = self.failure or stepper.failure
+        if recorded < stepper.time and not stepper.finished and not unrecordable:
+            self.recorder.record(stepper.last_state(), (elapsed, elapsed))
+
+    def check_accuracy(self, progress: Progress | None) -> None:
+        """Estimate the errors of the recorded rows if the spec asks for it."""
+        kept = self.recorder.kept
+        if not kept:
+            return
+        rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
+        choice = self.choice
+        if choice is not None and choice.pilots and len(rows.time) > 1 and not self.spec.check:
+            found = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
+        else:
+            found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress)
+        self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
+
+    def measured(self, file: h5py.File) -> str:
+        """Return the measures of the run in a file, as its archive stores them."""
+        found = take_all(Run(file), self.spec)
+        for name, reason in found.reasons.items():
+            _LOG.warning("measure %s: %s", name, reason)
+        if self.spec.gradients and self.failure is None and not self.interrupted:
+            set_text(file, GRADIENTS, higher_layers.gradients_json(self.spec))
+        return found.to_json()
+
+    def finish(self) -> None:
+        """Finish the archive with the final status."""
+        stepper = self.stepper
+        counters = dict(vars(stepper.counters if stepper is not None else Counters()))
+        counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
+        pairs = len(self.workspace.mechanism.topology.pairs)
+        status, reason = "complete", ""
+        if self.failure is not None:
+            advice = step_advice(self.spec, self.failure.code)
+            status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
+        elif stepper is not None and not stepper.finished:
+            status, reason = "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s."
+        elif self.watch is not None and self.watch.stopped is not None:
+            reason = f"event: {self.watch.stopped}."
+        misalignment_max = self.recorder.misalignment_max(
+            stepper.worst_pairs if stepper is not None else np.zeros(pairs)
+        )
+        ending = status, reason
+        steps = None if stepper is None else stepper.evidence
+        mechanism = self.spec.mechanism()
+        self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached))
+        questions = doubts(self.spec, self.warnings)
+        evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
+        errors = None
+        if self.accuracy is not None:
+            missed = missed_because(self.accuracy, self.tried, self.failure)
+            position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
+            errors = estimated_errors(self.recorder, self.accuracy, position, missed)
+        judgement = judge(evidence, errors)
+        told = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
+        level = logging.WARNING if status == "failed" else logging.INFO
+        if _LOG.isEnabledFor(level):
+            _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), told, judgement.level)
+        _LOG.debug("counters: %s; timings: %s", counters, self.timings)
+        ended = Ending(
+            status,
+            reason,
+            {**counters, **self.timings},
+            misalignment_max,
+            judgement,
+            self.warnings,
+            self.accuracy,
+            {} if self.integrals is None else self.integrals.totals(),
+        )
+        self.file = self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
+
+    def run(self) -> Run:
+        """Return the run, once its archive is finished."""
+        if self.file is not None:
+            run = Run(self.file)
+        else:
+            assert self.writer.path is not None
+            run = load(self.writer.path)
+        run.cause = self.cause
+        return run
+
+
+def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:
+    """Wrap the stepper to detect the events of a spec."""
+    from mbdkit.events.watch import Watch, Watched
+
+    found = [
+        Watched(name, expression, spec.events[name].direction, spec.events[name].action)
+        for name, expression in spec.watched().items()
+    ]
+    return Watch(stepper, workspace, found)

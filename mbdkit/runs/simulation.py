@@ -1,0 +1,348 @@
+"""Runs a spec: builds the mechanism, integrates it in stretches of steps, and writes the archive."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Unpack
+
+from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
+from mbdkit.archive.part_file import check_target
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import RunWriter
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base import higher_layers
+from mbdkit.base.interrupts import interrupts_noted
+from mbdkit.base.logs import logger_of
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.progress_bars import in_notebook, progress_bar
+from mbdkit.base.text import one_line, shown
+from mbdkit.engine.assembly import AssembledState
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
+from mbdkit.runs.corners import check_jumps
+from mbdkit.runs.integrals import RunIntegrals, integrands_of
+from mbdkit.runs.preparation import (
+    build,
+    caution,
+    check_disk_space,
+    make_method,
+    optional_arrays,
+)
+from mbdkit.runs.provenance import provenance
+from mbdkit.runs.recorder import archive_names, shared_forces
+from mbdkit.runs.run_checkpoint import Continuation
+from mbdkit.runs.simulated_run import Progress, SimulatedRun
+from mbdkit.runs.warnings import start_warnings
+from mbdkit.spec import RunSpec, load_spec
+from mbdkit.spec.run_source import RunSource, Sections
+from mbdkit.stepping.warm_up import to_stderr
+
+_Start = tuple[Workspace, AssembledState]
+
+_LOG = logger_of(__name__)
+
+
+def run(
+    source: RunSource,
+    *,
+    archive: str | Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    **sections: Unpack[Sections],
+) -> Run:
+    """Run a spec.
+
+    Parameters
+    ----------
+    source
+        A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism with its `sections`.
+    archive
+        File to which results are written during the run; by default, they are kept in memory.
+    overwrite
+        Whether an existing archive may be replaced.
+    progress
+        Called with the time reached and the end time [s], several times per second; companion runs of a check begin
+        again at the start. If it raises KeyboardInterrupt, the run ends as by Ctrl-C, with the status ``interrupted``.
+        After any other exception, the archive is removed, and the exception is raised. By default, notebooks show a
+        progress bar.
+    **sections
+        Sections of the spec, such as ``integrator={"name": "gauss", "stages": 2}``; they replace those of `source`.
+
+    Returns
+    -------
+    Run
+        The results. If the run stopped early, `Run.status` and `Run.status_reason` say why, and `Run.check` raises.
+
+    Raises
+    ------
+    SpecError
+        If the input is wrong or the joints cannot be assembled; no file is left behind.
+    PluginError
+        If a plugin fails.
+
+    Examples
+    --------
+    >>> import mbdkit
+    >>> run = mbdkit.run("pendulum", integrator={"name": "gauss", "stages": 3}, time={"end": 1.0, "step": 0.01})
+    >>> run.status
+    'complete'
+    >>> run.misalignment_max < 1e-9
+    True
+    """
+    spec = load_spec(source, (), **sections)
+    path = None if archive is None else Path(archive)
+    is_shown = progress is None and in_notebook()
+    with progress_bar(spec.title or spec.model_item.name, quiet=not is_shown) as bar:
+        return simulate(spec, path=path, overwrite=overwrite, progress=progress or bar)
+
+
+def simulate(
+    spec: RunSpec,
+    *,
+    path: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] = to_stderr,
+    measures: Sequence[str] = (),
+) -> Run:
+    """Run a validated spec; see `run`.
+
+    Parameters
+    ----------
+    path
+        Final name of the archive; None keeps it in memory.
+    overwrite
+        Whether an existing archive may be replaced.
+    progress
+        As for `run`.
+    notify
+        Called with a message before long operations, such as the first compilation after installation.
+    measures
+        Expressions that will be evaluated for the run, beside the measures of the spec. Their time integrals are
+        computed with the run, see `mbdkit.runs.integrals`.
+    """
+    begin = time.perf_counter()
+    if path is not None:
+        check_target(path, overwrite=overwrite)
+    begun = partial(_begun_archive, path=path, overwrite=overwrite)
+    prepare = partial(_prepared, begun=begun, path=path, notify=notify, begin=begin, measures=measures)
+    return _ended(spec, prepare, notify, progress).run()
+
+
+def simulate_on(
+    spec: RunSpec,
+    continuation: Continuation,
+    begun: Callable[[RunSpec, Method, _Start], RunWriter],
+    *,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] = to_stderr,
+) -> Run:
+    """Continue a run from a checkpoint.
+
+    Parameters
+    ----------
+    continuation
+        The state to continue from.
+    begun
+        Returns a writer that holds the rows up to this state.
+    progress, notify
+        As for `simulate`.
+    """
+    prepare = partial(_prepared, begun=begun, path=None, notify=notify, begin=time.perf_counter())
+    return _ended(spec, partial(prepare, continuation=continuation), notify, progress).run()
+
+
+def simulate_arrays(
+    spec: RunSpec,
+    *,
+    notify: Callable[[str], None] = to_stderr,
+    starts: Starts | None = None,
+    measures: Sequence[str] = (),
+) -> FinishedRun:
+    """Run a validated spec without writing an archive, and return its arrays with the hash that the archive would have.
+
+    Parameters
+    ----------
+    notify, measures
+        As for `simulate`.
+    starts
+        Keeps compiled mechanisms for further runs, if given.
+    """
+    begin = time.perf_counter()
+    prepare = partial(
+        _prepared, begun=_begun_arrays, path=None, notify=notify, begin=begin, starts=starts, measures=measures
+    )
+    simulation = _ended(spec, prepare, notify, None)
+    assert isinstance(simulation.writer, ArrayWriter)
+    assert simulation.writer.finished is not None
+    return replace(simulation.writer.finished, cause=simulation.cause)
+
+
+def _ended(
+    spec: RunSpec,
+    prepare: Callable[..., SimulatedRun],
+    notify: Callable[[str], None],
+    progress: Progress | None,
+) -> SimulatedRun:
+    """Carry out a spec to its end, and return the simulation, whose writer is finished."""
+    method = "a method to be chosen" if spec.choose == "method" else spec.integrator_item.id
+    if _LOG.isEnabledFor(logging.INFO):
+        _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
+    with one_thread_of_linear_algebra():
+        if spec.is_to_be_chosen:
+            return _with_accuracy(spec, prepare, notify, progress)
+        with _finished_or_abandoned(prepare(spec)) as simulation:
+            simulation.integrate(progress)
+            simulation.finish()
+            return simulation
+
+
+def _with_accuracy(
+    spec: RunSpec, prepare: Callable[..., SimulatedRun], notify: Callable[[str], None], progress: Progress | None
+) -> SimulatedRun:
+    """Choose method and step for the accuracy of a spec, and run it; again with smaller steps while it is missed.
+
+    If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
+    """
+    check_jumps(spec)
+    workspace, _ = build(spec, notify)
+    choice = choose_method(spec, workspace, progress)
+    tried: list[tuple[tuple[float, float], Choice]] = []
+    while True:
+        with _finished_or_abandoned(prepare(choice.settle(spec), choice=choice)) as simulation:
+            simulation.integrate(progress)
+            tried.append((simulation.merit(), choice))
+            best = max(tried, key=lambda attempt: attempt[0])[1]
+            following = None if simulation.is_settled else _following(spec, workspace, simulation, len(tried))
+            simulation.tried = [one for _, one in tried]
+            if simulation.is_settled or (following is None and best is choice):
+                simulation.finish()
+                return simulation
+        prepare = partial(prepare, notify=_silent)  # the warnings would be the same
+        if following is None:
+            # repeated, because only one archive is written at a time; the same settings give the same numbers
+            with _finished_or_abandoned(prepare(best.settle(spec), choice=best)) as simulation:
+                simulation.integrate(progress)
+                simulation.tried = [one for _, one in tried]
+                simulation.finish()
+                return simulation
+        choice = following
+
+
+def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, attempts: int) -> Choice | None:
+    """Return the choice for the next attempt after one that missed the accuracy; None if there is none."""
+    choice = simulation.choice
+    assert spec.accuracy is not None
+    assert choice is not None
+    if choice.limited:
+        return None if math.isnan(simulation.reached) else other_method(spec, workspace, choice)
+    return None if attempts >= MOST_ATTEMPTS else choice.tightened(spec, spec.accuracy, simulation.reached)
+
+
+def _silent(message: str) -> None:
+    """Discard a message."""
+
+
+def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path | None, overwrite: bool) -> RunWriter:
+    """Begin the archive of a run."""
+    workspace, assembled = start
+    return ArchiveWriter(
+        path,
+        archive_names(workspace.mechanism),
+        spec.canonical_json(),
+        spec.sha256(),
+        spec.run_id(),
+        {**provenance(spec), "assembly": assembled.describe()},
+        quantities=spec.output.recorded,
+        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+        overwrite=overwrite,
+        shared=shared_forces(workspace.mechanism),
+    )
+
+
+def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
+    """Return what keeps the rows of a run in memory."""
+    workspace, assembled = start
+    return ArrayWriter(
+        archive_names(workspace.mechanism),
+        quantities=spec.output.recorded,
+        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+        shared=shared_forces(workspace.mechanism),
+        assembly=assembled.describe(),
+    )
+
+
+def _prepared(
+    spec: RunSpec,
+    *,
+    begun: Callable[[RunSpec, Method, _Start], RunWriter],
+    path: Path | None,
+    notify: Callable[[str], None],
+    begin: float,
+    choice: Choice | None = None,
+    continuation: Continuation | None = None,
+    starts: Starts | None = None,
+    measures: Sequence[str] = (),
+) -> SimulatedRun:
+    """Return a simulation whose writer is begun by `begun`; see `simulate`."""
+    method = make_method(spec)
+    check_jumps(spec)
+    if spec.gradients:
+        higher_layers.check_gradients(spec, method)
+    cautions = caution(spec, method)
+    _warn(cautions, notify)
+    workspace, start = build(spec, notify, starts)
+    moves = start_warnings(spec, start)
+    _warn(moves, notify)
+    if _LOG.isEnabledFor(logging.DEBUG):
+        _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
+    check_disk_space(spec, workspace.mechanism, path)
+    integrands = integrands_of(spec, measures)
+    noted: list[bool] = []
+    noting = interrupts_noted if begun is not _begun_arrays else _not_noted
+    with noting(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
+        writer = begun(spec, method, (workspace, start))
+        try:
+            simulation = SimulatedRun(spec, workspace, method, writer, begin, (*cautions, *moves), choice)
+        except BaseException:
+            writer.abandon()
+            raise
+    simulation.interrupted, simulation.continuation = bool(noted), continuation
+    if integrands:
+        simulation.integrals = RunIntegrals(spec, workspace, integrands)
+    return simulation
+
+
+def _warn(warnings: Iterable[str], notify: Callable[[str], None]) -> None:
+    """Tell and log warnings about a run."""
+    for warning in warnings:
+        notify(f"warning: {warning}")
+        _LOG.warning("%s", shown(warning))
+
+
+def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
+    """Let Ctrl-C raise KeyboardInterrupt: there is no archive that keeps the rows of an interrupted run."""
+    return nullcontext()
+
+
+@contextmanager
+def _finished_or_abandoned(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
+    """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
+    try:
+        noting = _not_noted if isinstance(simulation.writer, ArrayWriter) else interrupts_noted
+        with noting(simulation.interrupt):
+            yield simulation
+    except BaseException as error:
+        _LOG.warning("run %s is abandoned: %s", simulation.spec.run_id(), one_line(error))
+        raise
+    finally:
+        simulation.writer.abandon()

@@ -1,0 +1,198 @@
+"""Warnings about values of a spec that are valid but probably not meant: angles in degrees, a start far from closed."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+from pydantic import BaseModel
+
+from mbdkit.base.plain_data import Path, path_text
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.engine.assembly import AssembledState
+from mbdkit.mechanism.joints import Driver, Revolute
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.parameters import evaluate, names_in
+from mbdkit.mechanism.size import mechanism_size
+from mbdkit.spec import RunSpec
+
+FAR = 0.1
+"""Share of the mechanism's size by which assembly may move the start without a warning."""
+
+DIGITS = 3
+"""Angles above one turn with at most this many decimals look like degrees; radians rarely have so few."""
+
+FEWEST_PER_PERIOD = 2
+"""A step that has fewer in a period does not resolve an oscillation."""
+
+LONGEST_TURN = 0.03
+"""Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
+
+_ANGLE = re.compile(r"\[rad( or m)?\]")
+
+
+def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
+    """Return the warnings of the model, and about angles in degrees, steps that are long, and parameters."""
+    return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
+
+
+def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
+    """Return a warning if assembly moved the start by more than a tenth of the mechanism's size.
+
+    Parameters
+    ----------
+    start
+        The initial state after assembly.
+    """
+    mechanism = spec.mechanism()
+    if not start.changed:
+        return ()
+    points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
+    for joint in mechanism.joints.values():
+        for _, name, point in joint.attachments():
+            points.get(name, set()).add(point)
+    moved, name = 0.0, ""
+    for (body, given), (x, y, angle) in zip(mechanism.bodies.items(), start.q.tolist(), strict=True):
+        now = given.model_copy(update={"position": (x, y), "angle": angle})
+        for point in points[body]:
+            distance = math.dist(given.to_global(point), now.to_global(point))
+            moved, name = max((moved, name), (distance, body))
+    size = mechanism_size(mechanism, start.q)
+    if not moved > FAR * size:
+        return ()
+    key = f"model.bodies.{name}" if mechanism.name == "mechanism" else "model"
+    warning = (
+        f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's size of "
+        f"{size:.3g} m; check the positions and angles at {key} and its neighbours, because the mechanism may have "
+        "been closed in another way than meant (`mbdkit validate` lists all changes)"
+    )
+    return (warning,)
+
+
+def doubts(spec: RunSpec, warnings: Iterable[str]) -> tuple[str, ...]:
+    """Return the warnings of a run that question its result; what model and step leave out by design does not."""
+    known = _known(spec)
+    return tuple(warning for warning in warnings if warning not in known)
+
+
+def _known(spec: RunSpec) -> tuple[str, ...]:
+    """Return the warnings about what model and step leave out."""
+    return (*spec.mechanism().warnings, *_unresolved_beams(spec))
+
+
+def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...]:
+    """Return warnings about joints whose angle has left the tables of their moving centers.
+
+    Parameters
+    ----------
+    reached
+        (2, J) smallest and largest recorded coordinate of each joint [rad or m].
+    """
+    warnings = []
+    for (name, joint), (low, high) in zip(mechanism.joints.items(), reached.T.tolist(), strict=True):
+        if not isinstance(joint, Revolute) or joint.center is None:
+            continue
+        for angle in (low, high):
+            if math.isfinite(angle) and (outside := joint.center.outside(angle)) is not None:
+                key, table = outside
+                first, last = table.span
+                warnings.append(
+                    f"joint '{name}' turned to {angle:.6g} rad, beyond the table at model.joints.{name}.center.{key}, "
+                    f"which covers {first:.6g} rad to {last:.6g} rad and is continued there by its outer piece"
+                )
+    return tuple(warnings)
+
+
+def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
+    for path, angle in _angles(spec.model, ("model",)):
+        written = spec.written.get(path)
+        used = [name for name in spec.parameters if name in names_in(written)]
+        if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
+            continue  # a function of time, or an expression of numbers, which states that radians are meant
+        value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
+        if abs(value) > 2.0 * math.pi and round(value, DIGITS) == value:
+            origin = f" (from {listed((f'parameters.{name}' for name in used), 'and')})" if used else ""
+            degrees = written or f"{value:g}"
+            yield (
+                f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a turn; if degrees are meant, "
+                f"write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
+            )
+
+
+def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
+    """Return the key path and the number or text of each option of a model whose unit is the radian."""
+    if isinstance(value, BaseModel):
+        is_length = isinstance(value, Driver) and value.coordinate != "angle"
+        for name, is_angular in _fields(type(value)):
+            item = getattr(value, name)
+            if isinstance(item, str | int | float | None) and not is_angular:
+                continue
+            in_radians = is_angular and not is_length
+            yield from _angles(item, (*path, name), is_angle=in_radians)
+    elif isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _angles(item, (*path, name), is_angle=is_angle)
+    elif isinstance(value, list | tuple) and (is_angle or not _is_flat(value)):
+        for index, item in enumerate(value):
+            yield from _angles(item, (*path, index), is_angle=is_angle)
+    elif is_angle and isinstance(value, int | float | str):
+        yield path, value
+
+
+def _is_flat(values: Sequence[object]) -> bool:
+    """Return whether a sequence consists of numbers."""
+    return all(type(value) is float for value in values)
+
+
+@lru_cache(maxsize=256)
+def _fields(model: type[BaseModel]) -> tuple[tuple[str, bool], ...]:
+    """Return the names of the fields of a model, and whether their unit is the radian."""
+    return tuple((name, _ANGLE.search(description(model, name)) is not None) for name in model.model_fields)
+
+
+def _long_step(spec: RunSpec) -> Iterator[str]:
+    length = spec.time.final - spec.time.start
+    if spec.time.step is not None and spec.time.step > length * (1.0 + 1e-9):
+        yield (
+            f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s, which is then a "
+            "single shorter step"
+        )
+
+
+def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
+    """Yield a warning for each beam with oscillations that the fixed steps of an implicit method do not resolve."""
+    step, claims = spec.time.step, spec.claims
+    if step is None or claims.adaptive or "tangents" not in claims.needs:
+        return  # step size control resolves them, and explicit methods fail
+    fate = "keeps the energy of faster ones, but not their frequencies" if claims.symmetric else "damps faster ones"
+    for name, beam in spec.mechanism().beams.items():
+        fastest, slowest = beam.highest_frequency, 2.0 * math.pi / (FEWEST_PER_PERIOD * step)
+        if fastest > slowest:
+            yield (
+                f"the elements of beam '{name}' oscillate at up to {fastest:.3g} rad/s, but the step of {step:g} s "
+                f"resolves motions below {slowest:.3g} rad/s only; {spec.integrator_item.name} {fate}"
+            )
+
+
+def step_advice(spec: RunSpec, code: str) -> str:
+    """Return a sentence on a failure of a step, if the mechanism has beams that explain it; empty otherwise."""
+    step = spec.time.step
+    if code != "newton-failed" or step is None or not spec.mechanism().beams:
+        return ""
+    return (
+        f" Stiff beams may turn by at most some {LONGEST_TURN:g} rad in an implicit step, here up to "
+        f"{LONGEST_TURN / step:.3g} rad/s (see `mbdkit guide beams`)."
+    )
+
+
+def _unused_parameters(spec: RunSpec) -> Iterator[str]:
+    texts = [*spec.written.values(), *spec.parameters.values(), *(event.when for event in spec.events.values())]
+    used = set().union(*map(names_in, texts))
+    for name in spec.parameters:
+        if name not in used:
+            hint = did_you_mean(name, [other for other in spec.parameters if other != name])
+            yield f"the parameter at parameters.{name} is not used{hint}"

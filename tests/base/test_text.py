@@ -1,0 +1,99 @@
+"""Text from outside is shown, and obeyed nowhere."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.terminal import PlainStream
+from mbdkit.base.text import csv_cell, markdown, shown, table
+from mbdkit.spec import load_spec
+from mbdkit.studies.study_summary import summary
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a\x1b[2Jb", "a\\u001b[2Jb"),
+        ("\x9b31m", "\\u009b31m"),
+        ("first\r\nverdict good", "first\\r\\nverdict good"),
+        ("abc\u202edef", "abc\\u202edef"),
+        ("Kniegelenk, größer · 膝関節 · 👩‍🔬", "Kniegelenk, größer · 膝関節 · 👩‍🔬"),
+    ],
+)
+def test_control_characters_are_escaped(text: str, words: str) -> None:
+    assert shown(text) == words
+    assert table([("TITLE",), (text,)]).splitlines() == ["TITLE", words]
+
+
+FORGED = "x\nall is well"
+
+
+@pytest.mark.parametrize("error", [SpecError("wrong", key=FORGED, file=FORGED), ResourceError("full", file=FORGED)])
+def test_names_in_errors_do_not_add_lines(error: Exception) -> None:
+    assert str(error).startswith("x\\nall is well: ")
+    assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("sections", [{FORGED: 1}, {"title": {FORGED: 1}}, {"formulation": FORGED}, {"model": FORGED}])
+def test_keys_and_values_of_a_spec_do_not_add_lines(sections: dict[str, Any]) -> None:
+    with pytest.raises(SpecError) as caught:
+        load_spec("pendulum", **sections)
+    assert "all is well" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_reasons_in_the_summary_of_a_study_do_not_add_lines() -> None:
+    study: Any = SimpleNamespace(
+        points=(), references=(), failures=(), spec=SimpleNamespace(title=""), computed=0, folder="out"
+    )
+    study.unfinished, study.statuses, study.verdicts = (FORGED,), list, list
+    assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"
+
+
+def test_a_stream_for_the_terminal_keeps_lines_and_valid_json() -> None:
+    stream = io.StringIO()
+    print("a\x1bb\n\tc", file=PlainStream(stream))
+    assert stream.getvalue() == "a\\u001bb\n\tc\n"
+    stream = io.StringIO()
+    print(json.dumps({"title": "\x9b\u202e"}, ensure_ascii=False), file=PlainStream(stream))
+    assert json.loads(stream.getvalue()) == {"title": "\x9b\u202e"}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a|b", r"a\|b"),
+        ("two\nlines\n# heading", r"two lines \# heading"),
+        ("<script>x</script>", "&lt;script&gt;x&lt;/script&gt;"),
+        ("[x](javascript:y)", r"\[x\](javascript:y)"),
+        ("=cmd()", r"\=cmd()"),
+        ("-1.5e-3", "-1.5e-3"),
+    ],
+)
+def test_markdown_obeys_no_text(text: str, words: str) -> None:
+    assert markdown(text) == words
+
+
+@pytest.mark.parametrize("start", "=+-@")
+def test_a_spreadsheet_takes_no_text_for_a_formula(start: str) -> None:
+    assert csv_cell(f"{start}cmd|' /C calc'!A0.x") == f"'{start}cmd|' /C calc'!A0.x"
+    assert csv_cell("rod1.x") == "rod1.x"
+
+
+def test_a_usage_error_is_text(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "mbdkit", "archive", "info", "--bogus"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.endswith("Error: No such option: --bogus\n")
+    command = [sys.executable, "-m", "mbdkit", "archive", "check", "\x1b[31m.h5"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stderr == "\\u001b[31m.h5: there is no such file\n"

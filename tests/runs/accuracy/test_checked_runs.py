@@ -1,0 +1,259 @@
+"""Runs with ``check: true``: what they store, what they leave unchanged, and how companions fail."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.archive.archive_check import check
+from mbdkit.archive.compare import compare
+from mbdkit.archive.fingerprint import attributes_sha256
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec import load_spec
+from tests.stepping.step_methods import RungeKutta, run_with
+from tests.witness.known_motions import known_motions
+
+DOUBLE = {"name": "double-pendulum", "angles": [-1.0, -0.4]}
+FALLING = {"name": "double-pendulum", "angles": [1.5, 1.6]}
+
+
+def run(integrator: Any = None, model: Any = None, **sections: Any) -> mbdkit.Run:
+    given = {"mbdkit": 1, "model": model or DOUBLE, "integrator": integrator or {"name": "rk4"}}
+    return mbdkit.run({**given, "time": {"end": 1.0, "step": 0.01}, "check": True, **sections})
+
+
+METHODS: list[tuple[dict[str, Any], dict[str, Any]]] = [
+    ({"name": "rk4"}, {}),
+    ({"name": "gauss", "stages": 2}, {"stabilization": {"name": "baumgarte", "alpha": 5, "beta": 5}}),
+    ({"name": "gauss", "stages": 2}, {"stabilization": "projection"}),
+    ({"name": "gauss", "stages": 3}, {"output": {"interval": 0.03}}),
+    ({"name": "rk-gill"}, {"output": {"every": 7}, "time": {"end": 1.003, "step": 0.01}}),
+    ({"name": "radau-iia", "stages": 3}, {"formulation": "index-3"}),
+    ({"name": "rattle"}, {"formulation": "index-3"}),
+    ({"name": "dopri5", "adaptive": True}, {"time": {"end": 1.0}}),
+    ({"name": "dop853", "adaptive": True, "rtol": 1e-8}, {"time": {"end": 1.0}, "output": {"interval": 0.04}}),
+    ({"name": "radau-iia", "adaptive": True}, {"time": {"end": 1.0}}),
+    ({"name": "scipy-dop853", "rtol": 1e-6, "atol": 1e-6}, {"time": {"end": 1.0}}),
+    ({"name": "scipy-radau", "rtol": 1e-6, "atol": 1e-6}, {"time": {"end": 1.0}}),
+]
+
+
+@pytest.mark.parametrize(("integrator", "sections"), METHODS, ids=lambda x: x.get("name", "") if x else "")
+def test_errors_of_every_kind_of_method_are_known_and_right(integrator, sections):
+    # expected: the difference from a run of order 12 with a fine step at the same times
+    result = run(integrator, **sections)
+    accuracy = result.accuracy
+    assert accuracy.is_complete, accuracy.method
+    end = result.time[-1]
+    fine = mbdkit.run({"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "gauss", "stages": 6},
+                       "time": {"end": float(end), "step": 0.005}, "output": {"every": 10**6}})  # fmt: skip
+    last = {
+        path: result.array(path)[-1] - fine.array(path)[-1] for path in ("trajectory/position", "joints/reaction_force")
+    }
+    assert np.all(np.abs(last["trajectory/position"]) <= 3 * accuracy.position_error[-1] + 1e-12)
+    assert np.all(np.linalg.norm(last["joints/reaction_force"], axis=-1) <= 3 * accuracy.reaction_error[-1] + 1e-10)
+    assert np.max(accuracy.position_error[-1]) < 1e-3
+    assert np.all(accuracy.reaction_error[0] == 0.0)
+    assert np.array_equal(accuracy.time, result.time)
+
+
+def test_the_double_pendulum_that_seemed_right_is_not():
+    # expected: a joint force that is wrong by half of the largest one, against a step that is 16 times shorter
+    sections = {"time": {"end": 10.0, "step": 0.01}, "model": {"name": "double-pendulum", "angles": [1.2, 0.3]}}
+    result = run({"name": "gauss", "stages": 2}, **sections)
+    fine = run(
+        {"name": "gauss", "stages": 6},
+        **{**sections, "time": {"end": 10.0, "step": 0.000625}, "output": {"every": 16}, "check": False},
+    )
+    error = np.linalg.norm(result.array("joints/reaction_force") - fine.array("joints/reaction_force"), axis=-1)
+    accuracy = result.accuracy
+    peak = np.max(np.linalg.norm(result.array("joints/reaction_force"), axis=-1))
+    assert np.max(error) > 0.3 * peak
+    assert accuracy.known_until < 10.0
+    known = result.time <= accuracy.known_until
+    assert np.max(error[known]) < 3 * np.max(accuracy.reaction_error[known])
+    assert np.max(error[known]) < 0.3 * peak
+    assert "errors unknown afterwards" in result.summary()
+
+
+def test_a_check_changes_neither_the_data_nor_their_hash(tmp_path):
+    plain, checked = run(check=False), run()
+    assert plain.accuracy is None
+    assert plain.data_sha256 == checked.data_sha256
+    assert compare(plain, checked).same_data
+    with pytest.raises(mbdkit.MbdkitError, match="check: true"):
+        plain.array("accuracy/reaction_error")
+
+
+def test_a_spec_without_a_check_is_what_it_was_before_checks_existed():
+    given = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}}
+    assert "check" not in json.loads(load_spec(given).canonical_json())
+    assert load_spec({**given, "check": False}).run_id() == load_spec(given).run_id()
+    assert load_spec({**given, "check": True}).run_id() != load_spec(given).run_id()
+
+
+def test_an_archive_with_errors_is_sound_and_reads_back(tmp_path):
+    given = {"mbdkit": 1, "model": FALLING, "integrator": {"name": "gauss"}, "time": {"end": 12.0, "step": 0.02}}
+    path = tmp_path / "a.h5"
+    made = mbdkit.run(given, check=True, archive=path)
+    assert check(path) == []
+    with mbdkit.load(path) as loaded:
+        found = loaded.accuracy
+    assert found is not None
+    assert found.known_until == made.accuracy.known_until < 12.0
+    np.testing.assert_array_equal(found.reaction_error, made.accuracy.reaction_error)
+    tree = made.to_xarray()
+    assert tree["accuracy/position_error"].dims == ("time", "body", "coordinate")
+    made.close()
+    with h5py.File(path, "r+") as file:
+        file["accuracy/reaction_error"][3] = -1.0
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
+    assert check(path) == ["accuracy/reaction_error is negative or decreases"]
+
+
+def test_methods_written_in_python_are_checked_too():
+    result = run_with(RungeKutta(), DOUBLE, {"end": 0.5, "step": 0.01}, check=True)
+    assert result.accuracy.is_complete
+    assert result.accuracy.order_observed == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_failed_run_is_checked_up_to_its_last_row():
+    result = run(time={"end": 1.0, "step": 0.01}, limits={"max_steps": 33})
+    assert result.status == "failed"
+    assert result.accuracy.known_until == result.time[-1] == pytest.approx(0.33)
+
+
+def test_a_run_that_an_event_stops_is_checked_up_to_the_event():
+    stop = {"when": "rod1.angle + 1.2", "direction": "falling", "action": "stop"}
+    result = run({"name": "gauss", "stages": 2}, events={"low": stop})
+    assert result.status_reason.startswith("event")
+    assert result.accuracy.is_complete
+    assert 0.0 < result.accuracy.position_error_max < 1e-6
+
+
+def test_rows_of_joints_need_not_be_recorded():
+    result = run(output={"quantities": []})
+    assert result.accuracy.is_complete
+    assert result.accuracy.reaction_error.shape == (101, 2)
+    assert "positions known to" in result.summary()
+
+
+def test_a_mechanism_without_joints_is_checked():
+    model = {"name": "mechanism", "bodies": {"ball": {"mass": 1.0, "velocity": [1.0, 2.0]}}}
+    result = run(model=model)
+    assert result.accuracy.is_complete
+    assert result.accuracy.figures((), np.zeros((101, 0, 2))).worst_joint is None
+
+
+def test_wrong_angles_of_discs_whose_centres_rest_are_not_good():
+    # expected: the closed form of two discs on one axle, whose angles this step misses by 4.6 % of the size
+    known = next(one for one in known_motions() if one.name == "spinning discs")
+    result = run({"name": "gauss", "stages": 2}, known.model, time={"end": known.end, "step": 4 * known.step})
+    assert result.verdict == "doubtful"
+    assert result.verdict_reasons[0].startswith("The estimated error of positions is 0.046 of the mechanism's size")
+    assert result.accuracy.position_error_max < 1e-20
+    true = np.max(np.abs(result.array("trajectory/position") - known.solve(result.time)[0]))
+    assert result.accuracy.angle_error_max == pytest.approx(true, rel=0.5)
+    assert f"{result.accuracy.angle_error_max:.2g} rad" in result.summary().splitlines()[1]
+
+
+def test_the_progress_of_the_companions_is_told_like_that_of_the_run():
+    # expected: the run, two companions and a guard, each from the start to the end
+    spec = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.001}}
+    told: list[tuple[float, float]] = []
+    simulate(load_spec(spec, check=True), progress=lambda now, end: told.append((now, end)))
+    assert {end for _, end in told} == {1.0}
+    assert sum(now == 1.0 for now, _ in told) == 4
+
+
+def test_companions_stop_at_the_limit_of_wall_time():
+    model = {"name": "n-pendulum", "n": 40, "angles": [0.1 * k for k in range(40)]}
+    result = run(model=model, limits={"wall_time": 0.3}, time={"end": 1000.0, "step": 0.0005})
+    assert result.status_reason.startswith("wall-time")
+    assert result.accuracy.check_s < 5.0
+    assert "limits.wall_time" in result.accuracy.method
+    assert result.accuracy.known_until < result.time[-1]
+
+
+def test_an_interrupt_ends_the_check_and_keeps_the_run():
+    # expected: whether the signal comes during the run or during its check, the archive is whole
+    timer = threading.Timer(1.5, lambda: os.kill(os.getpid(), signal.SIGINT))
+    model = {"name": "n-pendulum", "n": 30, "angles": [0.1 * k for k in range(30)]}
+    timer.start()
+    result = run(model=model, time={"end": 40.0, "step": 0.0005}, output={"every": 100})
+    timer.cancel()
+    assert result.status in ("complete", "interrupted")
+    accuracy = result.accuracy
+    assert "stopped by the user" in accuracy.method
+    assert math.isnan(accuracy.known_until) or accuracy.known_until < result.time[-1]
+
+
+def test_a_pulse_that_all_tolerances_pass_over_is_seen_by_the_guard():
+    # expected: a body at rest that a smooth force of 5 N s pushes around 5 s, and that coarse steps leave at rest
+    push = {"type": "force", "body": "a", "value": ["5/(0.02*sqrt(pi))*exp(-((t-5)/0.02)**2)", 0.0]}
+    model = {
+        "name": "mechanism",
+        "gravity": [0, 0],
+        "bodies": {"a": {"mass": 1.0, "inertia": 1.0}},
+        "forces": {"f": push},
+    }
+    result = run({"name": "dop853", "adaptive": True, "rtol": 1e-10}, model, time={"end": 10.0})
+    if abs(result["a"].position[-1, 0] - 25.0) > 0.01:
+        assert result.accuracy.known_until < 5.0
+    coarse = run({"name": "rk4"}, model, time={"end": 10.0, "step": 0.8})
+    assert not abs(coarse["a"].position[-1, 0] - 25.0) < 0.01
+    assert coarse.accuracy.known_until < 5.6
+
+
+def test_the_summary_leads_with_the_largest_force_and_its_error():
+    lines = run({"name": "gauss", "stages": 2}).summary().splitlines()
+    assert lines[1].startswith("accuracy      largest force in J1 ")
+    assert " N, known to " in lines[1]
+
+
+def test_a_joint_without_load_is_not_compared_with_its_own_rounding_errors():
+    result = run()
+    force = result.array("joints/reaction_force").copy()
+    force[:, 1] *= 1e-15
+    for joint in result.accuracy.of_joints(result.joint_names, force):
+        assert joint.share < 1e-3
+
+
+def test_a_study_lists_until_when_its_runs_are_known(tmp_path: Path):
+    base = {"mbdkit": 1, "model": DOUBLE, "integrator": {"name": "gauss"}, "time": {"end": 0.5, "step": 0.01}}
+    spec = {"mbdkit_study": 1, "base": {**base, "check": True}, "axes": [{"time.step": [0.01, 0.02]}]}
+    frame = mbdkit.study(spec, out=tmp_path / "s").to_frame()
+    assert list(frame["known_until"]) == [0.5, 0.5]
+    assert np.all(frame["reaction_error_share"] < 1e-4)
+    assert np.all(frame["angle_error_estimate"] > 0)
+    assert list(frame["verdict"]) == ["good", "good"]
+
+
+def test_a_study_shows_which_of_its_checked_runs_are_doubtful_or_bad(tmp_path: Path):
+    base = {"mbdkit": 1, "model": FALLING, "integrator": {"name": "gauss"}, "time": {"end": 12.0, "step": 0.02}}
+    spec = {"mbdkit_study": 1, "base": base, "axes": [{"check": [False, True]}]}
+    study = mbdkit.study(spec, out=tmp_path / "s")
+    frame = study.to_frame()
+    assert frame["verdict"][1] in ("doubtful", "bad")
+    assert math.isnan(frame["known_until"][0])
+    assert frame["known_until"][1] < 12.0
+    assert "The error is known until" in frame["verdict_reasons"][1]
+
+
+def test_a_thin_leaf_is_checked_by_a_guard_on_the_index_2_equations() -> None:
+    # adaptive steps on the index-1 equations become small without end; twice as fast as the packaged example
+    spec = load_spec("leaf-spring").model_dump(mode="json")
+    spec["model"]["joints"]["motor"]["motion"] = "-pi/6*(1 - cos(2*pi*t/5))"
+    with mbdkit.run(spec, time={"end": 2.5, "step": 0.005}, output={"every": 20}, check=True) as run:
+        assert run.verdict == "good"
+        assert "confirmed by a run with adaptive radau-iia of order 9 and index 2" in run.accuracy.method

@@ -1,0 +1,366 @@
+"""A run that is killed goes on from its last checkpoint to the bits of the run that nobody disturbed."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import random
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import mbdkit
+import mbdkit.runs.run_checkpoint
+from mbdkit.archive import writer
+from mbdkit.archive.archive_check import check
+from mbdkit.archive.checkpoint import SLOTS, Checkpoint, FileImage, checkpoints
+from mbdkit.archive.layout import CHECKPOINT
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.cli import app
+from mbdkit.runs.run_checkpoint import Parts
+from mbdkit.stepping import interface
+
+from .killed_runs import killed, make_frequent
+
+PENDULUM = {"name": "n-pendulum", "n": 3}
+WINDOWS = {"name": "n-four-bar", "n": 2, "speed": 1.0}
+"""It passes singular positions."""
+
+BADLY_SCALED = {
+    "name": "mechanism",
+    "bodies": {
+        "rod0": {"mass": 1.0, "inertia": 133.0, "position": [20.0, 0.0], "angular_velocity": 1.5, "velocity": [0, 30]},
+        "rod1": {"mass": 1.0, "inertia": 133.0, "position": [60.0, 0.0], "angular_velocity": 1.5, "velocity": [0, 90]},
+        "crumb": {"mass": 1e-7},
+    },
+    "joints": {
+        "J0": {"type": "revolute", "bodies": ["ground", "rod0"], "at": [0, 0]},
+        "J1": {"type": "revolute", "bodies": ["rod0", "rod1"], "at": [40, 0]},
+    },
+}
+"""The crumb is so light that the run takes the system with pivots, which are chosen anew as the rods turn over."""
+
+TIGHT = {"adaptive": True, "rtol": 1e-10, "atol": 1e-10}
+EVENTS = {"up": {"when": "rod2.y", "direction": "any"}, "pull": {"when": "J1.force - 30", "direction": "any"}}
+
+
+def spec_of(integrator: dict[str, Any], time: dict[str, Any], model: Any = PENDULUM, **more: Any) -> dict[str, Any]:
+    return {"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **more}
+
+
+IMAGE = FileImage(3, np.array([[0, 2]]), np.array([7, 8], np.uint8))
+
+GAUSS = {"name": "gauss", "stages": 2}
+
+SPECS = {
+    "rk4": spec_of({"name": "rk4"}, {"steps": 40_000, "step": 1e-4}, output={"every": 20}),
+    "rk4 through singular positions": spec_of({"name": "rk4"}, {"end": 10.0, "step": 1e-3}, WINDOWS),
+    "rk4 with pivots": spec_of({"name": "rk4"}, {"end": 20.0, "step": 1e-3}, BADLY_SCALED),
+    "gauss with pivots": spec_of(GAUSS, {"end": 10.0, "step": 2e-3}, BADLY_SCALED),
+    "gauss": spec_of(GAUSS, {"steps": 6000, "step": 1e-3}, output={"every": 5}),
+    "gauss, projection": spec_of(GAUSS, {"steps": 4000, "step": 1e-3}, stabilization="projection"),
+    "gauss, projection, events": spec_of(
+        GAUSS, {"steps": 600, "step": 2e-3}, stabilization="projection", events=EVENTS
+    ),
+    "dopri5, adaptive": spec_of({"name": "dopri5", **TIGHT}, {"end": 15.0}, output={"interval": 0.01}),
+    "radau-iia, adaptive": spec_of({"name": "radau-iia", **TIGHT}, {"end": 10.0}, output={"interval": 0.01}),
+    "radau-iia, index-3": spec_of(
+        {"name": "radau-iia", "stages": 2}, {"steps": 3000, "step": 1e-3}, formulation="index-3"
+    ),
+    "rattle": spec_of({"name": "rattle"}, {"steps": 10_000, "step": 1e-4}, formulation="index-3"),
+}
+
+
+@pytest.fixture
+def frequent(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, name in (
+        (interface, "STRETCH"),
+        (writer, "FLUSH_INTERVAL"),
+        (mbdkit.runs.run_checkpoint, "INTERVAL"),
+        (mbdkit.runs.run_checkpoint, "SHARE"),
+    ):
+        monkeypatch.setattr(module, name, getattr(module, name))  # restored after the test
+    make_frequent()
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
+    whole = mbdkit.run(SPECS[name])  # compiles as well, so that the forks need not
+    delay = 0.3 * float(whole.stats["wall_s"])
+    part = tmp_path / "run.h5.part"
+    assert killed(SPECS[name], part, checkpoints=random.choice([1, 2, 3]), delay=delay)
+    killed(None, part, checkpoints=2, delay=delay)  # its first checkpoint is the one from which it continues
+    run = mbdkit.resume(part) if part.exists() else mbdkit.load(part.with_suffix(""))
+    assert run.data_sha256 == whole.data_sha256
+    assert not check(part.with_suffix(""))
+    counters = [name for name in whole.stats if not name.endswith("_s")]
+    assert {name: run.stats[name] for name in counters} == {name: whole.stats[name] for name in counters}
+    assert (run.status_reason, run.verdict_reasons) == (whole.status_reason, whole.verdict_reasons)
+    assert run.provenance.get("resumed") in (1, 2)
+    assert CHECKPOINT not in run.file
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+@pytest.mark.parametrize("name", ["rk4 with pivots", "gauss with pivots", "gauss, projection, events"])
+def test_whole_state_of_a_checkpoint_is_restored(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Crossings and pivots depend on some values only in rare cases, so that equal bits do not show them."""
+    part = tmp_path / "run.h5.part"
+    assert killed(SPECS[name], part, checkpoints=4, delay=0.0)
+    seen: list[bool] = []
+    restore = Parts.restore
+
+    def compared(self: Parts, state: Any) -> None:
+        restore(self, state)
+        without = {key: value for key, value in state.items() if key != "times"}
+        wanted, found = (Checkpoint(1, {}, (), one, IMAGE).encoded() for one in (without, self.stored()))
+        seen.append(wanted == found)
+
+    monkeypatch.setattr(Parts, "restore", compared)
+    mbdkit.resume(part)
+    assert seen == [True]
+
+
+def test_check_of_a_resumed_run_estimates_the_same_errors(tmp_path: Path) -> None:
+    spec = spec_of(GAUSS, {"steps": 3000, "step": 2e-3}, check=True)
+    whole, part = mbdkit.run(spec), tmp_path / "run.h5.part"
+    assert killed(spec, part, delay=0.0)
+    run = mbdkit.resume(part)
+    assert whole.accuracy is not None
+    assert run.accuracy is not None
+    assert run.accuracy.position_error_max == whole.accuracy.position_error_max
+    assert run.accuracy.known_until == whole.accuracy.known_until
+
+
+def test_wall_time_of_both_parts_counts(tmp_path: Path) -> None:
+    spec, part = SPECS["rk4"], tmp_path / "run.h5.part"
+    assert killed(spec, part, delay=0.0)
+    with h5py.File(part) as file:
+        taken = checkpoints(file)[0].state["times"]["wall_s"]
+        rows = checkpoints(file)[0].rows["time"]
+    run = mbdkit.resume(part)
+    assert run.stats["wall_s"] > taken
+    assert np.all(np.diff(run.elapsed) >= 0.0)
+    assert run.elapsed[rows] >= run.elapsed[rows - 1]
+
+
+@pytest.fixture(scope="module")
+def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The ``.part`` of a killed run."""
+    part = tmp_path_factory.mktemp("killed") / "run.h5.part"
+    assert killed(SPECS["rk4"], part, checkpoints=3, delay=0.0)
+    return part
+
+
+@pytest.fixture
+def part(left: Path, tmp_path: Path) -> Iterator[Path]:
+    """A copy of it, which a refusal must leave as it is."""
+    copy = tmp_path / "run.h5.part"
+    shutil.copy(left, copy)
+    return copy
+
+
+def refusal(part: Path, error: type[Exception] = SpecError) -> str:
+    """Return the sentence by which a file is refused; it stays as it is, and nothing is left beside it."""
+    before, names = part.read_bytes(), sorted(os.listdir(part.parent))
+    with pytest.raises(error) as told:
+        mbdkit.resume(part)
+    assert part.read_bytes() == before
+    assert sorted(os.listdir(part.parent)) == names
+    assert "\n" not in str(told.value)
+    return str(told.value)
+
+
+def change_provenance(part: Path, **entries: str) -> None:
+    with h5py.File(part, "r+") as file:
+        for name, value in entries.items():
+            file["provenance"].attrs.modify(name, value)
+
+
+def test_another_version_is_named_and_refused(part: Path) -> None:
+    change_provenance(part, mbdkit="0.0.7")
+    assert "it began with mbdkit 0.0.7, now " in refusal(part)
+
+
+def test_another_version_of_a_plugin_is_named_and_refused(part: Path) -> None:
+    change_provenance(part, integrator_version="9.9")
+    assert "it began with mbdkit:rk4 version 9.9, now " in refusal(part)
+
+
+def test_file_of_a_living_run_is_refused(part: Path) -> None:
+    with part.open("rb") as handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        assert "still writing" in refusal(part, ResourceError)
+
+
+def test_older_checkpoint_is_used_if_the_newer_one_is_damaged(part: Path) -> None:
+    whole = mbdkit.run(SPECS["rk4"])
+    with h5py.File(part, "r+") as file:
+        newest, older = checkpoints(file)
+        slot = file[CHECKPOINT][SLOTS[newest.number % 2]]
+        slot[100] = slot[100] ^ 1
+        assert [one.number for one in checkpoints(file)] == [older.number]
+    assert mbdkit.resume(part).data_sha256 == whole.data_sha256
+
+
+def test_run_without_whole_checkpoints_is_refused(part: Path) -> None:
+    with h5py.File(part, "r+") as file:
+        for name in SLOTS:
+            file[CHECKPOINT][name][0] = 0
+    assert "none of its checkpoints can be used" in refusal(part)
+
+
+def test_run_without_checkpoints_is_refused(part: Path) -> None:
+    with h5py.File(part, "r+") as file:
+        del file[CHECKPOINT]
+    assert "it has no checkpoint; runs write the first one after 5 s of steps; run it anew" in refusal(part)
+
+
+def test_structure_that_cannot_be_read_is_restored_from_a_checkpoint(part: Path) -> None:
+    """A kill may leave the tables of HDF5 half written."""
+    content = bytearray(part.read_bytes())
+    content[:2048] = bytes(2048)
+    part.write_bytes(content)
+    with pytest.raises(OSError):
+        h5py.File(part)
+    assert mbdkit.resume(part).data_sha256 == mbdkit.run(SPECS["rk4"]).data_sha256
+    assert os.listdir(part.parent) == ["run.h5"]
+
+
+def test_changed_row_is_noticed(part: Path) -> None:
+    with h5py.File(part, "r+") as file:
+        file["trajectory/velocity"][3, 0, 0] += 1e-12
+    assert "none of its checkpoints can be used" in refusal(part)
+
+
+def test_damage_anywhere_is_refused_or_harmless(left: Path, tmp_path: Path) -> None:
+    whole, content = mbdkit.run(SPECS["rk4"]).data_sha256, left.read_bytes()
+    generator = np.random.default_rng(20261121)
+    for case in range(12):
+        folder = tmp_path / str(case)
+        folder.mkdir()
+        part, damaged = folder / "run.h5.part", bytearray(content)
+        if case % 4:
+            damaged[int(generator.integers(len(content)))] ^= 1 << int(generator.integers(8))
+        else:
+            del damaged[int(generator.integers(len(content))) :]
+        part.write_bytes(damaged)
+        try:
+            assert mbdkit.resume(part).data_sha256 == whole
+        except (SpecError, ResourceError):
+            assert part.read_bytes() == damaged
+
+
+def test_made_up_state_is_refused(part: Path, frequent: None) -> None:
+    """A stranger can compute hashes, too; indices that kernels follow are checked."""
+    with h5py.File(part, "r+") as file:
+        newest = checkpoints(file)[0]
+        slot = file[CHECKPOINT][SLOTS[newest.number % 2]]
+        progress = newest.state["stepper"]["run"]["progress"]
+        progress["passed"][0] = 10**9
+        made = newest.encoded()
+        slot[: len(made)] = np.frombuffer(made, np.uint8)
+    assert "the state of its checkpoint does not fit its spec (ValueError: it has passed more" in refusal(part)
+
+
+def test_commands_that_read_unfinished_archives_do_not_show_checkpoints(part: Path) -> None:
+    assert check(part) == ["the run did not end: it crashed or is still running, so there is no hash to check"]
+
+
+def test_state_survives_encoding() -> None:
+    state = {"a": np.array([np.nan, -0.0, 5e-324]), "b": [None, 1, "x", 0.1 + 0.2, np.inf], "c": np.zeros((0, 2), int)}
+    again = Checkpoint.decoded(Checkpoint(3, {"time": 7}, ("line",), state, IMAGE).encoded() + b"rest of the slot")
+    assert again is not None
+    assert (again.number, again.rows, again.lines) == (3, {"time": 7}, ("line",))
+    assert again.state["a"].tobytes() == state["a"].tobytes()  # type: ignore[attr-defined]
+    assert again.state["b"] == state["b"]
+    assert again.state["c"].shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"integrator": {"name": "scipy-dop853"}, "time": {"end": 3.0}}, "SciPy"),
+        ({"integrator": {"name": "gauss"}, "time": {"end": 1.0}, "accuracy": 1e-6}, "pilot runs"),
+    ],
+)
+def test_methods_without_checkpoints_say_why(changes: dict[str, Any], why: str, part: Path) -> None:
+    spec = mbdkit.RunSpec(**{"mbdkit": 1, "model": PENDULUM, **changes})
+    with h5py.File(part, "r+") as file:
+        file.attrs.modify("spec", spec.canonical_json())
+        file.attrs.modify("spec_sha256", spec.sha256())
+        file.attrs.modify("run_id", spec.run_id())
+        file["provenance"].attrs.modify("integrator", spec.integrator_item.id)
+    assert why in refusal(part)
+
+
+def test_ended_run_that_was_not_renamed_is_renamed(tmp_path: Path) -> None:
+    path, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    mbdkit.run("pendulum", archive=path).close()
+    whole = path.read_bytes()
+    path.rename(part)
+    with mbdkit.resume(part) as run:
+        assert run.status == "complete"
+    assert path.read_bytes() == whole
+    path.rename(part)
+    damaged = bytearray(whole)
+    damaged[len(whole) // 2] ^= 1
+    part.write_bytes(damaged)
+    assert "damaged" in refusal(part)
+
+
+def test_names_that_cannot_be_resumed(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match=r"there is no such file$"):
+        mbdkit.resume(tmp_path / "run.h5.part")
+    (tmp_path / "run.h5").touch()
+    with pytest.raises(SpecError, match=r"the run has ended, and run.h5 is its archive"):
+        mbdkit.resume(tmp_path / "run.h5.part")
+    with pytest.raises(SpecError, match=r"only the unfinished archive of a run can be resumed: name FILE.h5.part"):
+        mbdkit.resume(tmp_path / "run.h5")
+    for make in (os.mkdir, os.mkfifo):
+        make(tmp_path / "other.h5.part")
+        with pytest.raises(SpecError, match=r"this is not a regular file|this is a folder"):
+            mbdkit.resume(tmp_path / "other.h5.part")
+        shutil.rmtree(tmp_path / "other.h5.part") if make is os.mkdir else None
+
+
+def test_exception_of_the_progress_keeps_the_part(part: Path, frequent: None) -> None:
+    def fail(reached: float, end: float) -> None:
+        raise RuntimeError("no")
+
+    with pytest.raises(RuntimeError, match="no"):
+        mbdkit.resume(part, progress=fail)
+    assert os.listdir(part.parent) == ["run.h5.part"]
+    assert mbdkit.resume(part).data_sha256 == mbdkit.run(SPECS["rk4"]).data_sha256
+
+
+def test_short_runs_write_no_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer.ArchiveWriter, "keep_checkpoint", lambda *_: pytest.fail("a checkpoint was written"))
+    mbdkit.run("pendulum", archive=tmp_path / "run.h5").close()
+
+
+def test_command_resumes_a_run(part: Path) -> None:
+    done = CliRunner().invoke(app, ["run", "--resume", str(part)])
+    assert done.exit_code == 0, done.output
+    assert "run.h5" in done.stdout
+    with mbdkit.load(part.with_suffix("")) as run:
+        assert run.data_sha256 == mbdkit.run(SPECS["rk4"]).data_sha256
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--resume", "run.h5.part", "pendulum", "--check"], "leave out SPEC, --check"),
+        (["--resume", "run.h5"], "only the unfinished archive of a run can be resumed"),
+        ([], "give a SPEC, or --resume FILE.h5.part"),
+    ],
+)
+def test_wrong_arguments_of_the_command(arguments: list[str], told: str) -> None:
+    refused = CliRunner().invoke(app, ["run", *arguments])
+    assert refused.exit_code == 2
+    assert told in refused.output

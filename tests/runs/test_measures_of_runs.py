@@ -1,0 +1,83 @@
+"""`measures` in the spec of a run: checked before it, taken at its end, kept in its archive."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.archive.archive_check import check
+from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.base.errors import SpecError
+
+TIME = {"end": 0.2, "step": 0.01}
+MEASURES = {
+    "peak_B": {"value": "max(abs(joints.B.force))", "unit": "kN"},
+    "bend": {"value": "final(shank.angle)", "unit": "deg"},
+}
+
+
+def measured() -> mbdkit.Run:
+    return mbdkit.run("knee", time=TIME, measures=MEASURES)
+
+
+def test_measures_are_those_of_the_recorded_rows() -> None:
+    run = measured()
+    force = np.linalg.norm(run.joints["B"].reaction_force, axis=1)
+    assert run.measures == {
+        "peak_B": pytest.approx(force.max() / 1000.0),
+        "bend": pytest.approx(math.degrees(run["shank"].angle[-1])),
+    }
+    assert run.measures.units == {"peak_B": "kN", "bend": "deg"}
+    assert f"measures      peak_B {force.max() / 1000.0:.6g} kN\n" in run.summary()
+
+
+def test_they_are_kept_in_the_archive_outside_the_hash_of_the_data(tmp_path: Path) -> None:
+    run = measured()
+    run.save(tmp_path / "run.h5")
+    with mbdkit.load(tmp_path / "run.h5") as kept:
+        assert kept.measures == run.measures
+        assert kept.measures.units == run.measures.units
+    assert check(tmp_path / "run.h5") == []
+    plain = mbdkit.run("knee", time=TIME)
+    assert plain.measures == {}
+    assert plain.data_sha256 == run.data_sha256
+
+
+def test_values_that_are_not_finite_and_failures_survive_the_archive() -> None:
+    kept = MeasuredValues.from_json(MeasuredValues({"a": math.nan}, {"a": "N"}, {"a": "why"}).to_json())
+    assert math.isnan(kept["a"])
+    assert (kept.units, kept.reasons) == ({"a": "N"}, {"a": "why"})
+    for damaged in ("[]", '{"a": 1}', '{"a": {"value": "x", "unit": "N"}}', "{"):
+        with pytest.raises(ValueError, match=r"measures|convert|Expecting"):
+            MeasuredValues.from_json(damaged)
+
+
+@pytest.mark.parametrize(
+    ("measures", "key", "words"),
+    [
+        ({"x": "max(joints.Z.force)"}, "measures.x", "there is no joint 'Z'"),
+        ({"x": "joints.B.force"}, "measures.x", "a measure is one number"),
+        ({"x": {"value": "max(energy.total)", "unit": "N"}}, "measures.x.unit", "cannot be given in N"),
+        ({"misalignment_max": "max(energy.total)"}, "measures.misalignment_max", "is a built-in measure"),
+        (["misalignment_max"], "measures", "should be a mapping of names and expressions, not a list"),
+        ({"x": 1}, "measures.x", "should be an expression"),
+    ],
+)
+def test_wrong_measures_are_refused_before_the_run(measures: Any, key: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match=words) as caught:
+        mbdkit.run("knee", time=TIME, measures=measures, archive=tmp_path / "run.h5")
+    assert caught.value.key == key
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_study_runs_a_base_with_measures(tmp_path: Path) -> None:
+    base = json.loads(mbdkit.RunSpec(**measured().spec).canonical_json())
+    study = {"mbdkit_study": 1, "base": base, "axes": [{"time.step": [0.01, 0.02]}]}
+    done = mbdkit.study(study, out=tmp_path / "study")
+    assert [set(run.measures) for point in done.points if (run := done.run(point))] == [{"peak_B", "bend"}] * 2

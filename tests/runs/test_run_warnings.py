@@ -1,0 +1,185 @@
+"""Warnings about values of a spec that are valid but probably not meant: printed, and kept in the archive."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit.runs.preparation import build
+from mbdkit.runs.warnings import spec_warnings, start_warnings
+from mbdkit.spec import example_names, load_spec
+from mbdkit.spec.reading import parse_key, put
+
+SPEC: dict[str, Any] = {
+    "mbdkit": 1,
+    "model": {
+        "name": "mechanism",
+        "bodies": {"rod": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
+        "joints": {"A": {"type": "revolute", "bodies": ["ground", "rod"], "points": [[0, 0], [-0.5, 0]]}},
+    },
+    "integrator": {"name": "rk4"},
+    "time": {"end": 0.1, "step": 0.01},
+}
+
+
+def warnings_of(**values: Any) -> tuple[str, ...]:
+    """Return the warnings about the spec with other values; ``__`` separates the parts of a key."""
+    data = copy.deepcopy(SPEC)
+    for key, value in values.items():
+        put(data, parse_key(key.replace("__", ".")), value)
+    return spec_warnings(load_spec(data))
+
+
+DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
+
+
+@pytest.mark.parametrize(
+    ("values", "place"),
+    [
+        ({"model__bodies__rod__angle": 45}, "45 rad at model.bodies.rod.angle"),
+        ({"model__bodies__rod__angle": -22.5}, "-22.5 rad at model.bodies.rod.angle"),
+        ({"model__joints__A": {**SPEC["model"]["joints"]["A"], "type": "weld", "angle": 90}}, "model.joints.A.angle"),
+        ({"model__joints__D": {**DRIVER, "motion": 30}}, "30 rad at model.joints.D.motion"),
+        (
+            {"model__forces": {"t": {"type": "torsion-spring", "bodies": ["ground", "rod"], "free_angle": 180}}},
+            "180 rad at model.forces.t.free_angle",
+        ),
+        ({"model": {"name": "double-pendulum", "angles": [0.3, 60]}}, "60 rad at model.angles[1]"),
+        ({"model": {"name": "four-bar-knee", "flexion": 0.6, "thigh_angle": -90}}, "-90 rad at model.thigh_angle"),
+        (
+            {"parameters": {"tilt": 90}, "model__bodies__rod__angle": "tilt"},
+            "90 rad at model.bodies.rod.angle (from parameters.tilt) is more than a turn; if degrees are meant",
+        ),
+        (
+            {"parameters": {"a": 45, "b": "2*a"}, "model__bodies__rod__angle": "b + a"},
+            "135 rad at model.bodies.rod.angle (from parameters.a and parameters.b)",
+        ),
+        (
+            {"parameters": {"tilt": 90}, "model": {"name": "double-pendulum", "angles": [0.3, "tilt"]}},
+            "parameters.tilt",
+        ),
+        ({"parameters": {"tilt": 90}, "model__joints__D": {**DRIVER, "motion": "tilt"}}, "write degrees(tilt)"),
+        ({"time__step": 1.0}, "the step of 1 s at time.step is longer than the run of 0.1 s"),
+        ({"parameters": {"crank": 1, "crnk": 2}, "model__bodies__rod__mass": "crank"}, "parameters.crnk is not used"),
+    ],
+)
+def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[str, Any], place: str) -> None:
+    told = warnings_of(**values)
+    assert len(told) == 1
+    assert place in told[0]
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"model__bodies__rod__angle": 6.0},
+        {"model__bodies__rod__angle": 7.853981633974483},
+        {"model__bodies__rod__angle": "degrees(720)"},
+        {"model__bodies__rod__angle": "4*pi"},
+        {"parameters": {"tilt": 90}, "model__bodies__rod__angle": "degrees(tilt)"},
+        {"parameters": {"tilt": "degrees(450)"}, "model__bodies__rod__angle": "tilt"},
+        {"model__bodies__rod__angular_velocity": 90},
+        {"parameters": {"rate": 90}, "model__joints__D": {**DRIVER, "motion": "rate*t"}},
+        {"model__joints__D": {**DRIVER, "motion": "8"}},
+        {"model__joints__D": {**DRIVER, "coordinate": "x", "motion": 30}},
+        {"time__step": 0.1},
+        {"parameters": {"a": 1, "b": "a"}, "model__bodies__rod__mass": "b"},
+        {"parameters": {"a": 1}, "events": {"e": {"when": "rod.angle - a"}}},
+    ],
+)
+def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
+    assert warnings_of(**values) == ()
+
+
+def test_no_packaged_example_is_warned_about() -> None:
+    for name in example_names("run"):
+        spec = load_spec(name)
+        warnings = [one for one in spec_warnings(spec) if not one.startswith("the elements of beam")]
+        assert warnings == []
+        assert start_warnings(spec, build(spec)[1]) == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        # expected: by hand; the pin is moved from x to 0, the size is 0.5 m
+        ({"position": [0.56, 0.0]}, 0.06),
+        ({"position": [0.54, 0.0]}, None),
+        ({"position": [0.0, 0.0], "angle": 0.0}, 0.5),
+    ],
+)
+def test_a_start_that_assembly_moves_far_is_told_with_the_body(values: dict[str, Any], told: float | None) -> None:
+    data = copy.deepcopy(SPEC)
+    data["model"]["bodies"]["rod"] |= values
+    data["model"]["joints"]["A"]["bodies"] = ["ground", "rod"]
+    spec = load_spec(data)
+    _, start = build(spec)
+    warnings = start_warnings(spec, start)
+    if told is None:
+        assert warnings == ()
+        return
+    assert len(warnings) == 1
+    assert f"moves a point of rod by {told:.3g} m" in warnings[0]
+    assert "model.bodies.rod" in warnings[0]
+
+
+def test_warnings_are_printed_and_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = copy.deepcopy(SPEC)
+    data["model"]["bodies"]["rod"] |= {"position": [0.7, 0.0]}
+    data["time"] = {"end": 0.1, "step": 0.5}
+    with mbdkit.run(data, archive=tmp_path / "warned.h5") as run:
+        assert [warning.partition(" ")[0] for warning in run.warnings] == ["the", "assembly"]
+        kept = run.warnings
+    assert all(f"warning: {warning}" in capsys.readouterr().err for warning in kept[:1])
+    with mbdkit.load(tmp_path / "warned.h5") as run:
+        assert run.warnings == kept
+        assert run.verdict == "doubtful"
+
+
+BEAM = {"a": [0, 0], "b": [1, 0], "elements": 20, "E": 2e11, "nu": 0.3, "A": 4e-4, "I": 1.3e-8, "density": 8000}
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step", "expected"),
+    [
+        ({"name": "radau-iia", "stages": 2}, 1e-3, ("beam 'link'", "step of 0.001 s", "radau-iia damps faster ones")),
+        ({"name": "gauss", "stages": 2}, 1e-3, ("gauss keeps the energy of faster ones, but not their frequencies",)),
+        ({"name": "gauss", "stages": 2}, 1e-7, None),
+        ({"name": "rk4"}, 1e-3, None),  # which fails
+    ],
+)
+def test_motions_of_beams_that_steps_do_not_resolve_are_named(
+    integrator: dict[str, Any], step: float, expected: tuple[str, ...] | None
+) -> None:
+    found = warnings_of(model={"name": "mechanism", "beams": {"link": BEAM}}, integrator=integrator, time__step=step)
+    assert len(found) == (expected is not None)
+    for part in expected or ():
+        assert part in found[0]
+
+
+def test_the_place_of_a_node_is_not_an_angle() -> None:
+    nodes = [[6.4, 7.2 + i, 0.0] for i in range(3)]
+    beam = BEAM | {"elements": 2, "start": nodes}
+    assert warnings_of(model={"name": "mechanism", "beams": {"link": beam}}) == ()
+
+
+def test_what_steps_do_not_resolve_of_a_beam_does_not_question_the_run() -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.beam("link", velocity=(1.0, 0.0), **BEAM)
+    run = mbdkit.run(m, integrator={"name": "gauss", "stages": 2}, time={"end": 2e-3, "step": 1e-3})
+    assert len(run.warnings) == 1
+    assert not run.verdict_reasons
+
+
+def test_steps_in_which_a_stiff_beam_turns_too_far_say_so() -> None:
+    spec = load_spec("spin-up-beam").model_dump(mode="json")
+    spec["model"]["joints"]["motor"]["motion"] = "6*t"
+    spec["model"]["beams"]["blade"]["angular_velocity"] = 6.0
+    run = mbdkit.run(load_spec(spec, time={"end": 0.2, "step": 0.02}))
+    assert run.status == "failed"
+    assert "may turn by at most some 0.03 rad in an implicit step, here up to 1.5 rad/s" in run.status_reason
