@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal
@@ -45,6 +45,8 @@ from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.part_file import write_image
 from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.run_views import Animation, RunPlots
+from mbdkit.base import higher_layers
 from mbdkit.base.errors import MbdkitError, RunError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
@@ -55,9 +57,6 @@ from mbdkit.trust.criteria import LEVELS, Level
 if TYPE_CHECKING:
     import pandas
     import xarray
-
-    from mbdkit.notebook.animation import Animation
-    from mbdkit.plot.run_plots import RunPlots
 
 #: Arrays larger than this are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
@@ -705,9 +704,7 @@ class Run(HtmlView):
     @property
     def plot(self) -> RunPlots:
         """Plots of the run on Matplotlib axes, such as ``run.plot.reactions(joints=["knee"])``."""
-        from mbdkit.plot.run_plots import RunPlots  # an import of a higher layer, for convenience
-
-        return RunPlots(self)
+        return RunPlots(partial(higher_layers.draw_run, self))
 
     def animate(self) -> Animation:
         """Return an animation, which notebooks show with its controls.
@@ -719,9 +716,8 @@ class Run(HtmlView):
         SpecError
             If the run has no rows.
         """
-        from mbdkit.notebook.animation import Animation  # an import of a higher layer, for convenience
-
-        return Animation(self)
+        animation: Animation = higher_layers.animation(self)
+        return animation
 
     def summary(self) -> str:
         """Return a summary of the run as a few lines of plain text.
@@ -732,9 +728,7 @@ class Run(HtmlView):
         >>> print(mbdkit.run("pendulum", time={"end": 1.0, "step": 0.01}).summary().splitlines()[0])
         verdict       unknown: nothing suspicious seen; error not estimated
         """
-        from mbdkit.archive.run_summary import summary
-
-        return summary(self)
+        return higher_layers.run_summary(self)
 
     def to_xarray(self) -> xarray.DataTree:
         """Load the archive as an xarray DataTree, equal to the result of `xarray.open_datatree` for the file.
@@ -775,9 +769,8 @@ class Run(HtmlView):
         MbdkitError
             If pandas is not installed, or the run did not record the group.
         """
-        from mbdkit.archive.data_frame import to_frame
-
-        return to_frame(self, group)
+        frame: pandas.DataFrame = higher_layers.run_frame(self, group)
+        return frame
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write the archive to a file, byte for byte.

@@ -21,5 +21,17 @@ check_gradients: Callable[[Any, Any], None]
 gradients_json: Callable[[Any], str]
 """Returns the gradients that a run spec asks for, as its archive stores them."""
 
+draw_run: Callable[..., Any]
+"""Draws a kind of plot of a run on axes, which it returns; see `mbdkit.archive.run_views.RunPlots`."""
+
+animation: Callable[[Any], Any]
+"""Returns the animation of a run; see `mbdkit.archive.run_views.Animation`."""
+
+run_summary: Callable[[Any], str]
+"""Returns the summary of a run as lines of text."""
+
+run_frame: Callable[[Any, str], Any]
+"""Returns a group of a run as a pandas DataFrame."""
+
 html_of: Callable[[Any], str] = repr
 """Returns the HTML of an object that notebooks show."""

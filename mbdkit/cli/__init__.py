@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import sys
 import warnings
+from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -32,9 +33,7 @@ app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=F
 
 def _print_version(value: bool) -> None:
     if value:
-        from mbdkit import __version__
-
-        show(f"mbdkit {__version__}")
+        show(f"mbdkit {version('mbdkit')}")
         raise typer.Exit
 
 

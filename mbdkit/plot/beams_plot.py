@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.run_views import BeamForce, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.plot.beam_curves import has_beams
 from mbdkit.plot.chart_images import draw_chart
 from mbdkit.plot.downsampling import Array, bands
-from mbdkit.plot.element_quantity import MOST, Names
+from mbdkit.plot.element_quantity import MOST
 from mbdkit.plot.panel import Panel, dress_over_time, panel_title
 from mbdkit.plot.scene import nearest_rows
 from mbdkit.plot.style import PALETTE
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 
     from mbdkit.archive.run import Run
 
-Component = Literal["moment", "shear", "axial"]
 _TITLES = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
 _TIMES = 5
 _ALONG = Axis("distance from the end a / length")
@@ -55,7 +55,7 @@ class BeamPeak:
     row: int
 
 
-def beam_peak(run: Run, beam: str, component: Component) -> BeamPeak:
+def beam_peak(run: Run, beam: str, component: BeamForce) -> BeamPeak:
     """Return the largest magnitude of an internal force of a beam over all elements and rows."""
     values: Array = getattr(run.beams[beam], component)
     size = np.where(np.isfinite(values), np.abs(values), -1.0)
@@ -68,22 +68,22 @@ def panels(run: Run) -> list[Panel]:
     """Return panels of each internal force along the beams, and over time."""
     if not run.beams:
         return [Panel(_draw_nothing)]
-    along = [Panel(partial(_draw, chart=_along(run, which)), over_time=False) for which in get_args(Component)]
-    return [*along, *(Panel(partial(_draw, chart=_over_time(run, which))) for which in get_args(Component))]
+    along = [Panel(partial(_draw, chart=_along(run, which)), over_time=False) for which in get_args(BeamForce)]
+    return [*along, *(Panel(partial(_draw, chart=_over_time(run, which))) for which in get_args(BeamForce))]
 
 
 def charts(run: Run) -> list[Figure]:
     """Return the charts of each internal force along the beams, and over time; none if the run has no beams."""
     if not has_beams(run):
         return []
-    return [draw(run, which) for draw in (_along, _over_time) for which in get_args(Component)]
+    return [draw(run, which) for draw in (_along, _over_time) for which in get_args(BeamForce)]
 
 
 def chart(
     run: Run,
     *,
     beams: Names = None,
-    components: Component = "moment",
+    components: BeamForce = "moment",
     times: float | Sequence[float] | None = None,
     most: int = MOST,
 ) -> Figure:
@@ -107,8 +107,8 @@ def chart(
     NotRecordedError
         The run did not record the internal forces of beams.
     """
-    if components not in get_args(Component):
-        known = listed(get_args(Component), "or")
+    if components not in get_args(BeamForce):
+        known = listed(get_args(BeamForce), "or")
         raise SpecError(f"components is {components!r}; a plot of beams shows {known}")
     if not run.beams:
         raise SpecError("this run has no beams")
@@ -118,7 +118,7 @@ def chart(
     return _along(run, components, names, np.atleast_1d(np.asarray(times, dtype=float)))
 
 
-def _picked(run: Run, wanted: Names, component: Component, most: int) -> list[str]:
+def _picked(run: Run, wanted: Names, component: BeamForce, most: int) -> list[str]:
     """Return the wanted beams or, if None, at most `most` with the largest values."""
     known = list(run.beams)
     if wanted is None:
@@ -131,11 +131,11 @@ def _picked(run: Run, wanted: Names, component: Component, most: int) -> list[st
     return names
 
 
-def _axis(component: Component) -> Axis:
+def _axis(component: BeamForce) -> Axis:
     return Axis(_TITLES[component].lower(), "N m" if component == "moment" else "N")
 
 
-def _along(run: Run, component: Component, names: Sequence[str] | None = None, times: Array | None = None) -> Figure:
+def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, times: Array | None = None) -> Figure:
     """Return the chart of curves along beams; by default of the beam with the largest value, at five times."""
     if names is None:
         names = _picked(run, None, component, 1)
@@ -156,7 +156,7 @@ def _along(run: Run, component: Component, names: Sequence[str] | None = None, t
     return Figure(f"beams-{component}", f"{_TITLES[component]}{where}", caption, _ALONG, _axis(component), tuple(lines))
 
 
-def _rows(run: Run, name: str, component: Component) -> list[int]:
+def _rows(run: Run, name: str, component: BeamForce) -> list[int]:
     """Return five rows spread over the run, one of which is that of the largest value of a beam."""
     spread = nearest_rows(run.time, np.linspace(run.time[0], run.time[-1], _TIMES)).tolist()
     peak = beam_peak(run, name, component).row
@@ -172,7 +172,7 @@ def _rows_at(run: Run, times: Array) -> list[int]:
     return list(dict.fromkeys(nearest_rows(run.time, times).tolist()))
 
 
-def _over_time(run: Run, component: Component, names: Sequence[str] | None = None) -> Figure:
+def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = None) -> Figure:
     """Return the chart of the largest magnitude in a beam over time, for several beams."""
     chosen = _picked(run, None, component, MOST) if names is None else names
     time = np.asarray(run.time)

@@ -8,11 +8,14 @@ import matplotlib as mpl
 import numpy as np
 
 from mbdkit.plot.chart_images import axis_title, visible_points
+from mbdkit.plot.downsampling import require_rows
+from mbdkit.plot.plot_kinds import plot_module
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from mbdkit.analysis.verdict import Figure
+    from mbdkit.archive.run import Run
 
 DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)), (0, (1.0, 3.0)))
 """Dashes of the lines of a group, which have the same colour."""
@@ -27,6 +30,12 @@ def new_axes() -> Axes:
     layout = None if mpl.rcParams["figure.autolayout"] else "constrained"
     axes: Axes = pyplot.subplots(layout=layout)[1]
     return axes
+
+
+def draw_run(run: Run, kind: str, axes: Axes | None = None, **options: Any) -> Axes:
+    """Draw a kind of plot of a run on axes, or those of a new figure, and return them; see `Run.plot`."""
+    require_rows(run)
+    return draw_on(axes, plot_module(kind).chart(run, **options))
 
 
 def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_dashes: bool = False) -> Axes:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 
 from mbdkit.analysis.verdict import Axis, Figure, Line, Mark
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.run_views import Names
 from mbdkit.plot.beam_curves import distributed_loads
 from mbdkit.plot.downsampling import Array, Bands, bands
 from mbdkit.plot.error_bands import UNKNOWN, band_over_time, errors_at
@@ -26,9 +27,6 @@ SMALLEST = 1e-18
 
 MOST = len(PALETTE)
 """Number of elements in a chart for which none are named."""
-
-Names = str | Sequence[str] | None
-"""Names of elements to draw; None for the few that matter most."""
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.plot.downsampling import Array, bands
-from mbdkit.plot.element_quantity import Names
 from mbdkit.plot.panel import Panel, dress_over_time, panel_title, single_row_marker
 from mbdkit.plot.style import INK, PALETTE, legend, powers_of_ten
 

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure
+from mbdkit.archive.run_views import Components, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.plot.downsampling import Array, bands
-from mbdkit.plot.element_quantity import MOST, ElementQuantity, Names, draw_elements, element_chart, picked
+from mbdkit.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, picked
 from mbdkit.plot.joint_quantity import reaction_force, with_errors
 from mbdkit.plot.panel import Panel
 from mbdkit.plot.torques_plot import carried_torque
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-Components = Literal["magnitude", "global", "body", "x", "y", "axial", "shear"]
 
 COMPONENTS: dict[str, tuple[str, ...]] = {
     "magnitude": (),

@@ -9,12 +9,12 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Axis, Figure
 from mbdkit.archive.run_summary import ROUND_OFF
+from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.plot.downsampling import Bands
 from mbdkit.plot.element_quantity import (
     MOST,
     ElementQuantity,
-    Names,
     draw_elements,
     element_chart,
     element_values,

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.run_views import Names
 from mbdkit.plot.beam_curves import bending_moments, largest_moment
 from mbdkit.plot.downsampling import Array, evenly, take
 from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
-from mbdkit.plot.element_quantity import Names
 from mbdkit.plot.error_bands import band_along_path, errors_at
 from mbdkit.plot.panel import Panel
 from mbdkit.plot.plane_geometry import view_box

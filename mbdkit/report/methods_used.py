@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 from mbdkit.base.errors import SpecError
@@ -129,9 +130,7 @@ def _stabilization(specs: Iterable[Mapping[str, Any]]) -> str:
 
 
 def _own_reference() -> str:
-    from mbdkit import __version__
-
     return (
         "@software{mbdkit,\n  author = {{The mbdkit authors}},\n  title = {mbdkit: planar multibody dynamics with "
-        f"constraints}},\n  version = {{{__version__}}}\n}}"
+        f"constraints}},\n  version = {{{version('mbdkit')}}}\n}}"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -93,9 +94,7 @@ class ReportPage:
 
     def html(self) -> str:
         """Return the HTML."""
-        from mbdkit import __version__
-
-        return render("report.html", {"page": self, "version": __version__}, FILTERS)
+        return render("report.html", {"page": self, "version": version("mbdkit")}, FILTERS)
 
 
 def cell_text(value: Cell) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,9 @@ _TONES = {"pass": "yes", "fail": "no", "warn": "partly", "not claimed": "open", 
 
 def html(reports: Sequence[Report]) -> str:
     """Return the page of one or several reports."""
-    from mbdkit import __version__
-
     title = f"Verification of {', '.join(report.id for report in reports)}"
     filters: dict[str, Callable[..., Any]] = {"tone": _TONES.__getitem__, "figures": figures_text, "claimed": _claimed}
-    return render("verification.html", {"title": title, "version": __version__, "reports": reports}, filters)
+    return render("verification.html", {"title": title, "version": version("mbdkit"), "reports": reports}, filters)
 
 
 def check_page(target: Path, *, overwrite: bool) -> None:

@@ -1,23 +1,29 @@
-"""`Run.plot`: one method for each kind of plot."""
+"""`Run.plot` and `Run.animate`: what a run offers that rooms above this one draw."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from mbdkit.plot import beams_plot, drift_plot, energy_plot, forces_plot, reactions_plot, torques_plot, trajectory_plot
-from mbdkit.plot.chart_axes import draw_on
-from mbdkit.plot.downsampling import require_rows
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
 
-    from mbdkit.archive.run import Run
-    from mbdkit.plot.beams_plot import Component
-    from mbdkit.plot.drift_plot import Gap
-    from mbdkit.plot.element_quantity import Names
-    from mbdkit.plot.reactions_plot import Components
+Names = str | Sequence[str] | None
+"""Names of the elements to draw; None for those with the largest values."""
+Gap = Literal["position", "velocity", "angle"]
+Components = Literal["magnitude", "global", "body", "x", "y", "axial", "shear"]
+BeamForce = Literal["moment", "shear", "axial"]
+
+
+class Animation(Protocol):
+    """An animation of a run, which notebooks show with its controls; see `mbdkit.notebook.animation.Animation`."""
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the animation to a file ending in .gif, .html or .mp4, and return its path."""
+
+    def _repr_html_(self) -> str: ...
 
 
 class RunPlots:
@@ -40,8 +46,8 @@ class RunPlots:
     'joint force [N]'
     """
 
-    def __init__(self, run: Run):
-        self._run = run
+    def __init__(self, draw: Callable[..., Axes]):
+        self._draw = draw  # takes the kind of plot, the axes, and the options of the method
 
     def trajectory(self, ax: Axes | None = None, *, points: Names = None) -> Axes:
         """Draw paths of points in the plane [m].
@@ -52,7 +58,7 @@ class RunPlots:
             Names of markers, of bodies (their centres of mass), of joints that move, and of free ends such as
             ``rod2 end``; by default all markers or, if the run has none, free ends and moving joints.
         """
-        return draw_on(ax, trajectory_plot.chart(self._with_rows(), points=points))
+        return self._draw("trajectory", ax, points=points)
 
     def drift(self, ax: Axes | None = None, *, joints: Names = None, gap: Gap = "position") -> Axes:
         """Draw the misalignment of joints over time on a logarithmic axis.
@@ -62,7 +68,7 @@ class RunPlots:
         gap
             Misalignment of the ``position`` [m], of the ``velocity`` [m/s] or of a prescribed ``angle`` [rad].
         """
-        return draw_on(ax, drift_plot.chart(self._with_rows(), joints=joints, gap=gap))
+        return self._draw("drift", ax, joints=joints, gap=gap)
 
     def energy(self, ax: Axes | None = None, *, terms: Names = None) -> Axes:
         """Draw energies over time [J].
@@ -74,7 +80,7 @@ class RunPlots:
             the balance, without those that are zero. Potential and total energy are relative to the potential energy
             at the start.
         """
-        return draw_on(ax, energy_plot.chart(self._with_rows(), terms=terms))
+        return self._draw("energy", ax, terms=terms)
 
     def reactions(self, ax: Axes | None = None, *, joints: Names = None, components: Components = "magnitude") -> Axes:
         """Draw the forces in joints over time [N]: those of the first body of each joint on the second.
@@ -88,7 +94,7 @@ class RunPlots:
             (``body``), along the x and the y axis of the second body of the joint, or of the first body if the second
             is the ground.
         """
-        return draw_on(ax, reactions_plot.chart(self._with_rows(), joints=joints, components=components))
+        return self._draw("reactions", ax, joints=joints, components=components)
 
     def torques(self, ax: Axes | None = None, *, joints: Names = None, elements: Names = None) -> Axes:
         """Draw torques over time [N m], positive counter-clockwise on the second body.
@@ -98,7 +104,7 @@ class RunPlots:
         joints, elements
             Names of joints and drivers, and of force elements; by default those with the largest torques.
         """
-        return draw_on(ax, torques_plot.chart(self._with_rows(), joints=joints, elements=elements))
+        return self._draw("torques", ax, joints=joints, elements=elements)
 
     def forces(self, ax: Axes | None = None, *, elements: Names = None) -> Axes:
         """Draw the forces of springs, dampers and laws, positive where they pull together, and of loads over time [N].
@@ -108,14 +114,14 @@ class RunPlots:
         elements
             Names of force elements; by default those with the largest forces.
         """
-        return draw_on(ax, forces_plot.chart(self._with_rows(), elements=elements))
+        return self._draw("forces", ax, elements=elements)
 
     def beams(
         self,
         ax: Axes | None = None,
         *,
         beams: Names = None,
-        components: Component = "moment",
+        components: BeamForce = "moment",
         times: float | Sequence[float] | None = None,
     ) -> Axes:
         """Draw an internal force of beams: its largest magnitude over time, or its values along beams at some times.
@@ -129,9 +135,4 @@ class RunPlots:
         times
             Times [s] at which values along the beams are drawn, those of the nearest recorded rows.
         """
-        chart = beams_plot.chart(self._with_rows(), beams=beams, components=components, times=times)
-        return draw_on(ax, chart)
-
-    def _with_rows(self) -> Run:
-        require_rows(self._run)
-        return self._run
+        return self._draw("beams", ax, beams=beams, components=components, times=times)
