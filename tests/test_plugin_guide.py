@@ -30,10 +30,10 @@ BALL = {
 RK4 = {"name": "rk4"}
 PLUGINS = {
     "A tableau in ten lines": (10, PENDULUM, {"name": "heun"}),
-    "An integrator in thirty": (30, PENDULUM, {"name": "verlet"}),
-    "A model in twenty": (20, {"name": "swing"}, RK4),
-    "A force law in ten": (10, BALL, RK4),
-    "A measure in ten": (10, PENDULUM, RK4),
+    "An integrator in thirty lines": (30, PENDULUM, {"name": "verlet"}),
+    "A model in twenty lines": (20, {"name": "swing"}, RK4),
+    "A force law in ten lines": (10, BALL, RK4),
+    "A measure in ten lines": (10, PENDULUM, RK4),
 }
 
 
@@ -64,7 +64,7 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
 
 
 def test_a_packaged_study_runs_by_name_as_printed_and_is_reported_with_its_verdict(tmp_path: Path) -> None:
-    heading = "A packaged study in twenty"
+    heading = "A packaged study in twenty lines"
     code = block(heading, "python")
     assert len([line for line in code.splitlines() if line.strip()]) <= 20
     install_module(tmp_path, "guide-kit", code)
@@ -85,7 +85,7 @@ def test_a_packaged_study_runs_by_name_as_printed_and_is_reported_with_its_verdi
 @pytest.mark.slow  # CI types them by itself, with all plugins installed
 def test_the_first_steps_work_as_printed(tmp_path: Path) -> None:
     # the installation itself is done in continuous integration, with pip and in an environment of its own
-    lines = [line for line in block("From nothing to a verified integrator", "sh").splitlines() if line.strip()]
+    lines = [line for line in block("A verified integrator from a template", "sh").splitlines() if line.strip()]
     for line in lines:
         if line.startswith("pip install -e "):
             install_project(tmp_path / "site", tmp_path / line.rpartition(" ")[2])

@@ -96,11 +96,10 @@ def archive_export(
 ) -> None:
     """Export a run, or the table of the runs of a study.
 
-    Each group of a run gives a file GROUP.FORMAT. Groups are trajectory, joints, forces,
-    markers, constraints, energy, steps, events and accuracy, as far as the run has them.
-    Columns are named as in expressions of events, such as knee.force_x. The folder of a
-    study gives one file, runs.FORMAT, with one row for each run. Prints the names of the
-    files.
+    Each group of a run gives a file GROUP.FORMAT. Groups are trajectory, joints, forces, markers, constraints, energy,
+    steps, events and accuracy, as far as the archive contains them. Columns are named as in expressions of events, such
+    as knee.force_x. The folder of a study gives one file, runs.FORMAT, with one row for each run. Prints the names of
+    the files.
     """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.export import export
