@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +22,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Hundreds of tests start a process, which otherwise compiles all modules that it imports. They are kept in a folder
     of their own, which is removed at the end.
+
+    Also restore SIGINT where the shell started the tests with SIGINT ignored, as it does for background jobs. Processes
+    that tests start and interrupt would inherit that.
     """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if os.environ.pop("PYTHONDONTWRITEBYTECODE", None) and "PYTHONPYCACHEPREFIX" not in os.environ:
         folder = tempfile.mkdtemp(prefix="mbdkit-pycache-")
         os.environ["PYTHONPYCACHEPREFIX"] = folder
