@@ -10,9 +10,33 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+
+from mbdkit.figures.page_model import Axis, Band, Cell, Column, Figure, Guide, Line, Mark, Table
+
+__all__ = [
+    "MARGIN",
+    "UNDECIDED",
+    "Answer",
+    "Axis",
+    "Band",
+    "Cell",
+    "Claim",
+    "Column",
+    "Figure",
+    "Guide",
+    "Line",
+    "Mark",
+    "Range",
+    "Table",
+    "Verdict",
+    "exceeds",
+    "together",
+    "told",
+]
+# A verdict of a study imports all that it consists of from here.
 
 MARGIN = 1.05
 """Within this factor of a limit the answer is open; differences between machines are smaller."""
@@ -102,152 +126,14 @@ class Claim:
     sentence: str
 
 
+Named = TypeVar("Named", "Claim", "Table", "Figure")
+
 UNDECIDED = "Not decided: the required runs are missing or failed."
 
 
 def told(claims: Sequence[Claim]) -> tuple[Claim, ...]:
     """Return the claims for a report: the sentence of an open claim is replaced by `UNDECIDED`."""
     return tuple(replace(claim, sentence=UNDECIDED) if claim.answer is Answer.OPEN else claim for claim in claims)
-
-
-@dataclass(frozen=True)
-class Column:
-    """Heading and unit of a column; the unit is empty for text and counts."""
-
-    label: str
-    unit: str = ""
-
-
-Named = TypeVar("Named", "Claim", "Table", "Figure")
-Cell = str | int | float | bool | None
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table with one cell per column in every row; None is an empty cell.
-
-    A `headline` table is the main result of a study and is also printed on the terminal and in Markdown.
-    """
-
-    name: str
-    title: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    note: str = ""
-    headline: bool = False
-
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(f"table {self.name}: {len(self.columns)} columns, but a row of {len(row)} cells")
-
-
-@dataclass(frozen=True)
-class Axis:
-    """An axis of a figure."""
-
-    label: str
-    unit: str = ""
-    log: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Line:
-    """One line of a figure.
-
-    Attributes
-    ----------
-    label
-        Label in the legend.
-    x, y
-        (K,) coordinates; nan interrupts the line.
-    kind
-        Whether to draw a line, points, or both.
-    group
-        Lines of the same group have the same colour; in most figures the label of the method.
-    color
-        Colour as ``#rrggbb`` of what has the same colour in other pictures, such as a body; by default that of its
-        group.
-    band
-        (M, 2) corners of a shaded outline around the line, such as its estimated error; None if there is none.
-    """
-
-    label: str
-    x: np.ndarray
-    y: np.ndarray
-    kind: Literal["line", "points", "both"] = "line"
-    group: str = ""
-    band: np.ndarray | None = None
-    color: str = ""
-
-
-@dataclass(frozen=True)
-class Band:
-    """A shaded range of the y axis, for example a published range."""
-
-    label: str
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, eq=False)
-class Guide:
-    """A thin line that shows a slope, such as that of an order of convergence.
-
-    Attributes
-    ----------
-    label
-        Label in its middle.
-    x, y
-        (2,) its ends.
-    """
-
-    label: str
-    x: np.ndarray
-    y: np.ndarray
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A thin vertical line, for example at the time of an event; the label may be empty."""
-
-    label: str
-    x: float
-
-
-@dataclass(frozen=True)
-class Figure:
-    """Content of a figure; its appearance is left to the report.
-
-    Attributes
-    ----------
-    name
-        Short unique identifier, used in file names and links.
-    title, caption
-        Title, and an explanation of what the figure shows.
-    x, y
-        The axes.
-    lines, bands, marks, guides
-        Elements of the figure.
-    equal
-        Whether both axes have the same scale, as for paths in the plane.
-    """
-
-    name: str
-    title: str
-    caption: str
-    x: Axis
-    y: Axis
-    lines: tuple[Line, ...]
-    bands: tuple[Band, ...] = ()
-    marks: tuple[Mark, ...] = ()
-    guides: tuple[Guide, ...] = ()
-    equal: bool = False
-
-    @property
-    def needs_key(self) -> bool:
-        """Whether the lines need names: there are several, or a single one that the title does not name."""
-        return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from mbdkit.plot.downsampling import require_rows
+from mbdkit.figures.curves import require_rows
 from mbdkit.report.animate import animate
 from mbdkit.report.animation_page import page
 

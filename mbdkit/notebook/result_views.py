@@ -8,12 +8,15 @@ from functools import singledispatch
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import summary_lines
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
+from mbdkit.figures.curves import take
+from mbdkit.figures.mechanism_drawing import NamedPose
+from mbdkit.figures.page_model import Cell, Column, Illustration, Table
+from mbdkit.figures.plane_geometry import Array
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.mechanics_summary import (
     clean,
@@ -29,13 +32,9 @@ from mbdkit.notebook.view import Picture, View
 from mbdkit.plot import drift_plot, reactions_plot
 from mbdkit.plot.caption import caption
 from mbdkit.plot.chart_images import chart_image
-from mbdkit.plot.downsampling import take
 from mbdkit.plot.mode_shapes import modes_figure
-from mbdkit.plot.plane_geometry import Array
-from mbdkit.report.mechanism_drawing import NamedPose
 from mbdkit.report.model_section import composition, drawing, element_tables
 from mbdkit.report.run_report import mechanism_of
-from mbdkit.report.section import Drawing
 from mbdkit.report.study_report import runs_table, settings
 from mbdkit.studies.study import Study
 
@@ -115,7 +114,7 @@ def _(found: Equilibrium) -> View:
     return View("Equilibrium", (stability[:1].upper() + stability[1:],), tone, tuple(facts), picture, tables=filled)
 
 
-def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Drawing | None:
+def _posed(mechanism: Mechanism | None, position: Array, time: float) -> Illustration | None:
     """Return the drawing of a mechanism in a position (B, 3)."""
     if mechanism is None:
         return None

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from mbdkit.analysis.verdict import Table
+from mbdkit.figures.page_model import Illustration, Table
 from mbdkit.plot.style import png
 from mbdkit.report.report_page import FILTERS
-from mbdkit.report.section import Drawing
 from mbdkit.report.templating import render
 
 
@@ -47,7 +46,7 @@ class View:
     facts
         Labels and texts, as in a summary; a text without a label continues the one above.
     drawing, pictures
-        Drawing of the mechanism, and other pictures.
+        Illustration of the mechanism, and other pictures.
     tables
         Tables with their titles.
     is_folded
@@ -58,7 +57,7 @@ class View:
     sentences: tuple[str, ...] = ()
     tone: str = ""
     facts: tuple[tuple[str, str], ...] = ()
-    drawing: Drawing | None = None
+    drawing: Illustration | None = None
     pictures: tuple[Picture, ...] = ()
     tables: tuple[Table, ...] = ()
     is_folded: bool = False

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.run_views import BeamForce, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.plot.beam_curves import has_beams
+from mbdkit.figures.beam_curves import has_beams
+from mbdkit.figures.curves import Array, bands
+from mbdkit.figures.page_model import Axis, Figure, Line
+from mbdkit.figures.palette import PALETTE
+from mbdkit.figures.scene import nearest_rows
 from mbdkit.plot.chart_images import draw_chart
-from mbdkit.plot.downsampling import Array, bands
 from mbdkit.plot.element_quantity import MOST
 from mbdkit.plot.panel import Panel, dress_over_time, panel_title
-from mbdkit.plot.scene import nearest_rows
-from mbdkit.plot.style import PALETTE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

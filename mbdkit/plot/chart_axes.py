@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 
+from mbdkit.figures.curves import require_rows
 from mbdkit.plot.chart_images import axis_title, visible_points
-from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.plot_kinds import plot_module
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from mbdkit.analysis.verdict import Figure
     from mbdkit.archive.run import Run
+    from mbdkit.figures.page_model import Figure
 
 DASHES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)), (0, (1.0, 3.0)))
 """Dashes of the lines of a group, which have the same colour."""

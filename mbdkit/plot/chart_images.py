@@ -1,6 +1,6 @@
 """Charts of a report drawn by Matplotlib: on axes, or as PNG and SVG files.
 
-A chart is a `mbdkit.analysis.verdict.Figure`: lines, axes and a caption, independent of how it is drawn.
+A chart is a `mbdkit.figures.page_model.Figure`: lines, axes and a caption, independent of how it is drawn.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.base.errors import file_error
+from mbdkit.figures.page_model import Axis, Figure, Line
+from mbdkit.figures.palette import FAINT, GRID, PALETTE, PAPER, color_number
 from mbdkit.plot.caption import Caption
-from mbdkit.plot.style import FAINT, GRID, PALETTE, PAPER, color_number, dress, legend, new_figure, powers_of_ten, save
+from mbdkit.plot.style import dress, legend, new_figure, powers_of_ten, save
 
 _DASHES: tuple[str | tuple[float, tuple[float, ...]], ...] = ("-", "--", ":", "-.", (0, (8.0, 3.0)))
 _MARKERS = ("o", "s", "D", "^", "P", "X")

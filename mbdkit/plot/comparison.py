@@ -14,16 +14,16 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import Path as SpecPath
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, did_you_mean, listed
+from mbdkit.figures.curves import require_rows
 from mbdkit.plot.caption import method, plain_name
 from mbdkit.plot.chart_axes import draw_on
-from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.plot_kinds import plot_module
 from mbdkit.spec import RunSpec
 from mbdkit.spec.key_words import key_unit, key_words
 
 if TYPE_CHECKING:
-    from mbdkit.analysis.verdict import Figure, Line
     from mbdkit.archive.run import Run
+    from mbdkit.figures.page_model import Figure, Line
 
 _LINES = 6
 """Number of lines in a comparison for which nothing is named, or one for each run."""

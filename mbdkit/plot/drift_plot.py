@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
+from mbdkit.figures.page_model import Axis, Figure
+from mbdkit.figures.quantity_text import length
 from mbdkit.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, picked, value_text
 from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment, velocity_misalignment
 from mbdkit.plot.panel import Panel
-from mbdkit.plot.quantity_text import length
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.analysis.verdict import Axis, Figure, Line, Mark
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.run_views import Names
-from mbdkit.plot.beam_curves import distributed_loads
-from mbdkit.plot.downsampling import Array, Bands, bands
-from mbdkit.plot.error_bands import UNKNOWN, band_over_time, errors_at
+from mbdkit.figures.beam_curves import distributed_loads
+from mbdkit.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
+from mbdkit.figures.page_model import Axis, Figure, Line, Mark
+from mbdkit.figures.palette import FAINT, INK, PALETTE, PAPER
 from mbdkit.plot.panel import dress_over_time, panel_title, single_row_marker
-from mbdkit.plot.style import FAINT, INK, PALETTE, PAPER, legend, powers_of_ten
+from mbdkit.plot.style import legend, powers_of_ten
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

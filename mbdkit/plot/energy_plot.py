@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.plot.downsampling import Array, bands
+from mbdkit.figures.curves import Array, bands
+from mbdkit.figures.page_model import Axis, Figure, Line
+from mbdkit.figures.palette import INK, PALETTE
 from mbdkit.plot.panel import Panel, dress_over_time, panel_title, single_row_marker
-from mbdkit.plot.style import INK, PALETTE, legend, powers_of_ten
+from mbdkit.plot.style import legend, powers_of_ten
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mbdkit.base.errors import SpecError
-from mbdkit.plot.beam_curves import largest_moment
+from mbdkit.figures.beam_curves import largest_moment
+from mbdkit.figures.curves import evenly
+from mbdkit.figures.palette import ALARM, INK, PALETTE, PAPER, SPRING, body_colors, trace_colors
+from mbdkit.figures.pose import BENDING_SHADES, Pose
+from mbdkit.figures.scene import Scene, scene
 from mbdkit.plot.caption import caption
-from mbdkit.plot.downsampling import evenly
-from mbdkit.plot.pose import BENDING_SHADES, Pose, body_colors, trace_colors
-from mbdkit.plot.scene import Scene, scene
-from mbdkit.plot.style import ALARM, INK, PALETTE, PAPER, SPRING, dress, new_figure, quietly
+from mbdkit.plot.style import dress, new_figure, quietly
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from mbdkit.analysis.verdict import Axis, Figure
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
+from mbdkit.figures.page_model import Axis, Figure
 from mbdkit.plot.element_quantity import MOST, draw_elements, element_chart, element_values, has_elements, picked
 from mbdkit.plot.panel import Panel
 

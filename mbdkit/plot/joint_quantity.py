@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plot.downsampling import Array, bands
+from mbdkit.figures.curves import Array, bands, errors_at
 from mbdkit.plot.element_quantity import ElementQuantity
-from mbdkit.plot.error_bands import errors_at
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

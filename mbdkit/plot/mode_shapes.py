@@ -9,13 +9,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mbdkit.base.files import check_suffix
+from mbdkit.figures.drawing_geometry import draw_mechanism
+from mbdkit.figures.palette import FAINT, body_colors
+from mbdkit.figures.plane_geometry import view_box
+from mbdkit.figures.pose import Pose
 from mbdkit.mechanics.modes import Modes
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plot.caption import Caption
-from mbdkit.plot.drawing_geometry import draw_mechanism
-from mbdkit.plot.plane_geometry import view_box
-from mbdkit.plot.pose import Pose, body_colors
-from mbdkit.plot.style import FAINT, FORMATS, dress, new_figure, save
+from mbdkit.plot.style import FORMATS, dress, new_figure, save
 
 MOST = 6
 """Largest number of modes in a picture."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 
-from mbdkit.plot.downsampling import Array
-from mbdkit.plot.style import INK, dress
+from mbdkit.figures.curves import Array
+from mbdkit.figures.palette import INK
+from mbdkit.plot.style import dress
 
 TIME = "time [s]"
 

@@ -12,9 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mbdkit.base.errors import SpecError
+from mbdkit.figures.palette import GRID, INK, PALETTE, PAPER
 from mbdkit.plot.chart_axes import draw_on, settle_layout
 from mbdkit.plot.comparison import comparison
-from mbdkit.plot.style import GRID, INK, PALETTE, PAPER
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

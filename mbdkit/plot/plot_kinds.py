@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 from mbdkit.base.errors import SpecError
 
 if TYPE_CHECKING:
-    from mbdkit.analysis.verdict import Figure
     from mbdkit.archive.run import Run
+    from mbdkit.figures.page_model import Figure
     from mbdkit.plot.panel import Panel
 
 # The modules are imported when they are used: the command line lists the kinds without loading Matplotlib.

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure
 from mbdkit.archive.run_views import Components, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.plot.downsampling import Array, bands
+from mbdkit.figures.curves import Array, bands
+from mbdkit.figures.page_model import Axis, Figure
 from mbdkit.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, picked
 from mbdkit.plot.joint_quantity import reaction_force, with_errors
 from mbdkit.plot.panel import Panel

@@ -12,18 +12,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mbdkit.base.files import check_suffix
+from mbdkit.figures.curves import require_rows
 from mbdkit.plot.caption import caption
 from mbdkit.plot.chart_images import draw_chart
 from mbdkit.plot.comparison import comparison
-from mbdkit.plot.downsampling import require_rows
 from mbdkit.plot.panel import Panel, panel_title
 from mbdkit.plot.paper_figure import paper_figure
 from mbdkit.plot.plot_kinds import plot_module
 from mbdkit.plot.style import FORMATS, new_figure, save
 
 if TYPE_CHECKING:
-    from mbdkit.analysis.verdict import Figure as Chart
     from mbdkit.archive.run import Run
+    from mbdkit.figures.page_model import Figure as Chart
 
 _WIDTH = 7.2  # inches
 _HEADING_AND_LABELS = 2.1  # inches

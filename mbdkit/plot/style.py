@@ -16,12 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
 from mbdkit.base.files import replacing
+from mbdkit.figures.palette import ALARM, FAINT, GRID, INK, PAPER
 from mbdkit.plot.caption import Caption
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
-"""Six colours that colour-blind readers can distinguish (Okabe and Ito, with a darker purple)."""
-INK, FAINT, GRID, PAPER = "#222222", "#666666", "#E4E4E4", "#FFFFFF"
-ALARM, SPRING = "#B00020", "#7A4FBF"
 DPI = 150
 FORMATS = (".png", ".svg", ".pdf")
 _LINE = 0.2  # inches of a heading line
@@ -89,11 +86,6 @@ def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
     axes.set_xlabel(xlabel, size=9, color=INK)
     axes.set_ylabel(ylabel, size=9, color=INK)
     return axes
-
-
-def color_number(color: str) -> int:
-    """Return the index of a colour in the palette; -1 for any other, which pages show in the colour of text."""
-    return PALETTE.index(color) if color in PALETTE else -1
 
 
 def powers_of_ten(axes: Axes) -> None:

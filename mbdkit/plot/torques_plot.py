@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure
 from mbdkit.archive.run_summary import ROUND_OFF
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
-from mbdkit.plot.downsampling import Bands
+from mbdkit.figures.curves import Bands
+from mbdkit.figures.page_model import Axis, Figure
 from mbdkit.plot.element_quantity import (
     MOST,
     ElementQuantity,

@@ -10,17 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.run_views import Names
-from mbdkit.plot.beam_curves import bending_moments, largest_moment
-from mbdkit.plot.downsampling import Array, evenly, take
-from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
-from mbdkit.plot.error_bands import band_along_path, errors_at
+from mbdkit.figures.beam_curves import bending_moments, largest_moment
+from mbdkit.figures.curves import Array, band_along_path, errors_at, evenly, take
+from mbdkit.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
+from mbdkit.figures.page_model import Axis, Figure, Line
+from mbdkit.figures.palette import FAINT, INK, body_colors, trace_colors
+from mbdkit.figures.plane_geometry import view_box
+from mbdkit.figures.pose import Pose
 from mbdkit.plot.panel import Panel
-from mbdkit.plot.plane_geometry import view_box
-from mbdkit.plot.pose import Pose, body_colors, trace_colors
-from mbdkit.plot.style import FAINT, INK, dress, legend
+from mbdkit.plot.style import dress, legend
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbdkit.base.files import check_suffix, replacing
-from mbdkit.plot.downsampling import require_rows
+from mbdkit.figures.curves import require_rows
 from mbdkit.plot.film import write_gif, write_mp4
 from mbdkit.report.animation_page import write_html
 

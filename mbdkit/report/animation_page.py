@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from mbdkit.figures.player_data import film_data
 from mbdkit.plot.caption import caption
-from mbdkit.report.player_data import film_data
 from mbdkit.report.templating import render
 
 if TYPE_CHECKING:

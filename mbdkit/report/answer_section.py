@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
-from mbdkit.plot.beam_curves import distributed_loads
-from mbdkit.plot.downsampling import BEYOND, Array, blocks
-from mbdkit.report.section import Section
+from mbdkit.figures.beam_curves import distributed_loads
+from mbdkit.figures.curves import BEYOND, Array, blocks
+from mbdkit.figures.page_model import Cell, Column, Section, Table
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Cell, Column, Table
-from mbdkit.plot.beam_curves import bending_moments, has_beams
+from mbdkit.figures.beam_curves import bending_moments, has_beams
+from mbdkit.figures.curves import take
+from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
+from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table
 from mbdkit.plot.beams_plot import beam_peak
-from mbdkit.plot.downsampling import take
-from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
-from mbdkit.report.section import Drawing, Section
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -43,7 +42,7 @@ def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
     return Section("beams", "Beams", (sentence,), drawing, (_table(run),))
 
 
-def _drawing(run: Run, mechanism: Mechanism | None, row: int) -> Drawing | None:
+def _drawing(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | None:
     """Return the drawing of the mechanism in a row, its beams coloured by their bending moments."""
     pose = take(run.dataset("trajectory/position"), np.array([row], dtype=np.intp))[0]
     named = NamedPose.of(mechanism, list(run.bodies), pose, np.asarray(run.time)[row : row + 1])
@@ -52,7 +51,7 @@ def _drawing(run: Run, mechanism: Mechanism | None, row: int) -> Drawing | None:
         return None
     shown = replace(named, moments=moments[row])
     caption = f"The mechanism at t = {run.time[row]:.6g} s. Beams are coloured by their bending moments."
-    return Drawing(
+    return Illustration(
         mechanism_svg(shown, WIDE),
         mechanism_svg(shown, NARROW),
         "Drawing of the mechanism with its bent beams",

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure
+from mbdkit.figures.page_model import Axis, Figure
+from mbdkit.figures.palette import color_key, color_number
 from mbdkit.plot.chart_images import axis_title, line_styles
-from mbdkit.plot.style import color_number
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 """Dashes that distinguish lines of the same colour."""
@@ -60,12 +60,6 @@ def chart_data(chart: Figure) -> dict[str, Any]:
             for line, (color, style) in zip(chart.lines, line_styles(chart), strict=True)
         ],
     }
-
-
-def color_key(color: str) -> str:
-    """Return the name of a colour in the style sheet of pages, such as ``c0``; ``ink`` outside of the palette."""
-    number = color_number(color)
-    return "ink" if number < 0 else f"c{number}"
 
 
 def _outline(corners: np.ndarray, chart: Figure) -> dict[str, Numbers]:

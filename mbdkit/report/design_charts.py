@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure, Line, Mark
 from mbdkit.designs.landscape import Cut
 from mbdkit.events.event_expression import Quantity
+from mbdkit.figures.curves import band_over_time, bands, errors_at
+from mbdkit.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import is_over_time, is_vector, recorded, unit_of
-from mbdkit.plot.downsampling import bands
-from mbdkit.plot.error_bands import band_over_time, errors_at
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.design_spec import GOAL, variable_path
 from mbdkit.spec.key_words import key_unit, key_words

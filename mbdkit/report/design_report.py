@@ -16,15 +16,15 @@ from mbdkit.designs.compared_settings import compared_with
 from mbdkit.designs.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit.designs.solve_design import WORKER, evaluating
 from mbdkit.designs.store import WHICH, DesignFolder
+from mbdkit.figures.mechanism_drawing import NamedPose
+from mbdkit.figures.page_model import Section
 from mbdkit.report.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
 from mbdkit.report.design_verdict import design_verdict, goal_units, measure_units
 from mbdkit.report.load_frames import load_drawing
-from mbdkit.report.mechanism_drawing import NamedPose
 from mbdkit.report.methods_used import methods
 from mbdkit.report.model_section import drawing
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_report import environment, film_of, mechanism_of
-from mbdkit.report.section import Section
 from mbdkit.report.sensitivity_bars import sensitivity_section
 from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml

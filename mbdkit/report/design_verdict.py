@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Answer, Cell, Claim, Column, Table, Verdict
+from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.base.text import counted
+from mbdkit.figures.page_model import Cell, Column, Table
 from mbdkit.measures.take import describe
 from mbdkit.report.design_charts import goal_words, variable_unit
 from mbdkit.spec.key_words import key_words

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
 from mbdkit.archive.run_summary import ROUND_OFF
+from mbdkit.figures.curves import bands
+from mbdkit.figures.drawing_geometry import draw_spec
+from mbdkit.figures.page_model import Axis, Figure, Line
+from mbdkit.figures.palette import INK, PALETTE, body_colors
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.plot.downsampling import bands
-from mbdkit.plot.drawing_geometry import draw_spec
-from mbdkit.plot.pose import body_colors
-from mbdkit.plot.style import INK, PALETTE
 from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ import numpy as np
 from markupsafe import Markup
 
 from mbdkit.analysis.cycles import crossings
+from mbdkit.figures.mechanism_drawing import CROWD, NARROW, WIDE, NamedPose, draw_scale_bar, draw_sketch, joint_point
+from mbdkit.figures.page_model import Illustration
+from mbdkit.figures.plane_geometry import Array
+from mbdkit.figures.scene import nearest_rows
+from mbdkit.figures.svg_canvas import Canvas
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.plot.plane_geometry import Array
-from mbdkit.plot.scene import nearest_rows
-from mbdkit.report.mechanism_drawing import CROWD, NARROW, WIDE, NamedPose, draw_scale_bar, draw_sketch, joint_point
-from mbdkit.report.section import Drawing
-from mbdkit.report.svg_canvas import Canvas
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -42,7 +42,7 @@ _PLACES = {
 Arrow = tuple[str, Array, Array]
 
 
-def load_drawing(run: Run, mechanism: Mechanism | None) -> Drawing | None:
+def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
     """Return the drawing of a run in several frames; None if its model is not available, or has very many bodies."""
     if not _has_arrows(run, mechanism):
         return None
@@ -53,7 +53,7 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Drawing | None:
     told = "; ".join(words for kind, words in _PLACES.items() if kind in kinds)
     text = f"Forces to one scale, at equal intervals {when}: {told}." if told else f"At equal intervals {when}."
     wide, narrow = (_svg(run, mechanism, *size) for size in ((FRAMES, WIDE), (FRAMES_NARROW, NARROW)))
-    return Drawing(wide, narrow, "The mechanism at several times with arrows of its forces", text)
+    return Illustration(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 
 
 def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> dict[str, Any]:

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.analysis.verdict import Axis, Cell, Column, Figure, Line, Table
 from mbdkit.analysis.workload import ElementWorkload, workload
+from mbdkit.figures.curves import bands
+from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name
+from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.plot.downsampling import bands
 from mbdkit.report.load_frames import load_drawing
-from mbdkit.report.mechanism_drawing import NARROW, WIDE, short_name
-from mbdkit.report.section import Drawing, Section
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -78,10 +77,10 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
     return Table("workload", "Workload of joints and actuators", tuple(columns), tuple(rows), note)
 
 
-def _bars(elements: tuple[ElementWorkload, ...]) -> Drawing:
+def _bars(elements: tuple[ElementWorkload, ...]) -> Illustration:
     wide, narrow = (_bars_svg(elements, width) for width in (WIDE, NARROW))
     text = "Peak (pale) and root mean square (full) of the force or torque of each joint and actuator."
-    return Drawing(wide, narrow, text, text)
+    return Illustration(wide, narrow, text, text)
 
 
 def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:

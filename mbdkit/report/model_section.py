@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
+from mbdkit.figures.curves import take
+from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
+from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table
+from mbdkit.figures.quantity_text import count
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
-from mbdkit.plot.downsampling import take
-from mbdkit.plot.quantity_text import count
-from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
-from mbdkit.report.section import Drawing, Section
 from mbdkit.spec.key_words import described_unit
 
 if TYPE_CHECKING:
@@ -76,7 +75,7 @@ def composition(mechanism: Mechanism) -> str:
     return f"A planar mechanism of {listed(parts, 'and')}, with a mass of {mass:.4g} kg. {gravity}"
 
 
-def drawing(shown: NamedPose) -> Drawing:
+def drawing(shown: NamedPose) -> Illustration:
     """Return the drawing of a mechanism with the names of its elements."""
     elements = shown.mechanism
     names = list(shown.drawing.links)
@@ -89,7 +88,7 @@ def drawing(shown: NamedPose) -> Drawing:
         caption += " Bodies have the colours that they have in the animation."
     else:
         caption += " It has too many elements to name them all here; the tables list them."
-    return Drawing(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
+    return Illustration(mechanism_svg(shown, WIDE), mechanism_svg(shown, NARROW), description, caption)
 
 
 def _limited(name: str, title: str, columns: Sequence[Column], rows: list[tuple[Cell, ...]]) -> Table:

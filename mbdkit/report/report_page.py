@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Answer, Cell, Column, Figure, Table, Verdict
+from mbdkit.analysis.verdict import Answer, Verdict
+from mbdkit.figures.page_model import Cell, Column, Figure, Section, Table
 from mbdkit.plot.chart_images import axis_title, visible_points
 from mbdkit.report.chart_data import charts_data
 from mbdkit.report.methods_used import Methods
-from mbdkit.report.section import Section
 from mbdkit.report.templating import render
 
 _MARKS = {Answer.YES: "\u2713", Answer.NO: "\u2717", Answer.PARTLY: "\u25d0", Answer.OPEN: "?"}

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbdkit.analysis.verdict import Axis, Figure, Mark
-from mbdkit.plot.drawing_geometry import choose_traces, draw_spec
+from mbdkit.figures.drawing_geometry import choose_traces, draw_spec
+from mbdkit.figures.page_model import Axis, Figure, Mark
+from mbdkit.figures.palette import PALETTE, trace_colors
 from mbdkit.plot.energy_plot import COLORS
 from mbdkit.plot.plot_kinds import PLOT_KINDS, plot_module
-from mbdkit.plot.pose import trace_colors
-from mbdkit.plot.style import PALETTE
 from mbdkit.report.element_charts import angle_charts, component_charts, power_charts
 from mbdkit.report.load_sections import inverse_charts
 

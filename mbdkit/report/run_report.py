@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.analysis.verdict import Cell, Column, Table
+from mbdkit.figures.curves import require_rows
+from mbdkit.figures.drawing_geometry import build_mechanism
+from mbdkit.figures.page_model import Cell, Column, Table
+from mbdkit.figures.player_data import film_data
 from mbdkit.plot.caption import caption
-from mbdkit.plot.downsampling import require_rows
-from mbdkit.plot.drawing_geometry import build_mechanism
 from mbdkit.report.answer_section import answer_section
 from mbdkit.report.beam_section import beam_section
 from mbdkit.report.load_frames import with_arrows
 from mbdkit.report.load_sections import inverse_sections
 from mbdkit.report.methods_used import methods
 from mbdkit.report.model_section import model_section
-from mbdkit.report.player_data import film_data
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_charts import DRIFT
 from mbdkit.report.run_verdict import run_verdict

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.plot.beam_curves import has_beams
+from mbdkit.figures.beam_curves import has_beams
+from mbdkit.figures.page_model import Cell, Column, Table
 from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:

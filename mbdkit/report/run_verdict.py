@@ -10,11 +10,11 @@ import numpy as np
 from mbdkit.analysis.growth import Growth, growth_law
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.archive.run_summary import accuracy_sentence, without_suspicion
-from mbdkit.plot.downsampling import bands, take
-from mbdkit.plot.drawing_geometry import draw_spec
+from mbdkit.figures.curves import bands, take
+from mbdkit.figures.drawing_geometry import draw_spec
+from mbdkit.figures.quantity_text import count, duration, length, proportion
 from mbdkit.plot.element_quantity import ElementQuantity
 from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment
-from mbdkit.plot.quantity_text import count, duration, length, proportion
 from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
 from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding

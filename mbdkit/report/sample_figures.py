@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.sobol_indices import ROUND_OFF
-from mbdkit.analysis.verdict import Axis, Cell, Column, Figure, Line, Table
 from mbdkit.base.errors import MbdkitError
+from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Line, Table
 from mbdkit.measures.reductions import REDUCTIONS
 from mbdkit.report.study_figures import Quantity, asked_measures, is_wide
 from mbdkit.spec.key_words import key_words

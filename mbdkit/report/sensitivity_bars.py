@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.analysis.verdict import Cell, Column, Table
 from mbdkit.designs.landscape import SHARE, Sensitivity
-from mbdkit.report.mechanism_drawing import NARROW, WIDE, short_name
-from mbdkit.report.section import Drawing, Section
+from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name
+from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table
 
 _STEP = 22.0
 _TEXT = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
@@ -35,7 +34,7 @@ def sensitivity_section(
     )
     wide, narrow = (_svg(found, words, units, width) for width in (WIDE, NARROW))
     text = "Changes to the right are increases. Each goal or limit has its own scale."
-    return Section("sensitivities", "Sensitivities", (sentence,), Drawing(wide, narrow, text, text),
+    return Section("sensitivities", "Sensitivities", (sentence,), Illustration(wide, narrow, text, text),
                    (_table(found, words, units),))  # fmt: skip
 
 

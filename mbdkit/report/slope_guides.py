@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mbdkit.analysis.order import observed_order
-from mbdkit.analysis.verdict import Figure, Guide
+from mbdkit.figures.page_model import Figure, Guide
 
 _NEAR = 0.3
 """Largest distance of an observed order from a whole number for which a guide is drawn."""

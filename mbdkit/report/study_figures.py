@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Axis, Column, Figure, Line
+from mbdkit.figures.page_model import Axis, Column, Figure, Line
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.spec.key_words import key_words
 from mbdkit.studies.axis_words import axis_unit, value_words

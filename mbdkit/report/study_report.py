@@ -10,13 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.analysis.verdict import Cell, Column, Table, Verdict
+from mbdkit.analysis.verdict import Verdict
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.plot.quantity_text import count
+from mbdkit.figures.page_model import Cell, Column, Table
+from mbdkit.figures.player_data import film_data
+from mbdkit.figures.quantity_text import count
 from mbdkit.report.methods_used import methods
-from mbdkit.report.player_data import film_data
 from mbdkit.report.report_page import NO_FAILURES, ReportPage
 from mbdkit.report.run_report import environment
 from mbdkit.report.run_verdict import mechanism_size

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from mbdkit.analysis.verdict import Table, Verdict
+from mbdkit.analysis.verdict import Verdict
 from mbdkit.base.text import markdown
 from mbdkit.base.text import table as aligned
+from mbdkit.figures.page_model import Table
 from mbdkit.report.report_page import ReportPage, cell_text
 
 

@@ -14,9 +14,9 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import parse_path
+from mbdkit.figures.drawing_geometry import draw_spec
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameter_values
-from mbdkit.plot.drawing_geometry import draw_spec
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import put
 

@@ -10,13 +10,13 @@ import pytest
 import mbdkit
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.base.errors import SpecError
-from mbdkit.plot.beam_curves import bending_moments, bezier_polylines
-from mbdkit.plot.drawing_geometry import draw_mechanism
-from mbdkit.plot.pose import body_colors
+from mbdkit.figures.beam_curves import bending_moments, bezier_polylines
+from mbdkit.figures.drawing_geometry import draw_mechanism
+from mbdkit.figures.mechanism_drawing import NARROW, NamedPose, mechanism_svg
+from mbdkit.figures.palette import body_colors
+from mbdkit.figures.player_data import film_data
 from mbdkit.report.beam_section import beam_section
-from mbdkit.report.mechanism_drawing import NARROW, NamedPose, mechanism_svg
 from mbdkit.report.model_section import element_tables
-from mbdkit.report.player_data import film_data
 from mbdkit.report.run_report import mechanism_of
 
 RADIUS, BENDING = 0.5, 3.0

@@ -4,8 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from mbdkit.plot import downsampling
-from mbdkit.plot.downsampling import bands, evenly, take
+from mbdkit.figures import curves
+from mbdkit.figures.curves import bands, evenly, take
 
 
 def test_bands_of_a_short_recording_are_its_rows():
@@ -19,7 +19,7 @@ def test_bands_of_a_short_recording_are_its_rows():
 
 @pytest.mark.parametrize("block", [1, 1_000, 4_000_000])
 def test_bands_keep_every_extreme_whatever_the_size_of_a_block(monkeypatch, block):
-    monkeypatch.setattr(downsampling, "BLOCK", block)
+    monkeypatch.setattr(curves, "BLOCK", block)
     rows = 30_011 if block > 1 else 1_009
     values = np.random.default_rng(2).normal(size=(rows, 2))
     values[rows // 2, 1] = -99.0
@@ -53,7 +53,7 @@ def test_rows_are_spread_evenly_with_both_ends():
 @pytest.mark.parametrize("rows", [[0, 99], list(range(100)), [3, 4, 50], []])
 @pytest.mark.parametrize("block", [40, 4_000_000])
 def test_rows_taken_from_a_file_are_those_of_the_array(tmp_path, monkeypatch, rows, block):
-    monkeypatch.setattr(downsampling, "BLOCK", block)
+    monkeypatch.setattr(curves, "BLOCK", block)
     values = np.random.default_rng(3).normal(size=(100, 4, 3))
     wanted = values[np.array(rows, dtype=int)]
     with h5py.File(tmp_path / "a.h5", "w") as file:

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.path import Path as Outline
 
 import mbdkit
-from mbdkit.plot.error_bands import band_along_path, band_over_time
+from mbdkit.figures.curves import band_along_path, band_over_time
 from mbdkit.plot.save_plot import figure
 from mbdkit.report.chart_data import chart_data
 from mbdkit.report.run_report import run_report

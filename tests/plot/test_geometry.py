@@ -3,15 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mbdkit.figures.drawing_geometry import GROUND, choose_traces, draw_mechanism, draw_spec, trace_points
+from mbdkit.figures.plane_geometry import convex_hull, view_box, zigzag
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.plot.drawing_geometry import (
-    GROUND,
-    choose_traces,
-    draw_mechanism,
-    draw_spec,
-    trace_points,
-)
-from mbdkit.plot.plane_geometry import convex_hull, view_box, zigzag
 
 
 def rods(count: int) -> Mechanism:
@@ -148,7 +142,7 @@ def test_a_weld_is_marked_at_its_point():
 
 @pytest.mark.parametrize("name", ["single-pendulum", "double-pendulum", "four-bar-knee"])
 def test_models_are_drawn_from_the_spec_alone(name):
-    from mbdkit.plot.drawing_geometry import build_mechanism
+    from mbdkit.figures.drawing_geometry import build_mechanism
 
     spec = {"model": {"name": name}}
     bodies = list(build_mechanism(spec).bodies)

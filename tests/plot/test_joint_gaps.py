@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.plot.drawing_geometry import draw_spec
-from mbdkit.plot.joint_gaps import gaps
-from mbdkit.report.player_data import film_data
+from mbdkit.figures.drawing_geometry import draw_spec
+from mbdkit.figures.player_data import film_data, gaps
 
 ROUND_OFF = 1e-14  # m, of lengths of some metres
 

@@ -249,7 +249,7 @@ def test_settings_of_matplotlib_are_left_alone(make_run, tmp_path, kind):
 def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
     code = (
         "import sys, mbdkit.plot.save_plot, mbdkit.report.animate\n"
-        "from mbdkit.plot.drawing_geometry import build_mechanism, draw_mechanism\n"
+        "from mbdkit.figures.drawing_geometry import build_mechanism, draw_mechanism\n"
         "draw_mechanism(build_mechanism({'model': {'name': 'double-pendulum'}}))\n"
         "print([name for name in ('matplotlib.pyplot', 'sympy', 'numba') if name in sys.modules])"
     )

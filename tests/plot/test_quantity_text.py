@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mbdkit.plot.quantity_text import count, duration, length, proportion
+from mbdkit.figures.quantity_text import count, duration, length, proportion
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from matplotlib.animation import FFMpegWriter
 from PIL import Image
 
 from mbdkit.base.errors import SpecError
+from mbdkit.figures.scene import nearest_rows, round_speed, scene
 from mbdkit.plot import film
-from mbdkit.plot.scene import nearest_rows, round_speed, scene
 from mbdkit.report.animate import animate
 from mbdkit.report.animation_page import page
 

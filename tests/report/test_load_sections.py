@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.analysis.verdict import Table
+from mbdkit.figures.page_model import Section, Table
 from mbdkit.report.load_sections import inverse_sections
 from mbdkit.report.run_report import mechanism_of, run_report
-from mbdkit.report.section import Section
 
 T = np.linspace(0.0, 1.0, 51)
 

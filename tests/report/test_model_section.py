@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.figures.label_placement import LINE, Name, place_names
+from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
 from mbdkit.mechanism.beams import parts_of
-from mbdkit.report.label_placement import LINE, Name, place_names
-from mbdkit.report.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown
 from mbdkit.report.run_report import run_report
 from mbdkit.spec import example_names, load_spec
 from tests.linkages import driven_wheel

@@ -10,11 +10,11 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
+from mbdkit.figures.mechanism_drawing import WIDE, NamedPose, mechanism_svg, names_shown
+from mbdkit.figures.palette import PALETTE
+from mbdkit.figures.player_data import film_data
 from mbdkit.plot.caption import caption
 from mbdkit.plot.energy_plot import COLORS
-from mbdkit.plot.style import PALETTE
-from mbdkit.report.mechanism_drawing import WIDE, NamedPose, mechanism_svg, names_shown
-from mbdkit.report.player_data import film_data
 from mbdkit.report.report import report
 from mbdkit.report.run_report import run_report
 from mbdkit.report.templating import inline, render

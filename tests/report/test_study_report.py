@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mbdkit.analysis.verdict import Axis, Figure, Line
+from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.report.report import report
 from mbdkit.report.report_page import cell_text
 from mbdkit.report.slope_guides import with_slope_guides

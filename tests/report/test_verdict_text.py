@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 
-from mbdkit.analysis.verdict import Answer, Claim, Column, Table, Verdict
+from mbdkit.analysis.verdict import Answer, Claim, Verdict
+from mbdkit.figures.page_model import Column, Table
 from mbdkit.report.report import report
 from mbdkit.report.verdict_text import headlines, json_values, terminal_text
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit.figures.palette import PALETTE
 from mbdkit.plot.caption import Caption
-from mbdkit.plot.style import PALETTE, dress, legend, new_figure, save
+from mbdkit.plot.style import dress, legend, new_figure, save
 from tests.benchmarks.timing import duration
 
 from .contender import OURS

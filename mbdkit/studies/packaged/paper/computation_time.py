@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import theilslopes
 
-from mbdkit.analysis.number_text import two_digits
 from mbdkit.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, exceeds
+from mbdkit.figures.quantity_text import two_digits
 from mbdkit.studies.packaged.paper.published_results import GILL, METHODS
 from mbdkit.studies.packaged.paper.substitution_timing import Substitution, measured
 from mbdkit.studies.point_selection import METHOD, family, value

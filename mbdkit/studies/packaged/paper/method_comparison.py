@@ -10,9 +10,9 @@ import numpy as np
 from mbdkit.analysis.cost import at_equal_work, work_for
 from mbdkit.analysis.drift import worst_history
 from mbdkit.analysis.growth import growth_law
-from mbdkit.analysis.number_text import least_most
 from mbdkit.analysis.order import observed_order
 from mbdkit.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Column, Figure, Line, Table, together
+from mbdkit.figures.quantity_text import least_most
 from mbdkit.studies.packaged.paper.published_results import GAUSS2, GAUSS3, GILL
 from mbdkit.studies.point_selection import METHOD, MODEL, STEP, Points, family, value
 

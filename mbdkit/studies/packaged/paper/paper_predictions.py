@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.number_text import least_most
 from mbdkit.analysis.verdict import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, together
+from mbdkit.figures.quantity_text import least_most
 from mbdkit.studies.packaged.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP
 from mbdkit.studies.point_selection import METHOD, STEP, family
 

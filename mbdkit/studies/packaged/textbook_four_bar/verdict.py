@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.cost import at_equal_work, work_for
-from mbdkit.analysis.number_text import least_most, two_digits
 from mbdkit.analysis.verdict import (
     Answer,
     Axis,
@@ -31,6 +30,7 @@ from mbdkit.analysis.verdict import (
     together,
     told,
 )
+from mbdkit.figures.quantity_text import least_most, two_digits
 from mbdkit.studies.packaged.textbook_four_bar.textbook_equations import GROUND, LENGTHS, LoopRun, integrate
 from mbdkit.studies.point_selection import METHOD, STEP, family, value
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plot.plane_geometry import Array
+from mbdkit.figures.plane_geometry import Array
 
 CHARACTER, LINE = 7.3, 15.0
 """Mean width of a character and height of a line at a font size of 12 px [px]."""
@@ -31,7 +31,7 @@ class Name:
     points
         (K, 2) points [px], any of which it may stand at.
     color
-        Name of the colour of the patch in front of it, see `mbdkit.report.chart_data.color_key`; empty for no patch.
+        Name of the colour of the patch in front of it, see `mbdkit.figures.palette.color_key`; empty for no patch.
     """
 
     text: str

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.plot.plane_geometry import Array
+from mbdkit.figures.plane_geometry import Array
 
 _ROOM = (80.0, 52.0)  # around the mechanism, for names and arrows [px]
 _INK_STEP = 5.0  # between points that stand for lines [px]

@@ -11,20 +11,19 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from mbdkit.figures.beam_curves import bezier_polylines, largest_moment
+from mbdkit.figures.cable_geometry import cable_places
+from mbdkit.figures.drawing_geometry import Drawing, draw_centres, draw_mechanism
+from mbdkit.figures.label_placement import LINE, SWATCH, Name, PlacedName, place_names
+from mbdkit.figures.palette import body_colors, color_key
+from mbdkit.figures.plane_geometry import Array, zigzag
+from mbdkit.figures.quantity_text import length
+from mbdkit.figures.svg_canvas import Canvas, shade
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.time_jets import jet_of
-from mbdkit.plot.beam_curves import bezier_polylines, largest_moment
-from mbdkit.plot.cable_geometry import cable_places
-from mbdkit.plot.drawing_geometry import Drawing, draw_centres, draw_mechanism
-from mbdkit.plot.plane_geometry import Array, zigzag
-from mbdkit.plot.pose import body_colors
-from mbdkit.plot.quantity_text import length
-from mbdkit.report.chart_data import color_key
-from mbdkit.report.label_placement import LINE, SWATCH, Name, PlacedName, place_names
-from mbdkit.report.svg_canvas import Canvas, shade
 from mbdkit.trust.criteria import ROUND_OFF
 
 WIDE, NARROW = 900.0, 350.0

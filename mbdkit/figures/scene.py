@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.plot.beam_curves import bending_moments
-from mbdkit.plot.downsampling import evenly, take
-from mbdkit.plot.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
-from mbdkit.plot.plane_geometry import Array, view_box
+from mbdkit.figures.beam_curves import bending_moments
+from mbdkit.figures.curves import evenly, take
+from mbdkit.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_spec, trace_points
+from mbdkit.figures.plane_geometry import Array, view_box
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

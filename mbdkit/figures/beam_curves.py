@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plot.plane_geometry import Array
+from mbdkit.figures.plane_geometry import Array
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

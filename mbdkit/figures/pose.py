@@ -15,10 +15,10 @@ from matplotlib.lines import Line2D
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
-from mbdkit.plot.beam_curves import bezier_polylines
-from mbdkit.plot.drawing_geometry import Drawing, Trace
-from mbdkit.plot.plane_geometry import Array, zigzag
-from mbdkit.plot.style import FAINT, INK, PALETTE, PAPER, SPRING
+from mbdkit.figures.beam_curves import bezier_polylines
+from mbdkit.figures.drawing_geometry import Drawing
+from mbdkit.figures.palette import FAINT, INK, PALETTE, PAPER, SPRING
+from mbdkit.figures.plane_geometry import Array, zigzag
 
 _BENDING = LinearSegmentedColormap.from_list("bending", [PALETTE[0], "#BDBDBD", PALETTE[1]])
 BENDING_SHADES = tuple(to_hex(_BENDING(place)) for place in np.linspace(0.0, 1.0, 49))
@@ -30,21 +30,6 @@ _GROUND_MARK = Path(
     + [point for x in (-0.9, -0.45, 0.0, 0.45, 0.9) for point in ((x, -1), (x - 0.35, -1.45))],
     [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY] + [Path.MOVETO, Path.LINETO] * 6,
 )
-
-
-def body_colors(drawing: Drawing) -> list[str]:
-    """Return a colour for each body: different colours for few links, one colour for many."""
-    if len(drawing.links) > len(PALETTE):
-        return [INK] * len(drawing.bodies)
-    return [PALETTE[link] for link in drawing.link_numbers]
-
-
-def trace_colors(drawing: Drawing, traces: Sequence[Trace]) -> list[str]:
-    """Return a colour for each trace: that of its link if every link has its own, else one for each trace."""
-    owners = [drawing.link_numbers[drawing.owner[trace.point]] for trace in traces]
-    if len(drawing.links) <= len(PALETTE) and len(set(owners)) == len(owners):
-        return [PALETTE[owner] for owner in owners]
-    return [PALETTE[index % len(PALETTE)] for index in range(len(traces))]
 
 
 class Pose:

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbdkit.base.plain_data import plain
+from mbdkit.figures.beam_curves import BeamCurve
+from mbdkit.figures.cable_geometry import Place, cable_places
+from mbdkit.figures.plane_geometry import Array, convex_hull
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.pathways import JointAngles
-from mbdkit.plot.beam_curves import BeamCurve
-from mbdkit.plot.cable_geometry import Place, cable_places
-from mbdkit.plot.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.beams import Beam

@@ -1,0 +1,181 @@
+"""What pages consist of: figures and tables as data, drawings, and sections; how they look is left to others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from markupsafe import Markup
+
+
+@dataclass(frozen=True)
+class Column:
+    """Heading and unit of a column; the unit is empty for text and counts."""
+
+    label: str
+    unit: str = ""
+
+
+Cell = str | int | float | bool | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with one cell per column in every row; None is an empty cell.
+
+    A `headline` table is the main result of a study and is also printed on the terminal and in Markdown.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+    headline: bool = False
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"table {self.name}: {len(self.columns)} columns, but a row of {len(row)} cells")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """An axis of a figure."""
+
+    label: str
+    unit: str = ""
+    log: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """One line of a figure.
+
+    Attributes
+    ----------
+    label
+        Label in the legend.
+    x, y
+        (K,) coordinates; nan interrupts the line.
+    kind
+        Whether to draw a line, points, or both.
+    group
+        Lines of the same group have the same colour; in most figures the label of the method.
+    color
+        Colour as ``#rrggbb`` of what has the same colour in other pictures, such as a body; by default that of its
+        group.
+    band
+        (M, 2) corners of a shaded outline around the line, such as its estimated error; None if there is none.
+    """
+
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+    kind: Literal["line", "points", "both"] = "line"
+    group: str = ""
+    band: np.ndarray | None = None
+    color: str = ""
+
+
+@dataclass(frozen=True)
+class Band:
+    """A shaded range of the y axis, for example a published range."""
+
+    label: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Guide:
+    """A thin line that shows a slope, such as that of an order of convergence.
+
+    Attributes
+    ----------
+    label
+        Label in its middle.
+    x, y
+        (2,) its ends.
+    """
+
+    label: str
+    x: np.ndarray
+    y: np.ndarray
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A thin vertical line, for example at the time of an event; the label may be empty."""
+
+    label: str
+    x: float
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Content of a figure; its appearance is left to the report.
+
+    Attributes
+    ----------
+    name
+        Short unique identifier, used in file names and links.
+    title, caption
+        Title, and an explanation of what the figure shows.
+    x, y
+        The axes.
+    lines, bands, marks, guides
+        Elements of the figure.
+    equal
+        Whether both axes have the same scale, as for paths in the plane.
+    """
+
+    name: str
+    title: str
+    caption: str
+    x: Axis
+    y: Axis
+    lines: tuple[Line, ...]
+    bands: tuple[Band, ...] = ()
+    marks: tuple[Mark, ...] = ()
+    guides: tuple[Guide, ...] = ()
+    equal: bool = False
+
+    @property
+    def needs_key(self) -> bool:
+        """Whether the lines need names: there are several, or a single one that the title does not name."""
+        return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
+
+
+@dataclass(frozen=True)
+class Illustration:
+    """A drawing for wide pages and one for narrow ones, and its description for readers who do not see it."""
+
+    wide: Markup
+    narrow: Markup
+    description: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section.
+
+    Parameters
+    ----------
+    anchor, title
+        Identifier for links, and heading.
+    sentences
+        Paragraphs of text.
+    drawing
+        Drawing above the tables; None if there is none.
+    tables
+        Tables, each with its title.
+    """
+
+    anchor: str
+    title: str
+    sentences: tuple[str, ...] = ()
+    drawing: Illustration | None = None
+    tables: tuple[Table, ...] = ()
