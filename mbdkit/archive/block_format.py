@@ -27,6 +27,9 @@ HISTORIES = frozenset(
 )
 """Arrays that ``store: histories`` keeps."""
 
+KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
+"""Values of `store` with which a study keeps the recorded rows."""
+
 COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"))
 """Growing axes of a run archive, and the group that holds their number of rows by run."""
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -19,8 +21,9 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.archive.run_writer import ArchiveNames, SharedForces
-from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import RunSpec
@@ -135,7 +138,7 @@ class Block:
             raise SpecError(f"the spec of run {number} does not have the hash that was stored with it", file=self.path)
         return spec
 
-    def run(self, number: int) -> StoredRun | None:
+    def run(self, number: int) -> Run | None:
         """Return a run with the arrays that are kept; None if it has no results.
 
         Raises
@@ -146,9 +149,30 @@ class Block:
         row = self.row(number)
         if not self.runs["data_sha256"][row]:
             return None
-        spec = self.spec(number)
+        return Run(self._contents(number, self._finished(number)))
+
+    def joined_runs(self) -> Iterator[tuple[Run, np.ndarray, np.ndarray]]:
+        """Yield all runs of each structure as one, their numbers (N,) in the study, and their numbers of rows (N,).
+
+        The rows of this run are those of the first run, then those of the second, and so on; its spec, status and the
+        like are those of the first. The block must stay open while it is read.
+
+        Raises
+        ------
+        SpecError
+            If the block is damaged.
+        """
+        structure = self.runs["structure"].astype(int)
+        for place in range(int(structure.max(initial=0))):
+            numbers = self.numbers[structure == place + 1]
+            first = self._finished(int(numbers[0]))
+            rows = _Rows(self, prefix(place), first.arrays)
+            yield Run(self._contents(int(numbers[0]), replace(first, arrays=rows))), numbers, rows.counts
+
+    def _contents(self, number: int, finished: FinishedRun) -> ArrayContents:
+        """Return the contents of a run: its results, with what the block says about its spec and origin."""
+        row, spec = self.row(number), self.spec(number)
         with reading(f"run {number}", self.path, hint=_HINT):
-            finished = self._finished(row)
             common = {name: _plain(value) for name, value in self.file["provenance"].attrs.items()}
             heading = Heading(
                 spec,
@@ -161,9 +185,14 @@ class Block:
             measured = MeasuredValues(
                 {name: float(columns[name][row]) for name in names}, {name: described[name][0] for name in names}
             )
-        return StoredRun(finished, heading, "" if self.store == "all" else self.store, measured)
+        return ArrayContents(finished, heading, "" if self.store == "all" else self.store, measured)
 
-    def _finished(self, row: int) -> FinishedRun:
+    def _finished(self, number: int) -> FinishedRun:
+        """Return the results of a run."""
+        with reading(f"run {number}", self.path, hint=_HINT):
+            return self._read_results(self.row(number))
+
+    def _read_results(self, row: int) -> FinishedRun:
         runs, place = self.runs, int(self.runs["place"][row]) - 1
         number = int(runs["structure"][row]) - 1
         names, recorded, shared = (
@@ -222,6 +251,37 @@ class Block:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class _Rows(Mapping[str, np.ndarray]):
+    """Arrays over time of all runs of a structure, read on first access.
+
+    Parameters
+    ----------
+    under
+        Path of the groups of the structure.
+    first
+        Arrays of its first run, with the keys.
+    """
+
+    def __init__(self, block: Block, under: str, first: Mapping[str, np.ndarray]):
+        self.block, self.under, self.first = block, under, first
+        self.counts = np.asarray(block.file[f"{under}trajectory/rows"][:], int)
+        self.known: dict[str, np.ndarray] = {}
+
+    def __getitem__(self, key: str) -> np.ndarray:
+        if key not in self.known:
+            path = "trajectory/time" if key == "time" else key
+            with reading(path, self.block.path, hint=_HINT):
+                values = np.asarray(self.block.file[f"{self.under}{path}"][:])
+                self.known[key] = values[np.arange(values.shape[1]) < self.counts[:, None]]
+        return self.known[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.first)
+
+    def __len__(self) -> int:
+        return len(self.first)
 
 
 def _has_scales(item: h5py.Dataset) -> bool:

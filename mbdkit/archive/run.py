@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
@@ -39,15 +38,13 @@ from mbdkit.archive.history import (
     ObservedHistories,
     ObservedHistory,
     Steps,
-    UnknownNameError,
 )
-from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
-from mbdkit.archive.open_archive import open_archive
+from mbdkit.archive.measured_values import Integrals, MeasuredValues
 from mbdkit.archive.part_file import write_image
-from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.run_contents import ArchiveContents, RunContents
 from mbdkit.archive.run_views import Animation, RunPlots
 from mbdkit.base import higher_layers
-from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.errors import RunError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec import InverseSpec, RunSpec
@@ -73,107 +70,36 @@ class Run(HtmlView):
 
     Parameters
     ----------
-    path
-        Path of the archive; None if it is in memory.
+    contents
+        Where its data are; an HDF5 file in memory, or other contents.
     """
 
-    def __init__(self, file: h5py.File, path: Path | None = None):
-        self._file = file
-        self._path = path
+    def __init__(self, contents: RunContents | h5py.File):
+        self._contents = contents if isinstance(contents, RunContents) else ArchiveContents(contents)
+        self._header, self._names = self._contents.header, self._contents.names
         #: The exception of a plugin that ended the run, if it was run in this process; `check` chains it.
-        self.cause: BaseException | None = None
+        self.cause: BaseException | None = self._contents.cause
         self._arrays: dict[str, np.ndarray] = {}
-        try:
-            with reading("its header", path):
-                self._attributes = {name: str(file.attrs[name]) for name in layout.ROOT_ATTRIBUTES}
-                self._provenance = run_header.plain_attributes(file["provenance"])
-                self._read_end()
-                self._redundancy = str(file["joints"].attrs.get("redundancy", ""))
-                self._names = {
-                    name: run_header.names(file, name)
-                    for name in (
-                        "trajectory/body",
-                        "joints/joint",
-                        "joints/first_body",
-                        "joints/second_body",
-                        "joints/angle_row_units",
-                        "forces/force",
-                        "forces/first_body",
-                        "forces/second_body",
-                        "forces/value_row_units",
-                        "markers/marker",
-                        "markers/body",
-                        "beams/beam",
-                        "constraints/constraint",
-                        "constraints/row_units",
-                        "motion/observed",
-                        "motion/row_units",
-                        "actuators/actuator",
-                        "actuators/row_units",
-                        "loads/load",
-                        "loads/body",
-                    )
-                    if name in file
-                }
-        except SpecError:
-            file.close()
-            raise
-
-    def _read_end(self) -> None:
-        """Read what is written at the end of a run; a crash may have left it incomplete."""
-        self._verdict = ""
-        self._reasons: tuple[str, ...] = ()
-        self._warnings: tuple[str, ...] = ()
-        self._stats: Mapping[str, Any] = ReadOnlyDict()
-        self._misalignment_max: np.ndarray | None = None
-        if self.status == "running":
-            return
-        file = self._file
-        self._verdict = str(file.attrs.get("verdict", ""))
-        self._reasons, self._warnings = (
-            tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
-        )
-        self._stats = run_header.numbers(file["stats"])
-        self._misalignment_max = run_header.misalignments(file)
-
-    @cached_property
-    def _whole_rows(self) -> Mapping[str, int]:
-        """Numbers of rows that every array of a crashed run has, by the first axis."""
-        noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
-        if noted is not None:
-            return {dim: int(rows) for dim, rows in zip(layout.GROWING, noted, strict=True)}
-        lengths: dict[str, list[int]] = {dim: [0] for dim in layout.GROWING}  # of an earlier version
-        for array in layout.LAYOUT:
-            if array.grows and array.path in self._file:
-                lengths[array.dims[0]].append(len(self._file[array.path]))
-        return {dim: min(found[1:], default=0) for dim, found in lengths.items()}
 
     @classmethod
     def open(cls, path: Path) -> Run:
         """Open the archive at `path`; see `mbdkit.load`."""
-        file = open_archive(path)
-        try:
-            with reading("its arrays", path):
-                run_header.check_shapes(file)
-        except BaseException:
-            file.close()
-            raise
-        return cls(file, path)
+        return cls(ArchiveContents.open(path))
 
     @property
     def path(self) -> Path | None:
         """Path of the archive; None if the run is in memory."""
-        return self._path
+        return self._contents.path
 
     @property
     def status(self) -> str:
         """``complete``, ``failed``, ``interrupted``, or ``running`` if the run crashed."""
-        return self._attributes["status"]
+        return self._header.attributes["status"]
 
     @property
     def status_reason(self) -> str:
         """Code and sentence saying why the run is not complete or which event ended it; otherwise empty."""
-        return self._attributes["status_reason"]
+        return self._header.attributes["status_reason"]
 
     @property
     def verdict(self) -> Level:
@@ -182,53 +108,53 @@ class Run(HtmlView):
         ``good`` needs an estimate of the error. ``unknown`` means that nothing suspicious was seen. Runs that crashed
         and archives of versions that did not judge runs are ``unknown`` as well, see `is_judged`.
         """
-        return next((level for level in LEVELS if level == self._verdict), "unknown")
+        return next((level for level in LEVELS if level == self._header.verdict), "unknown")
 
     @property
     def is_judged(self) -> bool:
         """Whether the archive holds a verdict; archives of earlier versions and of crashed runs do not."""
-        return bool(self._verdict)
+        return bool(self._header.verdict)
 
     @property
     def verdict_reasons(self) -> list[str]:
         """Reasons for the verdict, as sentences with their limits, the worst first; empty if there are none."""
-        return list(self._reasons)
+        return list(self._header.verdict_reasons)
 
     @property
     def warnings(self) -> list[str]:
         """Warnings about the spec and the run, as sentences."""
         before = self.provenance.get("warning")  # where earlier versions wrote it
-        return [*self._warnings, *([str(before)] if before else [])]
+        return [*self._header.warnings, *([str(before)] if before else [])]
 
     @property
     def run_id(self) -> str:
         """Unique name of the run."""
-        return self._attributes["run_id"]
+        return self._header.attributes["run_id"]
 
     @property
     def created_utc(self) -> str:
         """Time at which the archive was created, ISO 8601, UTC."""
-        return self._attributes["created_utc"]
+        return self._header.attributes["created_utc"]
 
     @property
     def format_version(self) -> str:
         """Version of the archive format."""
-        return self._attributes["format_version"]
+        return self._header.attributes["format_version"]
 
     @property
     def spec_json(self) -> str:
         """Canonical JSON of the spec."""
-        return self._attributes["spec"]
+        return self._header.attributes["spec"]
 
     @property
     def spec_sha256(self) -> str:
         """SHA-256 of `spec_json`."""
-        return self._attributes["spec_sha256"]
+        return self._header.attributes["spec_sha256"]
 
     @property
     def data_sha256(self) -> str:
         """SHA-256 of all arrays except timings; empty if the run crashed."""
-        return self._attributes["data_sha256"]
+        return self._header.attributes["data_sha256"]
 
     @cached_property
     def spec(self) -> dict[str, Any]:
@@ -245,6 +171,8 @@ class Run(HtmlView):
         SpecError
             If a plugin that it names is not installed, or if it is a spec of inverse dynamics.
         """
+        if self._contents.run_spec is not None:
+            return self._contents.run_spec
         if self.kind == "inverse":
             raise refused_as_run()
         return RunSpec(**self.spec)
@@ -263,12 +191,12 @@ class Run(HtmlView):
     @cached_property
     def stats(self) -> Mapping[str, int | float]:
         """Counters (steps, evaluations, factorizations, ...) and times in s (setup_s, wall_s, finish_s, cpu_s)."""
-        return self._stats
+        return self._header.stats
 
     @cached_property
     def provenance(self) -> Mapping[str, str | int | float]:
         """Versions, platform and command."""
-        return self._provenance
+        return self._header.provenance
 
     @property
     def kind(self) -> Literal["forward", "inverse"]:
@@ -345,8 +273,7 @@ class Run(HtmlView):
 
         They were integrated with the run by the weights of its method.
         """
-        with reading("the integrals", self.path):
-            return integrals_from_json(str(self.file.attrs.get(layout.INTEGRALS, "{}")))
+        return self._contents.integrals()
 
     @cached_property
     def measures(self) -> MeasuredValues:
@@ -362,8 +289,7 @@ class Run(HtmlView):
         >>> run.measures.units["pull"]
         'kN'
         """
-        with reading("the measures", self.path):
-            return MeasuredValues.from_json(str(self.file.attrs.get(layout.MEASURES, "{}")))
+        return self._contents.measures()
 
     @cached_property
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
@@ -372,9 +298,7 @@ class Run(HtmlView):
         Each has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs, or a ``reason``
         why there are none; empty without `gradients` in the spec.
         """
-        with reading("the gradients", self.path):
-            found: dict[str, Any] = json.loads(str(self.file.attrs.get(layout.GRADIENTS, "{}")))
-            return ReadOnlyDict(found)
+        return self._contents.gradients()
 
     @cached_property
     def drivers(self) -> tuple[str, ...]:
@@ -506,7 +430,7 @@ class Run(HtmlView):
         recorded ones minimize the sum over joints of ``|force|^2 + (torque / length)^2``. The length [m] is the
         attribute ``characteristic_length`` of the group ``joints``.
         """
-        return self._redundancy
+        return self._header.redundancy
 
     @cached_property
     def constraints(self) -> ConstraintHistories:
@@ -551,15 +475,13 @@ class Run(HtmlView):
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
-        """Estimated errors of the recorded rows; None if the run was not checked (``check: true`` in its spec)."""
-        with reading("accuracy", self.path):
-            group = self.file.get("accuracy")
-            return None if group is None else Accuracy.read(group)
+        """Estimated errors of the recorded rows; None if the run was not checked (``check: true``) or keeps none."""
+        return self._contents.accuracy()
 
     @cached_property
     def _largest_misalignments(self) -> np.ndarray:
-        if self._misalignment_max is not None:
-            return self._misalignment_max
+        if self._header.misalignment_max is not None:
+            return self._header.misalignment_max
         # The archive of a crashed run lacks the maxima over all steps; use the maxima over the recorded rows.
         if not self.records("joints/misalignment"):
             return np.full(len(self.joint_names), np.nan)
@@ -634,37 +556,18 @@ class Run(HtmlView):
         MbdkitError
             If the run is closed.
         """
-        file = self.file
-        array = layout.BY_PATH.get(path)
-        with reading(path, self.path):
-            if array is not None and array.grows and self.status == "running":
-                return self._crashed(array)
-            if path in file:
-                return file[path]
-        if array is None:
-            raise UnknownNameError("array", path, list(layout.BY_PATH))
-        raise NotRecordedError(path, self.format_version)
-
-    def _crashed(self, array: layout.Array) -> h5py.Dataset | np.ndarray:
-        """Return the whole rows of a growing array of a crashed run."""
-        is_flushed = self._whole_rows["time"] > 0  # arrays are created with their first rows
-        if is_flushed and array.path in self.file:
-            dataset, rows = self.file[array.path], self._whole_rows[array.dims[0]]
-            if len(dataset) == rows:
-                return dataset
-            values: np.ndarray = (dataset.asstr() if is_text(dataset) else dataset)[:rows]
-            return values
-        group = None if layout.later([array.path], self.format_version) else self.file.get(array.group)
-        if is_flushed or array.optional or group is None:
-            raise NotRecordedError(array.path, self.format_version)
-        return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
+        return self._contents.dataset(path)
 
     @property
     def file(self) -> h5py.File:
-        """The open HDF5 file."""
-        if not self._file:
-            raise MbdkitError(f"this run is closed; load {self._path} again" if self._path else "this run is closed")
-        return self._file
+        """The open HDF5 file; of a run whose arrays are in memory, one that is made of them.
+
+        Raises
+        ------
+        MbdkitError
+            If the run is closed, or a study does not keep all of its arrays.
+        """
+        return self._contents.file
 
     def _read(self, path: str, at: tuple[Any, ...]) -> np.ndarray:
         dataset = self.dataset(path)
@@ -748,7 +651,7 @@ class Run(HtmlView):
         from mbdkit.archive.xarray_tree import to_datatree
 
         with reading("its contents", self.path):
-            return to_datatree(self.file, self._whole_rows if self.status == "running" else {})
+            return to_datatree(self.file, self._contents.whole_rows if self.status == "running" else {})
 
     def to_frame(self, group: str) -> pandas.DataFrame:
         """Return a group of the archive as a table with one row for each recorded time.
@@ -801,7 +704,7 @@ class Run(HtmlView):
 
     def close(self) -> None:
         """Close the archive; arrays read before remain valid."""
-        self._file.close()
+        self._contents.close()
 
     def __enter__(self) -> Run:
         return self
@@ -812,11 +715,11 @@ class Run(HtmlView):
         self.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        if self._path is None:
+        if self.path is None:
             raise TypeError("a run in memory cannot be pickled; save it to a file and load that")
-        return Run.open, (self._path.resolve(),)
+        return Run.open, (self.path.resolve(),)
 
     def __repr__(self) -> str:
-        where = "in memory" if self._path is None else str(self._path)
+        where = "in memory" if self.path is None else str(self.path)
         bodies = len(self._names["trajectory/body"])
         return f"<Run {self.run_id} {self.status}, verdict {self.verdict}, {bodies} bodies, {where}>"

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.archive.stored_run import Heading, StoredRun
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
@@ -128,7 +129,7 @@ class ScenarioRuns:
                     raise ResourceError(result.reason)
                 found[place] = self._failed(result.reason)
                 continue
-            stored = StoredRun(result, Heading(spec, ""))
+            stored = Run(ArrayContents(result, Heading(spec)))
             values = tuple(take(one, stored, spec) for one in self._measures)
             found[place] = _judged(values, result.judgement.level, result.judgement.reasons)
         return [one for one in found if one is not None]

@@ -17,8 +17,9 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.archive.run_writer import UNJUDGED
-from mbdkit.archive.stored_run import Heading, StoredRun
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.events.event_expression import Quantity
@@ -176,7 +177,7 @@ class RunIntegrals:
     def _values(self, series: Series) -> list[np.ndarray]:
         return [one.values(series, {}, 0.0) for one in self._direct]
 
-    def _run_at(self, nodes: Nodes) -> StoredRun | None:
+    def _run_at(self, nodes: Nodes) -> Run | None:
         """Return a run whose rows are nodes; None if a node has no unique accelerations."""
         count = len(nodes.time)
         observed = self._observer.arrays(count)
@@ -188,7 +189,7 @@ class RunIntegrals:
         states = RecordedStates(stretch, observed, none, 0.0, self._rows, self._joints)
         columns = _Columns(states)
         finished = FinishedRun(self._names, self._layout, columns, None, "running", "", {}, none, UNJUDGED, (), "")
-        return StoredRun(finished, Heading(self.spec, ""))
+        return Run(ArrayContents(finished, Heading(self.spec)))
 
 
 class _Columns(dict[str, np.ndarray]):

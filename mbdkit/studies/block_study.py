@@ -7,10 +7,10 @@ from typing import Any, overload
 
 import numpy as np
 
+from mbdkit.archive.block_format import KEEPING_TIMES
 from mbdkit.archive.blocks import Block
-from mbdkit.archive.joined_runs import KEEPING_TIMES, joined_runs
 from mbdkit.archive.run import Run
-from mbdkit.archive.stored_run import NotStoredError
+from mbdkit.archive.run_contents import NotStoredError
 from mbdkit.base.errors import SpecError
 from mbdkit.measures.take import Description
 from mbdkit.studies import block_index
@@ -129,8 +129,8 @@ class BlockStudy(Study):
             path = self._files.block(number)
             if path.exists():
                 with Block(path) as block:
-                    for run in joined_runs(block) if block.study_sha256 == self.spec.sha256() else ():
-                        yield run, run.numbers.tolist(), run.counts
+                    for run, numbers, counts in block.joined_runs() if block.study_sha256 == self.spec.sha256() else ():
+                        yield run, numbers.tolist(), counts
 
     def _columns(self, points: Sequence[StudyPoint]) -> dict[str, Any]:
         """Return the columns of the index without those of the axes."""

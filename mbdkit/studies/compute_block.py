@@ -15,7 +15,8 @@ from typing import Any
 
 from mbdkit.archive.block_writer import BlockHeading, BlockRun, kept, write_block
 from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.archive.stored_run import Heading, StoredRun
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.plain_data import collecting_new_objects_only, path_text
 from mbdkit.base.terminal import say
@@ -116,10 +117,11 @@ class BlockStudyPlan:
         """Whether errors of runs are estimated."""
         return any(point.spec.estimates_errors for point in self.samples[:1] if not point.lacking)
 
-    def measured(self, runs: Sequence[StoredRun]) -> list[dict[str, float] | Refused]:
+    def measured(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
         """Return the measures of runs by name, or why they could not be taken."""
+        runs = [Run(ArrayContents(finished, Heading(spec))) for finished, spec in results]
         taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
-        for places in places_by_group([run.finished for run in runs]):
+        for places in places_by_group([finished for finished, _ in results]):
             group = RunGroup([runs[place] for place in places])
             columns = {name: MEASURES[name].take(group).tolist() for name in self.built_in if name != MISALIGNMENT}
             for number, place in enumerate(places):
@@ -130,7 +132,7 @@ class BlockStudyPlan:
                     taken[place] = refusal(error)
         return taken
 
-    def _of_one(self, run: StoredRun) -> dict[str, float]:
+    def _of_one(self, run: Run) -> dict[str, float]:
         """Return the measures that are taken of one run at a time."""
         taken = {measure.name: take(measure, run, run.run_spec) for measure in self.user_measures}
         checked = {} if run.accuracy is None else OF_CHECKED_RUNS
@@ -267,7 +269,7 @@ def _results(
 def _stored(plan: BlockStudyPlan, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:
     """Return what the block keeps of runs."""
     finished = [
-        StoredRun(result, Heading(member.spec, ""))
+        (result, member.spec)
         for member, result in some
         if isinstance(result, FinishedRun) and isinstance(member.spec, RunSpec)
     ]

@@ -1,0 +1,417 @@
+"""What a `Run` reads: the contract, and its two implementations, an archive in HDF5 and arrays in memory."""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import h5py
+import numpy as np
+
+from mbdkit.archive import layout, run_header
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.history import NotRecordedError, UnknownNameError
+from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
+from mbdkit.archive.open_archive import open_archive
+from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.run_writer import name_texts
+from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.spec import RunSpec
+
+_NAMES = (
+    "trajectory/body",
+    "joints/joint",
+    "joints/first_body",
+    "joints/second_body",
+    "joints/angle_row_units",
+    "forces/force",
+    "forces/first_body",
+    "forces/second_body",
+    "forces/value_row_units",
+    "markers/marker",
+    "markers/body",
+    "beams/beam",
+    "constraints/constraint",
+    "constraints/row_units",
+    "motion/observed",
+    "motion/row_units",
+    "actuators/actuator",
+    "actuators/row_units",
+    "loads/load",
+    "loads/body",
+)
+"""Arrays of names that are read when a run is opened."""
+
+
+@dataclass(frozen=True, eq=False)
+class Header:
+    """What is known of a run without its arrays.
+
+    Parameters
+    ----------
+    attributes
+        Values of `layout.ROOT_ATTRIBUTES`.
+    provenance
+        Attributes of ``/provenance``.
+    verdict, verdict_reasons, warnings
+        Verdict on the run, its reasons, and warnings; empty if the run crashed.
+    stats
+        Counters and times [s].
+    misalignment_max
+        (J,) largest misalignment of each joint over all steps [m]; None if unknown.
+    redundancy
+        Description of the redundant constraints; empty if there are none.
+    """
+
+    attributes: Mapping[str, str]
+    provenance: Mapping[str, str | int | float]
+    verdict: str = ""
+    verdict_reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    stats: Mapping[str, int | float] = field(default_factory=ReadOnlyDict)
+    misalignment_max: np.ndarray | None = None
+    redundancy: str = ""
+
+
+class RunContents(ABC):
+    """What a `Run` reads; it checks nothing that its contents guarantee.
+
+    Attributes
+    ----------
+    header
+        Status, spec, verdict and counters.
+    names
+        Names and units along the axes, by path.
+    path
+        Path of the archive; None without a file.
+    run_spec
+        The validated spec, if it is at hand.
+    cause
+        The exception of a plugin that ended the run in this process.
+    whole_rows
+        Number of rows that every array of a crashed run has, by the first axis.
+    """
+
+    header: Header
+    names: Mapping[str, tuple[str, ...]]
+    path: Path | None = None
+    run_spec: RunSpec | None = None
+    cause: BaseException | None = None
+    whole_rows: Mapping[str, int] = MappingProxyType({})
+
+    @abstractmethod
+    def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
+        """Return an array; see `Run.dataset`."""
+
+    @abstractmethod
+    def measures(self) -> MeasuredValues:
+        """Return the values of the measures in the spec."""
+
+    @abstractmethod
+    def integrals(self) -> Integrals:
+        """Return the time integrals by their integrands."""
+
+    @abstractmethod
+    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
+        """Return the gradients of the measures; see `Run.gradients`."""
+
+    @abstractmethod
+    def accuracy(self) -> Accuracy | None:
+        """Return the estimated errors; None if there are none, or they are not kept."""
+
+    @property
+    @abstractmethod
+    def file(self) -> h5py.File:
+        """The contents as an HDF5 file."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the file, if there is one."""
+
+
+class ArchiveContents(RunContents):
+    """The contents of an archive.
+
+    Parameters
+    ----------
+    file
+        The archive, which is open; it is closed if its header is damaged.
+    path
+        Its path; None if it is in memory.
+
+    Raises
+    ------
+    SpecError
+        If the header is damaged.
+    """
+
+    def __init__(self, file: h5py.File, path: Path | None = None):
+        self._file, self.path = file, path
+        try:
+            with reading("its header", path):
+                self.header = self._read_header()
+                self.names = {name: run_header.names(file, name) for name in _NAMES if name in file}
+        except SpecError:
+            file.close()
+            raise
+
+    @classmethod
+    def open(cls, path: Path) -> ArchiveContents:
+        """Open the archive at a path, and check the shapes of its arrays."""
+        file = open_archive(path)
+        try:
+            with reading("its arrays", path):
+                run_header.check_shapes(file)
+        except BaseException:
+            file.close()
+            raise
+        return cls(file, path)
+
+    def _read_header(self) -> Header:
+        file = self._file
+        attributes = {name: str(file.attrs[name]) for name in layout.ROOT_ATTRIBUTES}
+        provenance = run_header.plain_attributes(file["provenance"])
+        redundancy = str(file["joints"].attrs.get("redundancy", ""))
+        if attributes["status"] == "running":  # a crash may have left the rest incomplete
+            return Header(attributes, provenance, redundancy=redundancy)
+        reasons, warnings = (
+            tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
+        )
+        return Header(
+            attributes,
+            provenance,
+            str(file.attrs.get("verdict", "")),
+            reasons,
+            warnings,
+            run_header.numbers(file["stats"]),
+            run_header.misalignments(file),
+            redundancy,
+        )
+
+    @cached_property
+    def whole_rows(self) -> Mapping[str, int]:  # type: ignore[override]
+        """See `RunContents`."""
+        noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
+        if noted is not None:
+            return {dim: int(rows) for dim, rows in zip(layout.GROWING, noted, strict=True)}
+        lengths: dict[str, list[int]] = {dim: [0] for dim in layout.GROWING}  # of an earlier version
+        for array in layout.LAYOUT:
+            if array.grows and array.path in self._file:
+                lengths[array.dims[0]].append(len(self._file[array.path]))
+        return {dim: min(counts[1:], default=0) for dim, counts in lengths.items()}
+
+    def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
+        """Return an array; see `Run.dataset`."""
+        file = self.file
+        array = layout.BY_PATH.get(path)
+        with reading(path, self.path):
+            if array is not None and array.grows and self.header.attributes["status"] == "running":
+                return self._crashed(array)
+            if path in file:
+                return file[path]
+        if array is None:
+            raise UnknownNameError("array", path, list(layout.BY_PATH))
+        raise NotRecordedError(path, self.header.attributes["format_version"])
+
+    def _crashed(self, array: layout.Array) -> h5py.Dataset | np.ndarray:
+        """Return the whole rows of a growing array of a crashed run."""
+        version = self.header.attributes["format_version"]
+        is_flushed = self.whole_rows["time"] > 0  # arrays are created with their first rows
+        if is_flushed and array.path in self.file:
+            dataset, rows = self.file[array.path], self.whole_rows[array.dims[0]]
+            if len(dataset) == rows:
+                return dataset
+            values: np.ndarray = (dataset.asstr() if is_text(dataset) else dataset)[:rows]
+            return values
+        group = None if layout.later([array.path], version) else self.file.get(array.group)
+        if is_flushed or array.optional or group is None:
+            raise NotRecordedError(array.path, version)
+        return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
+
+    def measures(self) -> MeasuredValues:
+        """Return the values of the measures in the spec."""
+        with reading("the measures", self.path):
+            return MeasuredValues.from_json(str(self.file.attrs.get(layout.MEASURES, "{}")))
+
+    def integrals(self) -> Integrals:
+        """Return the time integrals by their integrands."""
+        with reading("the integrals", self.path):
+            return integrals_from_json(str(self.file.attrs.get(layout.INTEGRALS, "{}")))
+
+    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
+        """Return the gradients of the measures."""
+        with reading("the gradients", self.path):
+            return ReadOnlyDict(json.loads(str(self.file.attrs.get(layout.GRADIENTS, "{}"))))
+
+    def accuracy(self) -> Accuracy | None:
+        """Return the estimated errors."""
+        with reading("accuracy", self.path):
+            group = self.file.get("accuracy")
+            return None if group is None else Accuracy.read(group)
+
+    @property
+    def file(self) -> h5py.File:
+        """The archive."""
+        if not self._file:
+            raise MbdkitError(f"this run is closed; load {self.path} again" if self.path else "this run is closed")
+        return self._file
+
+    def close(self) -> None:
+        """Close the archive."""
+        self._file.close()
+
+
+@dataclass(frozen=True)
+class Heading:
+    """What the archive of a run says about its spec and its origin.
+
+    Parameters
+    ----------
+    spec
+        Its spec.
+    run_id
+        Its identifier.
+    created_utc
+        Time at which it was stored, ISO 8601.
+    provenance
+        Attributes of ``/provenance``.
+    """
+
+    spec: RunSpec
+    run_id: str = ""
+    created_utc: str = ""
+    provenance: Mapping[str, str | int | float] = field(default_factory=dict)
+
+
+class NotStoredError(NotRecordedError):
+    """The requested array was recorded by the run, but the study does not keep it."""
+
+    def __init__(self, what: str, store: str):
+        MbdkitError.__init__(
+            self, f"this study keeps no {what} (store: {store}); `study.remake(number)` computes the run again"
+        )
+
+
+class ArrayContents(RunContents):
+    """Arrays in memory, such as those that a block of a study holds.
+
+    Parameters
+    ----------
+    finished
+        The results; arrays that are not kept are missing in `FinishedRun.layout`.
+    heading
+        Spec and origin.
+    store
+        What is kept of each run, if that is not everything; empty otherwise.
+    measured
+        Values of the measures in the spec.
+    """
+
+    def __init__(
+        self, finished: FinishedRun, heading: Heading, store: str = "", measured: MeasuredValues | None = None
+    ):
+        self._finished, self._heading, self._store = finished, heading, store
+        self._measured = measured or MeasuredValues({}, {})
+        self.run_spec, self.cause = heading.spec, finished.cause
+        self.header = Header(
+            {
+                "format_version": layout.FORMAT_VERSION,
+                "status": finished.status,
+                "status_reason": finished.reason,
+                "run_id": heading.run_id,
+                "created_utc": heading.created_utc,
+                "spec": heading.spec.canonical_json(),
+                "spec_sha256": heading.spec.sha256(),
+                "data_sha256": finished.data_sha256,
+            },
+            MappingProxyType({**heading.provenance, **({"assembly": finished.assembly} if finished.assembly else {})}),
+            finished.judgement.level,
+            tuple(finished.judgement.reasons),
+            finished.warnings,
+            MappingProxyType(dict(finished.stats)),
+            finished.misalignment_max,
+            "" if finished.shared is None else finished.shared.redundancy,
+        )
+
+    @cached_property
+    def _texts(self) -> dict[str, tuple[str, ...]]:
+        """Names along the axes, by path."""
+        texts = name_texts(self._finished.names)
+        return {one.path: tuple(texts[one.path]) for one in self._finished.layout if not one.grows}
+
+    @cached_property
+    def _recorded(self) -> frozenset[str]:
+        """Paths of the arrays with rows."""
+        return frozenset([one.path for one in self._finished.layout if one.grows])
+
+    @cached_property
+    def names(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
+        """See `RunContents`."""
+        names = self._finished.names
+        return {**self._texts, "trajectory/body": tuple(names.bodies), "joints/joint": tuple(names.joints)}
+
+    def dataset(self, path: str) -> np.ndarray:
+        """Return an array; see `Run.dataset`."""
+        if path in self._recorded:
+            return self._finished.arrays[layout.BY_PATH[path].key]
+        if path in self._texts:
+            return np.array(self._texts[path], object)
+        if path not in layout.BY_PATH:
+            raise UnknownNameError("array", path, list(layout.BY_PATH))
+        if self._store:
+            raise NotStoredError(path, self._store)
+        raise NotRecordedError(path, layout.FORMAT_VERSION)
+
+    def measures(self) -> MeasuredValues:
+        """Return the values of the measures in the spec."""
+        return self._measured
+
+    def integrals(self) -> Integrals:
+        """Return the time integrals by their integrands."""
+        return self._finished.integrals
+
+    def gradients(self) -> Mapping[str, Mapping[str, Any]]:
+        """Return nothing: gradients are computed only for runs with an archive of their own."""
+        return ReadOnlyDict({})
+
+    def accuracy(self) -> Accuracy | None:
+        """Return the estimated errors."""
+        return self._finished.accuracy
+
+    @cached_property
+    def file(self) -> h5py.File:
+        """An HDF5 file in memory with the contents; raises NotStoredError if not all of its arrays are kept."""
+        if self._store:
+            raise NotStoredError("complete archive", self._store)
+        finished, heading = self._finished, self._heading
+        writer = ArchiveWriter(
+            None,
+            finished.names,
+            heading.spec.canonical_json(),
+            heading.spec.sha256(),
+            heading.run_id,
+            self.header.provenance,
+            arrays=finished.layout,
+            shared=finished.shared,
+        )
+        finished.write(writer)
+        measured = (lambda file: self._measured.to_json()) if self._measured else None
+        file = writer.finish(finished.ending, measured=measured)
+        assert file is not None
+        file.attrs.modify("data_sha256", finished.data_sha256)
+        return file
+
+    def close(self) -> None:
+        """Release the HDF5 file in memory, if there is one."""
+        if "file" in self.__dict__:
+            self.__dict__.pop("file").close()
