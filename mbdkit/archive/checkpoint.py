@@ -1,106 +1,85 @@
-"""Checkpoints in the ``.part`` of a run: the state from which the run continues, in two slots written in turn.
+"""``FILE.h5.part.checkpoint``: the state from which a killed run continues, and where the ``.part`` has its rows.
 
-A slot is an array of bytes of fixed size. Rewriting it changes no other byte of the file, and while one slot is
-written, the other one keeps the checkpoint before. A slot begins with its length and its SHA-256, so that a slot that
-was not written to its end is recognized. The state is stored as JSON, with the values of its arrays behind it.
+HDF5 keeps no journal: if a process is killed while HDF5 rearranges its tables, HDF5 may be unable to read the file. A
+checkpoint therefore says at which bytes the rows are, and has all else that the run needs. HDF5 never moves rows, and
+rows after the checkpoint change no byte of those before it, so that these can be read without the help of HDF5.
 
-HDF5 keeps no journal: a process that is killed while HDF5 rearranges its tables can leave a file that cannot be read. A
-checkpoint therefore holds a copy of all bytes of the file except the rows (`FileImage`). HDF5 never moves rows, so that
-writing these bytes back returns the file to the checkpoint. `found_in` finds slots without the help of HDF5.
+A checkpoint begins with its SHA-256. Its values are stored as JSON, with the content of the arrays behind it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-import mmap
-import zlib
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
 
-from mbdkit.archive.layout import CHECKPOINT
+from mbdkit.archive.layout import TEXT, Array
+from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
+from mbdkit.base.errors import SpecError
 
-SLOTS = ("first", "second")
+_MAGIC = b"mbdkit checkpoint 2\n"
+_HEADER = len(_MAGIC) + hashlib.sha256().digest_size
 
-_MAGIC = b"mbdkit checkpoint 1\n"
-_HEADER = len(_MAGIC) + 8 + hashlib.sha256().digest_size
-
-_ROOM = 1.5
-"""Size of a new slot, relative to the first checkpoint in it: factors with more fill-in make later ones larger."""
-
-_MOST_FOUND = 64
-"""Slots that are looked at in a damaged file; a file has two, and places of former ones."""
+_HEAD = ("spec", "run_id", "created_utc")
 
 _ARRAY = "array"
 _KINDS = frozenset({"<f8", "<i8", "<c16", "|u1"})
 
 
 @dataclass(frozen=True)
-class FileImage:
-    """All bytes of a flushed file except those of rows and slots.
+class StoredRows:
+    """Where a ``.part`` has the rows of an array that grows.
 
     Parameters
     ----------
-    size
-        Size of the file [bytes].
-    ranges
-        (K, 2) start and end of each stretch of bytes.
-    content
-        These bytes, one stretch after another, compressed by zlib: the tables of HDF5 are mostly zeros.
+    row_shape
+        Shape of one row.
+    chunk_rows
+        Number of rows in a chunk.
+    offsets
+        First byte of each chunk in the file.
+    texts
+        The rows themselves if they are strings, whose places in the file HDF5 alone knows.
     """
 
-    size: int
-    ranges: np.ndarray
-    content: np.ndarray
+    row_shape: tuple[int, ...]
+    chunk_rows: int
+    offsets: np.ndarray
+    texts: tuple[str, ...]
 
     @classmethod
-    def of(cls, file: h5py.File, path: Path) -> FileImage:
-        """Return the image of an open file that is flushed."""
-        rows: list[tuple[int, int]] = []
+    def of(cls, dataset: h5py.Dataset) -> StoredRows:
+        """Return the places of the rows of a flushed array."""
+        if h5py.check_string_dtype(dataset.dtype) is not None:
+            return cls((), 1, np.zeros(0, np.int64), tuple(dataset.asstr()[:]))
+        places: list[tuple[int, int]] = []
+        dataset.id.chunk_iter(lambda chunk: places.append((chunk.chunk_offset[0], chunk.byte_offset)))
+        offsets = np.array([offset for _, offset in sorted(places)], np.int64)
+        return cls(dataset.shape[1:], dataset.chunks[0], offsets, ())
 
-        def visit(name: str, item: h5py.Group | h5py.Dataset) -> None:
-            if not isinstance(item, h5py.Dataset):
-                return
-            if item.chunks is not None:
-                item.id.chunk_iter(lambda chunk: rows.append((chunk.byte_offset, chunk.byte_offset + chunk.size)))
-            elif name.startswith(f"{CHECKPOINT}/") and (start := item.id.get_offset()) is not None:
-                rows.append((start, start + item.nbytes))
-
-        file.visititems(visit)
-        size = int(file.id.get_filesize())
-        held = np.array(sorted(rows), np.int64).reshape(-1, 2)
-        ranges = np.column_stack([np.append(0, held[:, 1]), np.append(held[:, 0], size)])
-        ranges = ranges[ranges[:, 0] < ranges[:, 1]]
-        parts = []
-        with path.open("rb", buffering=0) as stream:
-            for start, end in ranges.tolist():
-                stream.seek(start)
-                parts.append(stream.read(end - start))
-        return cls(size, ranges, np.frombuffer(zlib.compress(b"".join(parts), 1), np.uint8))
-
-    def write_to(self, path: Path) -> None:
-        """Return a file to this image; raise ValueError if the image does not fit the file."""
-        lengths = self.ranges[:, 1] - self.ranges[:, 0]
-        if np.any(lengths < 0) or np.any(self.ranges < 0) or np.any(self.ranges > self.size):
-            raise ValueError("a stretch is not in the file")
-        total = int(np.sum(lengths))
-        if not total <= self.size <= path.stat().st_size:
-            raise ValueError("the file is smaller than at its checkpoint")
-        content = zlib.decompressobj().decompress(self.content.tobytes(), max(1, total))
-        if len(content) != total:
-            raise ValueError("a stretch has another length")
-        place = 0
-        with path.open("r+b") as stream:
-            for (start, _), length in zip(self.ranges.tolist(), lengths.tolist(), strict=True):
-                stream.seek(start)
-                stream.write(content[place : place + length])
-                place += length
-            stream.truncate(self.size)
+    def read(self, part: BinaryIO, array: Array, some: slice) -> np.ndarray:
+        """Return some rows from the bytes of the ``.part``; raise ValueError or LookupError if they are not there."""
+        if array.dtype == TEXT:
+            return np.array(self.texts[some], dtype=object)
+        row_bytes = np.dtype(array.dtype).itemsize * int(np.prod(self.row_shape, dtype=object))
+        if self.chunk_rows < 1 or not 0 <= row_bytes * self.chunk_rows <= os.fstat(part.fileno()).st_size:
+            raise ValueError("a chunk is larger than the file")
+        pieces, row = [], some.start
+        while row < some.stop and row_bytes:
+            chunk, first = divmod(row, self.chunk_rows)
+            last = min(self.chunk_rows, first + some.stop - row)
+            part.seek(int(self.offsets[chunk]) + first * row_bytes)
+            pieces.append(part.read((last - first) * row_bytes))
+            row += last - first
+        return np.frombuffer(b"".join(pieces), array.dtype).reshape(some.stop - some.start, *self.row_shape)
 
 
 @dataclass(frozen=True)
@@ -109,59 +88,109 @@ class Checkpoint:
 
     Parameters
     ----------
-    number
-        Checkpoints of a run are numbered from 1.
+    head
+        ``spec``, ``run_id`` and ``created_utc`` as in the archive, and its ``provenance``.
+    file
+        Number of the file in its file system that has the rows.
     rows
         Number of rows of each growing axis of the layout.
     lines
         The lines of these rows for `data_sha256`, sorted.
+    arrays
+        Where the rows are, by path of the array.
     state
         Nested mappings and lists of arrays, numbers, strings and None.
-    image
-        The file at the checkpoint.
     """
 
-    number: int
+    head: Mapping[str, Any]
+    file: int
     rows: Mapping[str, int]
     lines: tuple[str, ...]
+    arrays: Mapping[str, StoredRows]
     state: Mapping[str, Any]
-    image: FileImage
 
     def encoded(self) -> bytes:
-        """Return the bytes of a slot."""
+        """Return the bytes of the checkpoint."""
+        values = {**vars(self), "arrays": {path: vars(rows) for path, rows in self.arrays.items()}}
         arrays: list[np.ndarray] = []
-        content = {"number": self.number, "rows": dict(self.rows), "lines": list(self.lines)}
-        parts = {"state": self.state, "image": vars(self.image)}
-        text = json.dumps(content | _without_arrays(parts, arrays)).encode()
+        text = json.dumps(_without_arrays(values, arrays)).encode()
         body = b"".join([len(text).to_bytes(8, "little"), text, *(array.tobytes() for array in arrays)])
-        return b"".join([_MAGIC, len(body).to_bytes(8, "little"), hashlib.sha256(body).digest(), body])
+        return _MAGIC + hashlib.sha256(body).digest() + body
 
     @classmethod
     def decoded(cls, content: bytes) -> Checkpoint | None:
-        """Return the checkpoint in the bytes of a slot; None if they do not hold a whole one."""
-        if len(content) < _HEADER or not content.startswith(_MAGIC):
-            return None
-        size = int.from_bytes(content[len(_MAGIC) : len(_MAGIC) + 8], "little")
-        digest, body = content[len(_MAGIC) + 8 : _HEADER], content[_HEADER : _HEADER + size]
-        if len(body) != size or hashlib.sha256(body).digest() != digest:
+        """Return the checkpoint of these bytes; None if they are damaged."""
+        digest, body = content[len(_MAGIC) : _HEADER], content[_HEADER:]
+        if not content.startswith(_MAGIC) or hashlib.sha256(body).digest() != digest:
             return None
         try:
             end = 8 + int.from_bytes(body[:8], "little")
-            found = json.loads(body[8:end])
-            reader = _Reader(body, end)
-            state, image = (_with_arrays(found[name], reader) for name in ("state", "image"))
-            rows = {str(dim): int(count) for dim, count in found["rows"].items()}
-            return cls(int(found["number"]), rows, tuple(map(str, found["lines"])), state, _image_of(image))
+            values = _with_arrays(json.loads(body[8:end]), _Reader(body, end))
+            return cls(
+                head={
+                    **{name: str(values["head"][name]) for name in _HEAD},
+                    "provenance": values["head"]["provenance"],
+                },
+                file=int(values["file"]),
+                rows={str(dim): int(count) for dim, count in values["rows"].items()},
+                lines=tuple(map(str, values["lines"])),
+                arrays={path: _stored_rows(rows) for path, rows in values["arrays"].items()},
+                state=values["state"],
+            )
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             return None  # the hash is right, so that someone has made it
 
+    def write(self, part: Path) -> None:
+        """Write the checkpoint of a ``.part`` that is on the disk; it replaces the one before it only as a whole."""
+        new = new_checkpoint_path(part)
+        new.unlink(missing_ok=True)
+        try:
+            with new.open("xb") as stream:
+                stream.write(self.encoded())
+                stream.flush()
+                os.fsync(stream.fileno())
+            new.replace(checkpoint_path(part))
+            _sync_folder(part.parent)
+        finally:
+            new.unlink(missing_ok=True)
 
-def _image_of(stored: Any) -> FileImage:
-    """Return an image from its stored parts; raise ValueError if it is none."""
-    ranges, content = stored["ranges"], stored["content"]
-    if ranges.dtype != np.int64 or ranges.ndim != 2 or ranges.shape[1] != 2 or content.dtype != np.uint8:
-        raise ValueError("not an image of a file")
-    return FileImage(int(stored["size"]), ranges, content)
+    @classmethod
+    def of(cls, part: Path) -> Checkpoint | None:
+        """Return the checkpoint of a ``.part``; None if it has none.
+
+        Raises
+        ------
+        SpecError
+            If the checkpoint is damaged.
+        """
+        path = checkpoint_path(part)
+        if not path.is_file():
+            return None
+        try:
+            checkpoint = cls.decoded(path.read_bytes())
+        except OSError as error:
+            raise SpecError(f"{path.name} cannot be read ({error.strerror})", file=part) from error
+        if checkpoint is None:
+            raise SpecError(f"{path.name} is damaged, so that this run cannot be resumed; run it anew", file=part)
+        return checkpoint
+
+
+def _sync_folder(folder: Path) -> None:
+    """Wait until renamings in a folder are on the disk, as far as the system allows."""
+    with contextlib.suppress(OSError):  # Windows cannot open folders
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
+    """Return the places of rows from their stored values; raise ValueError if they are none."""
+    offsets, shape = values["offsets"], tuple(map(int, values["row_shape"]))
+    if offsets.dtype != np.int64 or offsets.ndim != 1 or min(shape, default=0) < 0:
+        raise ValueError("not the places of rows")
+    return StoredRows(shape, int(values["chunk_rows"]), offsets, tuple(map(str, values["texts"])))
 
 
 class _Reader:
@@ -206,64 +235,3 @@ def _with_arrays(value: Any, reader: _Reader) -> Any:
         case list():
             return [_with_arrays(one, reader) for one in value]
     return value
-
-
-class Slots:
-    """Writes the checkpoints of one run into its open ``.part``."""
-
-    def __init__(self, file: h5py.File):
-        self._file = file
-
-    def has_room(self, number: int, size: int) -> bool:
-        """Return whether the slot of checkpoint `number` exists and holds `size` bytes."""
-        slot = self._file.get(f"{CHECKPOINT}/{SLOTS[number % 2]}")
-        return slot is not None and len(slot) >= size
-
-    @property
-    def exist(self) -> bool:
-        """Whether the file has slots."""
-        return CHECKPOINT in self._file
-
-    def make_room(self, number: int, size: int) -> None:
-        """Make the slot of checkpoint `number` hold `size` bytes; the other slot, if there is one, remains."""
-        group = self._file.require_group(CHECKPOINT)
-        group.pop(SLOTS[number % 2], None)
-        for name in SLOTS:
-            if name not in group:
-                slot = group.create_dataset(name, (int(_ROOM * size),), np.uint8)
-                slot[-1] = 0  # so that its place in the file is fixed
-
-    def write(self, number: int, content: bytes) -> None:
-        """Write the bytes of checkpoint `number`; the checkpoint before it remains."""
-        self._file[CHECKPOINT][SLOTS[number % 2]][: len(content)] = np.frombuffer(content, np.uint8)
-
-    def remove(self) -> None:
-        """Remove the checkpoints; HDF5 uses their place for what it writes later."""
-        del self._file[CHECKPOINT]
-
-
-def checkpoints(file: h5py.File) -> list[Checkpoint]:
-    """Return the whole checkpoints of a ``.part``, the newest first."""
-    found = []
-    group = file.get(CHECKPOINT)
-    for name in SLOTS if isinstance(group, h5py.Group) else ():
-        slot = group.get(name)
-        if isinstance(slot, h5py.Dataset) and slot.dtype == np.uint8 and slot.ndim == 1:
-            found.append(Checkpoint.decoded(slot[:].tobytes()))
-    return _newest_first(found)
-
-
-def found_in(path: Path) -> list[Checkpoint]:
-    """Return the whole checkpoints of a file that HDF5 may be unable to read, the newest first."""
-    found: list[Checkpoint | None] = []
-    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        at = content.find(_MAGIC)
-        while at >= 0 and len(found) < _MOST_FOUND:
-            size = int.from_bytes(content[at + len(_MAGIC) : at + len(_MAGIC) + 8], "little")
-            found.append(Checkpoint.decoded(content[at : at + _HEADER + size]))
-            at = content.find(_MAGIC, at + 1)
-    return _newest_first(found)
-
-
-def _newest_first(found: Iterable[Checkpoint | None]) -> list[Checkpoint]:
-    return sorted((one for one in found if one is not None), key=lambda one: -one.number)

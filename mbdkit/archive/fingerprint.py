@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 from h5py import h5a, h5t
 
-from mbdkit.archive.layout import ATTRIBUTES_HASH, CHECKPOINT, TEXT, is_hashed
+from mbdkit.archive.layout import ATTRIBUTES_HASH, TEXT, is_hashed
 
 BLOCK_BYTES = 1 << 23
 
@@ -70,13 +70,8 @@ def dataset_line(dataset: h5py.Dataset) -> str:
 
 
 def datasets(group: h5py.Group) -> Iterator[h5py.Dataset]:
-    """Yield every dataset in a group and its subgroups, sorted by name within each group.
-
-    The checkpoints of a run that has not ended are left out.
-    """
-    left_out = f"/{CHECKPOINT}/" if group.name == "/" and group.attrs.get("status") == "running" else None
-    found = (item for item in objects(group) if isinstance(item, h5py.Dataset))
-    return (item for item in found if left_out is None or not item.name.startswith(left_out))
+    """Yield every dataset in a group and its subgroups, sorted by name within each group."""
+    return (item for item in objects(group) if isinstance(item, h5py.Dataset))
 
 
 def data_sha256(file: h5py.File) -> str:

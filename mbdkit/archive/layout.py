@@ -15,9 +15,6 @@ VERSIONS = ("1.0", FORMAT_VERSION)
 #: Attribute of the group ``trajectory`` while the run is under way: the rows of the tables up to the last flush.
 ROWS_FLUSHED = "rows_flushed"
 
-#: Group of the checkpoints of an unfinished archive; it is removed before the archive gets its final name.
-CHECKPOINT = "checkpoint"
-
 #: Axes that grow during a run, in the order of `ROWS_FLUSHED`: recorded rows, intervals between them, and events.
 GROWING = ("time", "interval", "event")
 

@@ -31,6 +31,28 @@ def part_path(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
+def checkpoint_path(part: Path) -> Path:
+    """Return the name of the checkpoint of a ``.part``."""
+    return part.with_name(f"{part.name}.checkpoint")
+
+
+def new_checkpoint_path(part: Path) -> Path:
+    """Return the name of a checkpoint while it is being written."""
+    return part.with_name(f"{part.name}.checkpoint.new")
+
+
+def remove_checkpoint(part: Path) -> None:
+    """Remove the checkpoint of a ``.part``, if there is one."""
+    for path in (checkpoint_path(part), new_checkpoint_path(part)):
+        path.unlink(missing_ok=True)
+
+
+def remove_part(part: Path) -> None:
+    """Remove a ``.part`` and its checkpoint, if they exist."""
+    remove_checkpoint(part)
+    part.unlink(missing_ok=True)
+
+
 def check_target(path: str | Path, *, overwrite: bool = False, source: str | Path | None = None) -> Path:
     """Check that an archive may be written at `path`, without changing the file system.
 
@@ -83,6 +105,7 @@ class Target:
         self.file = self._create()
         self._handle: int | None = os.open(self.part, os.O_RDWR)
         self._lock()
+        remove_checkpoint(self.part)  # of an earlier file of this name
 
     def _create(self) -> h5py.File:
         # Exclusive creation: if two runs start at the same time, only one of them can create the .part.
@@ -111,7 +134,7 @@ class Target:
             if not stat.S_ISREG(os.lstat(self.part).st_mode):
                 raise SpecError(f"{self.part} exists and is not a regular file", file=self.path)
             if sys.platform == "win32":  # an open file cannot be removed there
-                self.part.unlink()
+                remove_part(self.part)
                 return
             import fcntl
 
@@ -119,7 +142,7 @@ class Target:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if os.path.samestat(os.fstat(handle), os.lstat(self.part)):
-                    self.part.unlink()
+                    remove_part(self.part)
             finally:
                 os.close(handle)
         except FileNotFoundError:
@@ -180,7 +203,7 @@ class Target:
         self.sync()
 
     def publish(self) -> None:
-        """Rename the flushed .part to its final name.
+        """Rename the flushed .part to its final name, after the checkpoint, which is no longer needed, is removed.
 
         Without `overwrite`, a file created there during the run is not replaced. The archive is still open and locked,
         so that other runs do not remove the .part as that of a crashed run.
@@ -192,6 +215,7 @@ class Target:
         """
         if sys.platform == "win32":  # an open file cannot be renamed there
             self.file.close()
+        remove_checkpoint(self.part)
         try:
             if self.overwrite:
                 os.replace(self.part, self.path)
@@ -219,15 +243,17 @@ class Target:
             self._handle = None
 
     def drop(self) -> None:
-        """Close and remove the .part, unless it has taken the place of another one."""
+        """Close and remove the .part and its checkpoint, unless they have taken the place of others."""
         self.close()
         if not self.is_kept:
-            self.part.unlink(missing_ok=True)
+            remove_part(self.part)
 
     def take_place_of(self, part: Path) -> None:
-        """Rename the flushed .part to `part`, which it replaces; `drop` no longer removes it."""
+        """Rename the flushed .part to `part`, which it replaces with its checkpoint; `drop` no longer removes them."""
         self.sync()
         try:
+            # A checkpoint names its file, so that a kill between the two can be recognized, see `finish_replacement`.
+            os.replace(checkpoint_path(self.part), checkpoint_path(part))
             os.replace(self.part, part)
         except OSError as error:
             raise ResourceError(f"{self.part} cannot be renamed to {part} ({cause(error)})") from error

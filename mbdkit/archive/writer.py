@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.checkpoint import Checkpoint, FileImage, Slots
+from mbdkit.archive.checkpoint import Checkpoint, StoredRows
 from mbdkit.archive.fingerprint import attributes_sha256, digest_lines
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text, set_texts
@@ -40,10 +41,7 @@ FLUSH_INTERVAL = 1.0
 _MEMORY = itertools.count(1)
 
 #: Rows that are copied at once when a run continues.
-ROWS_COPIED = 1024
-
-#: Disk space reserved to write or remove checkpoints, whose own place exists before.
-_SLOT_BYTES = 1 << 12
+_ROWS_COPIED = 1024
 
 #: Disk space reserved for attributes.
 _ATTRIBUTE_BYTES = 1 << 15
@@ -108,6 +106,7 @@ class ArchiveWriter(RunWriter):
             if (growing := [array for array in self.arrays if array.dims[0] == dim])
         }
         self._shared = shared
+        self._provenance = dict(provenance)
         self._lines: list[str] = []
         self._flushed: float | None = None
         self._kept = False
@@ -118,8 +117,6 @@ class ArchiveWriter(RunWriter):
             if self._target is None
             else self._target.file
         )
-        self._slots = Slots(self._file)
-        self._checkpoints = 0
         try:
             counted = len(names.bodies) + 2 * len(names.joints) + 4 * len(names.constraints)
             counted += 6 * len(names.forces) + 2 * len(names.markers) + 2 * len(names.elements)
@@ -176,30 +173,36 @@ class ArchiveWriter(RunWriter):
         assert self._target is not None
         with self._storing():
             self._write_more()
-            self._checkpoints += 1
-            content = self._encoded(state)
-            while not self._slots.has_room(self._checkpoints, len(content)):
-                with self._target.reserved(4 * len(content)):
-                    self._slots.make_room(self._checkpoints, len(content))
-                content = self._encoded(state)  # the new slots are part of the file that it describes
-            with self._target.reserved(_SLOT_BYTES):
-                self._slots.write(self._checkpoints, content)
+            self._target.sync()  # before the checkpoint that counts these rows
+            attributes = self._file.attrs
+            series = [one for table in self._tables.values() for one in table.series]
+            checkpoint = Checkpoint(
+                head={name: str(attributes[name]) for name in ("spec", "run_id", "created_utc")}
+                | {"provenance": self._provenance},
+                file=os.stat(self._target.part).st_ino,
+                rows={dim: table.written for dim, table in self._tables.items()},
+                lines=self.lines,
+                arrays={one.array.path: StoredRows.of(one.dataset) for one in series if one.dataset is not None},
+                state=state,
+            )
+            checkpoint.write(self._target.part)
 
-    def _encoded(self, state: Mapping[str, Any]) -> bytes:
-        """Return a checkpoint of the flushed file."""
-        assert self._target is not None
-        rows = {dim: table.written for dim, table in self._tables.items()}
-        image = FileImage.of(self._file, self._target.part)
-        return Checkpoint(self._checkpoints, rows, self.lines, state, image).encoded()
-
-    def copy_rows(self, file: h5py.File, checkpoint: Checkpoint) -> None:
-        """Append the rows that a checkpoint counts from the ``.part`` that it is in, with the time of its creation."""
-        self._file.attrs.modify("created_utc", file.attrs["created_utc"])
+    def copy_rows(self, checkpoint: Checkpoint, part: BinaryIO) -> None:
+        """Append the rows of a checkpoint from the ``.part`` that has them, with the time of its creation."""
+        self._file.attrs.modify("created_utc", checkpoint.head["created_utc"])
         for dim, table in self._tables.items():
             rows = checkpoint.rows[dim]
-            for start in range(0, rows, ROWS_COPIED):
-                some = slice(start, min(rows, start + ROWS_COPIED))
-                self.take(dim, {one.array.key: stored_rows(file, one.array, some) for one in table.series})
+            for start in range(0, rows, _ROWS_COPIED):
+                some = slice(start, min(rows, start + _ROWS_COPIED))
+                self.take(
+                    dim,
+                    {
+                        one.array.key: checkpoint.arrays[one.array.path].read(part, one.array, some)
+                        for one in table.series
+                    },
+                )
+        with self._storing():
+            self._write_more()
 
     def take_place_of(self, part: Path) -> None:
         """Rename the file to `part`, which it replaces and which an abandoned run leaves."""
@@ -233,9 +236,6 @@ class ArchiveWriter(RunWriter):
                 self._end(started)
                 file.flush()
                 return file
-            if self._slots.exist:  # not removed before, so that a run that is killed meanwhile can be resumed
-                with self._target.reserved(_SLOT_BYTES):
-                    self._slots.remove()
             self._target.sync()
             try:
                 self._target.publish()
@@ -357,15 +357,6 @@ class ArchiveWriter(RunWriter):
                 self._target.drop()
                 rest = ""
             raise ResourceError(f"the archive {self._target.path} cannot be written: {cause(error)}{rest}") from error
-
-
-def stored_rows(file: h5py.File, array: Array, some: slice) -> np.ndarray:
-    """Return some rows of an array of the layout; strings are Python strings."""
-    dataset = file[array.path]
-    values = np.asarray((dataset.asstr() if array.dtype == layout.TEXT else dataset)[some])
-    if len(values) != some.stop - some.start:
-        raise ValueError(f"{array.path} has fewer rows than its checkpoint counts")
-    return values
 
 
 def _number(value: int | float) -> np.int64 | np.float64:

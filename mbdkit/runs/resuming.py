@@ -1,4 +1,4 @@
-"""Continues a run that was killed, from the last checkpoint in its ``.part``, to the same bits.
+"""Continues a run that was killed, from the checkpoint beside its ``.part``, to the same bits.
 
 The rows up to the checkpoint are copied into a new file, which then takes the place of the ``.part``. The old file is
 not written to: after a crash, HDF5 may not know all places in it that are in use.
@@ -7,29 +7,24 @@ not written to: after a crash, HDF5 may not know all places in it that are in us
 from __future__ import annotations
 
 import contextlib
-import hashlib
+import json
 import os
 import shlex
-import shutil
 import sys
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-
-import h5py
-import numpy as np
+from typing import Any, BinaryIO
 
 from mbdkit.archive import layout
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.checkpoint import Checkpoint, checkpoints, found_in
-from mbdkit.archive.fingerprint import line, spec_sha256, text_bytes
+from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.missing_plugins import check_plugins_of
 from mbdkit.archive.part_file import SUFFIX, check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.stranger_file import check_regular
-from mbdkit.archive.writer import ROWS_COPIED, ArchiveWriter, stored_rows
+from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
 from mbdkit.base.progress_bars import in_notebook, progress_bar
@@ -54,16 +49,19 @@ _NEEDED = ("mbdkit", "numpy", "scipy", "numba", "llvmlite", "processor")
 
 _ANEW = "run it anew"
 
+_CHECKPOINT_0_2 = "checkpoint"
+"""Group of the checkpoints in a ``.part`` of version 0.2."""
+
 
 def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None) -> Run:
-    """Continue a run that was killed, from the last checkpoint in the file that it left.
+    """Continue a run that was killed, from the last checkpoint that it left beside its unfinished archive.
 
-    The spec is the one in the file. The result has the bits of the run that nobody disturbed.
+    The spec is the one of the run. The result has the bits of the run that nobody disturbed.
 
     Parameters
     ----------
     part
-        The unfinished archive, ``FILE.h5.part``.
+        The unfinished archive, ``FILE.h5.part``, which has its checkpoint, ``FILE.h5.part.checkpoint``, beside it.
     overwrite
         Whether an existing ``FILE.h5`` may be replaced.
     progress
@@ -77,8 +75,8 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
     Raises
     ------
     SpecError
-        If the run cannot be continued: the file is damaged, has no checkpoint, or was written by another version of
-        mbdkit or of a plugin. It remains as it is.
+        If the run cannot be continued: a file is damaged, there is no checkpoint, or another version of mbdkit or of a
+        plugin wrote it. The files remain as they are.
     ResourceError
         If the run is still going.
     """
@@ -95,18 +93,12 @@ def continue_run(
 ) -> Run:
     """Continue a run; see `resume`, and `mbdkit.runs.simulation.simulate` for `notify`."""
     path = check_target(final_path(part), overwrite=overwrite)
-    with contextlib.ExitStack() as opened:
-        handle = opened.enter_context(_held(part))
-        try:
-            unfinished = _Unfinished(part, opened.enter_context(load(part)), path, overwrite, handle)
-            if not unfinished.has_checkpoints and unfinished.run.status != "running":
-                return unfinished.renamed()
-            unfinished.choose_checkpoint()
-        except SpecError as damage:
-            copy = opened.enter_context(_repaired(part, path, damage))
-            unfinished = _Unfinished(part, opened.enter_context(load(copy)), path, overwrite, handle)
-            unfinished.choose_checkpoint()
-        return unfinished.continued(opened.close, progress, notify)
+    _finish_replacement(part)
+    with _held(part) as stream:
+        checkpoint = Checkpoint.of(part)
+        if checkpoint is None:
+            return _renamed(part, path, overwrite)
+        return _Unfinished(part, checkpoint, path, overwrite, stream).continued(progress, notify)
 
 
 def final_path(part: Path) -> Path:
@@ -126,94 +118,115 @@ def final_path(part: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _held(part: Path) -> Iterator[int]:
-    """Hold a ``.part`` against runs that would replace it; yield a handle of the file."""
+def _held(part: Path) -> Iterator[BinaryIO]:
+    """Hold a ``.part`` against runs that would replace it; yield its bytes."""
     try:
-        handle = os.open(part, os.O_RDONLY)
+        stream = part.open("rb")
     except OSError as error:
         raise ResourceError(f"it cannot be read: {error.strerror}", file=part) from error
-    try:
+    with stream:
         if sys.platform != "win32":
             import fcntl
 
             try:
-                fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise _still_going(part) from None
             except OSError:
                 pass  # a file system without locks
-        yield handle
-    finally:
-        os.close(handle)
+        yield stream
 
 
-@contextlib.contextmanager
-def _repaired(part: Path, path: Path, damage: SpecError) -> Iterator[Path]:
-    """Yield a copy of a damaged ``.part`` that is returned to its newest whole checkpoint; raise `damage` without one.
+def _replacement(part: Path) -> Path:
+    """Return the name of the new file of a resumed run until it takes the place of the ``.part``."""
+    return part.with_name(f"{part.name.removesuffix('.part')}.resumed.part")
 
-    A run that is killed while HDF5 rearranges its tables can leave a file that cannot be read.
-    """
-    found = found_in(part) if part.stat().st_size else []
-    if not found:
-        raise damage
-    copy = path.with_name(f"{path.name}.repaired.part")
-    try:
-        try:
-            shutil.copyfile(part, copy)
-            found[0].image.write_to(copy)
-        except (ValueError, zlib.error):
-            raise damage from None
-        except OSError as error:
-            raise ResourceError(f"it cannot be copied to {copy.name} ({error.strerror})", file=part) from error
-        yield copy
-    finally:
-        copy.unlink(missing_ok=True)
+
+def _finish_replacement(part: Path) -> None:
+    """Rename the new file of a resumed run that was killed between the renaming of its checkpoint and of the file."""
+    new = _replacement(part)
+    if not new.is_file():
+        return
+    checkpoint = Checkpoint.of(part)
+    if checkpoint is not None and checkpoint.file == new.stat().st_ino:
+        with _held(new):
+            new.replace(part)
 
 
 def _still_going(part: Path) -> ResourceError:
     return ResourceError("a run is still writing this file, so there is nothing to resume", file=part)
 
 
+def _refused(part: Path, why: str, *, hint: str = _ANEW) -> SpecError:
+    return SpecError(f"this run cannot be resumed: {why}; {hint}", file=part)
+
+
+def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
+    """Give the archive of a run that had ended when it was killed its final name; raise SpecError if it had not."""
+    with load(part) as run:
+        if run.status == "running":
+            spec = _same_spec(part, run.spec_json, run.run_id, run.provenance)
+            why = why_without(spec, make_method(spec))
+            if not why and _CHECKPOINT_0_2 in run.file:
+                why = "its checkpoint is in the file itself, where another version of mbdkit has written it"
+            first = f"runs write the first one after {INTERVAL:g} s of steps"
+            raise _refused(part, why or f"it has no checkpoint; {first}")
+    if problems := check(part):
+        raise _refused(part, f"it has ended, but its archive is damaged ({problems[0]})")
+    try:
+        (os.replace if overwrite else rename_new)(part, path)
+    except OSError as error:
+        raise ResourceError(f"it cannot be renamed to {path.name} ({error.strerror})", file=part) from error
+    return load(path)
+
+
+def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any]) -> RunSpec:
+    """Return the spec of a run; raise SpecError if it began with other versions: the bits may not be the same."""
+    check_plugins_of(part, then)
+    try:
+        spec = load_spec(json.loads(spec_json))
+    except SpecError as error:
+        raise error.located(file=part) from error
+    except ValueError:
+        raise _refused(part, "its spec is damaged") from None
+    now = provenance(spec)
+    keys = [*_NEEDED, *(key for key in now if key.endswith(("_distribution", "_version")))]
+    other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
+    if other:
+        told = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
+        raise _refused(part, f"it began with {listed(told, 'and')}", hint=f"install the same, or {_ANEW}")
+    if spec.run_id() != run_id:
+        raise _refused(part, "this version reads its spec in another way")
+    return spec
+
+
 class _Unfinished:
-    """The archive of a run that was killed, open for reading.
+    """The run that a checkpoint was written for.
 
     Parameters
     ----------
     path
         Final name of the archive.
-    handle
-        Handle of the file `part`, by which a file is recognized that has replaced it.
+    stream
+        The bytes of the file `part`, by which a file is recognized that has replaced it.
     """
 
-    def __init__(self, part: Path, run: Run, path: Path, overwrite: bool, handle: int):
-        self.part, self.run, self.path, self.overwrite, self.handle = part, run, path, overwrite, handle
-        self.file: h5py.File = run.file
-        self.checkpoint: Checkpoint | None = None
+    def __init__(self, part: Path, checkpoint: Checkpoint, path: Path, overwrite: bool, stream: BinaryIO):
+        self.part, self.path, self.overwrite, self.stream = part, path, overwrite, stream
+        self.checkpoint = checkpoint
 
-    def refused(self, why: str) -> SpecError:
-        return SpecError(f"this run cannot be resumed: {why}", file=self.part)
-
-    @property
-    def has_checkpoints(self) -> bool:
-        """Whether the file has checkpoints, whole or not."""
-        return layout.CHECKPOINT in self.file
-
-    def continued(self, release: Callable[[], None], progress: Progress | None, notify: Callable[[str], None]) -> Run:
-        """Continue the run to its end; call `release` when the old file is no longer needed."""
-        spec = self._spec()
-        self._check_versions(spec)
+    def continued(self, progress: Progress | None, notify: Callable[[str], None]) -> Run:
+        """Continue the run to its end."""
+        head = self.checkpoint.head
+        spec = _same_spec(self.part, head["spec"], head["run_id"], head["provenance"])
         if why := why_without(spec, make_method(spec)):
-            raise self.refused(f"{why}; {_ANEW}")
-        checkpoint = self.checkpoint
-        if checkpoint is None:
-            first = f"runs write the first one after {INTERVAL:g} s of steps"
-            raise self.refused(f"it has no checkpoint; {first}; {_ANEW}")
+            raise _refused(self.part, why)
         writers: list[ArchiveWriter] = []
 
         def begun(spec: RunSpec, method: Method, start: tuple[Workspace, AssembledState]) -> ArchiveWriter:
             writers.append(self._writer(spec, method, start))
             try:
-                self._copy(writers[0], checkpoint)
+                self._copy(writers[0])
             except BaseException:
                 writers[0].abandon()
                 raise
@@ -221,71 +234,18 @@ class _Unfinished:
 
         def restored() -> None:
             writers[0].take_place_of(self.part)
-            release()
+            self.stream.close()
 
-        continuation = Continuation(checkpoint.state, lambda: self._observed(checkpoint.rows["time"]), restored)
+        continuation = Continuation(self.checkpoint.state, self._observed, restored)
         try:
             return simulate_on(spec, continuation, begun, progress=progress, notify=notify)
         except SpecError as error:
             raise error.located(file=self.part) from error
 
-    def renamed(self) -> Run:
-        """Give the archive of a run that had ended when it was killed its final name."""
-        if problems := check(self.part):
-            raise self.refused(f"it has ended, but its archive is damaged ({problems[0]}); {_ANEW}")
-        try:
-            (os.replace if self.overwrite else rename_new)(self.part, self.path)
-        except OSError as error:
-            raise ResourceError(
-                f"it cannot be renamed to {self.path.name} ({error.strerror})", file=self.part
-            ) from error
-        return load(self.path)
-
-    def _spec(self) -> RunSpec:
-        """Return the spec of the run."""
-        if spec_sha256(self.run.spec_json) != self.run.spec_sha256:
-            raise self.refused(f"its spec is damaged; {_ANEW}")
-        check_plugins_of(self.part, self.run.provenance)
-        try:
-            return load_spec(self.run.spec)
-        except SpecError as error:
-            raise error.located(file=self.part) from error
-
-    def _check_versions(self, spec: RunSpec) -> None:
-        """Raise SpecError if the run began with other versions: the bits may not be the same."""
-        now, then = provenance(spec), self.run.provenance
-        keys = [*_NEEDED, *(key for key in now if key.endswith(("_distribution", "_version")))]
-        other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
-        if other:
-            told = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
-            raise self.refused(f"it began with {listed(told, 'and')}; install the same, or {_ANEW}")
-        if spec.run_id() != self.run.run_id:
-            raise self.refused(f"this version reads its spec in another way; {_ANEW}")
-
-    def choose_checkpoint(self) -> None:
-        """Choose the newest checkpoint whose rows are in the file; raise SpecError if the file is damaged."""
-        if not self.has_checkpoints:
-            return
-        with reading("its checkpoints", self.part, hint=_ANEW):
-            found = checkpoints(self.file)
-        self.checkpoint = next((one for one in found if self._has_rows(one)), None)
-        if self.checkpoint is None:
-            raise self.refused(f"it is damaged, so that none of its checkpoints can be used; {_ANEW}")
-
-    def _has_rows(self, checkpoint: Checkpoint) -> bool:
-        """Return whether the file has the rows that a checkpoint counts, with their hashes."""
-        try:
-            arrays = [array for array in layout.LAYOUT if array.grows and array.path in self.file]
-            hashed = [array for array in arrays if layout.is_hashed(array.path)]
-            lines = (_line(self.file, array, checkpoint.rows[array.dims[0]]) for array in hashed)
-            return sorted(lines) == list(checkpoint.lines)
-        except (OSError, RuntimeError, LookupError, ValueError, TypeError):
-            return False
-
     def _writer(self, spec: RunSpec, method: Method, start: tuple[Workspace, AssembledState]) -> ArchiveWriter:
         """Begin the file that takes the place of the ``.part``."""
         workspace, _ = start
-        then = self.run.provenance
+        then = self.checkpoint.head["provenance"]
         writer = ArchiveWriter(
             self.path,
             archive_names(workspace.mechanism),
@@ -296,40 +256,32 @@ class _Unfinished:
             quantities=spec.output.recorded,
             extra_datasets=optional_arrays(spec, method, workspace.mechanism),
             overwrite=self.overwrite,
-            part=self.part.with_name(f"{self.path.name}.resumed.part"),
+            part=_replacement(self.part),
             shared=shared_forces(workspace.mechanism),
         )
         # Another call may have resumed the run, and ended, since this one opened the file.
-        if not (self.part.exists() and os.path.samestat(os.fstat(self.handle), os.stat(self.part))):
+        if not (self.part.exists() and os.path.samestat(os.fstat(self.stream.fileno()), os.stat(self.part))):
             writer.abandon()
             raise _still_going(self.part)
         return writer
 
-    def _copy(self, writer: ArchiveWriter, checkpoint: Checkpoint) -> None:
+    def _copy(self, writer: ArchiveWriter) -> None:
         """Copy the rows and the checkpoint into the new file."""
         with reading("its rows", self.part, hint=_ANEW):
-            writer.copy_rows(self.file, checkpoint)
-        writer.keep_checkpoint(checkpoint.state)
-        if writer.lines != checkpoint.lines:
-            raise self.refused(f"it is damaged, because its rows are not those of its checkpoints; {_ANEW}")
+            writer.copy_rows(self.checkpoint, self.stream)
+        if writer.lines != self.checkpoint.lines:
+            raise _refused(self.part, "it is damaged, because its rows are not those of its checkpoint")
+        writer.keep_checkpoint(self.checkpoint.state)
 
-    def _observed(self, rows: int) -> list[ObservedRows]:
+    def _observed(self) -> list[ObservedRows]:
         """Return states and reactions of the rows up to the checkpoint."""
         paths = (
             "trajectory/time", "trajectory/position", "trajectory/velocity",
             "joints/reaction_force", "joints/reaction_torque",
         )  # fmt: skip
+        arrays, rows = self.checkpoint.arrays, slice(0, self.checkpoint.rows["time"])
         with reading("its rows", self.part, hint=_ANEW):
-            return [ObservedRows(*(self.file[path][:rows] for path in paths))]
-
-
-def _line(file: h5py.File, array: layout.Array, rows: int) -> str:
-    """Return the line of the first rows of an array for `data_sha256`."""
-    sha, dataset = hashlib.sha256(), file[array.path]
-    for start in range(0, rows, ROWS_COPIED):
-        values = stored_rows(file, array, slice(start, min(rows, start + ROWS_COPIED)))
-        sha.update(text_bytes(values) if array.dtype == layout.TEXT else np.ascontiguousarray(values).data)
-    return line(array.path, array.dtype, (rows, *dataset.shape[1:]), sha.hexdigest())
+            return [ObservedRows(*(arrays[path].read(self.stream, layout.BY_PATH[path], rows) for path in paths))]
 
 
 def _word(key: str, provenance: Mapping[str, object]) -> str:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Any, Generic
 
+from mbdkit.archive.part_file import part_path, remove_part
 from mbdkit.base.errors import ResourceError
 from mbdkit.studies.tasks import Outcome, Work, died
 
@@ -179,4 +180,4 @@ class _Worker(Generic[Work]):
             with contextlib.suppress(BrokenPipeError):
                 stream.close()
         if self.task is not None:
-            self.task.path.with_name(self.task.path.name + ".part").unlink(missing_ok=True)
+            remove_part(part_path(self.task.path))

@@ -16,8 +16,8 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.owned_folder import OwnedFolder, contains
 
-#: Names of archives of runs, see `RunSpec.run_id`, of blocks, also of unfinished ones, and their marks.
-_ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part)?|\.block-[0-9]{6,}\.at")
+#: Names of archives of runs, see `RunSpec.run_id`, of blocks and their marks, also of unfinished ones with checkpoints.
+_ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part(\.checkpoint(\.new)?)?)?|\.block-[0-9]{6,}\.at")
 
 #: What every chart of a report contains near its beginning, by suffix; see the metadata in plot/style.py.
 _DRAWN = {".png": b"Software\0mbdkit", ".svg": b"<dc:title>mbdkit</dc:title>"}

@@ -96,7 +96,7 @@ def _harmed(disk: Path, before: set[str], name: str, what: str) -> list[str]:
         for path in disk.glob("old.*")
         if path.suffix != ".part" and path.read_text(errors="replace") != "precious"
     ]
-    left = {path.name for path in disk.iterdir()} - before - {"old.h5.part", "study"}
+    left = {path.name for path in disk.iterdir()} - before - {"old.h5.part", "old.h5.part.checkpoint", "study"}
     found += [f"{what} failed, and left {entry}" for entry in sorted(left)]
     if name == "study":
         for path in (disk / "study").rglob("*"):

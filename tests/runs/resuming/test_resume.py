@@ -19,8 +19,8 @@ import mbdkit
 import mbdkit.runs.run_checkpoint
 from mbdkit.archive import writer
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.checkpoint import SLOTS, Checkpoint, FileImage, checkpoints
-from mbdkit.archive.layout import CHECKPOINT
+from mbdkit.archive.checkpoint import Checkpoint, StoredRows
+from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.cli import app
 from mbdkit.runs.run_checkpoint import Parts
@@ -54,7 +54,13 @@ def spec_of(integrator: dict[str, Any], time: dict[str, Any], model: Any = PENDU
     return {"mbdkit": 1, "model": model, "integrator": integrator, "time": time, **more}
 
 
-IMAGE = FileImage(3, np.array([[0, 2]]), np.array([7, 8], np.uint8))
+def checkpoint_of(state: Any) -> Checkpoint:
+    head = {"spec": "{}", "run_id": "a", "created_utc": "now", "provenance": {"mbdkit": "1"}}
+    arrays = {"energy/total": StoredRows((), 4, np.array([8, 99]), ()), "events/name": StoredRows((), 1, NONE, ("up",))}
+    return Checkpoint(head, 7, {"time": 5}, ("line",), arrays, state)
+
+
+NONE = np.zeros(0, np.int64)
 
 GAUSS = {"name": "gauss", "stages": 2}
 
@@ -103,7 +109,6 @@ def test_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     assert {name: run.stats[name] for name in counters} == {name: whole.stats[name] for name in counters}
     assert (run.status_reason, run.verdict_reasons) == (whole.status_reason, whole.verdict_reasons)
     assert run.provenance.get("resumed") in (1, 2)
-    assert CHECKPOINT not in run.file
     assert os.listdir(tmp_path) == ["run.h5"]
 
 
@@ -118,7 +123,7 @@ def test_whole_state_of_a_checkpoint_is_restored(name: str, tmp_path: Path, monk
     def compared(self: Parts, state: Any) -> None:
         restore(self, state)
         without = {key: value for key, value in state.items() if key != "times"}
-        wanted, found = (Checkpoint(1, {}, (), one, IMAGE).encoded() for one in (without, self.stored()))
+        wanted, found = (checkpoint_of(one).encoded() for one in (without, self.stored()))
         seen.append(wanted == found)
 
     monkeypatch.setattr(Parts, "restore", compared)
@@ -137,12 +142,16 @@ def test_check_of_a_resumed_run_estimates_the_same_errors(tmp_path: Path) -> Non
     assert run.accuracy.known_until == whole.accuracy.known_until
 
 
+def read(part: Path) -> Checkpoint:
+    checkpoint = Checkpoint.of(part)
+    assert checkpoint is not None
+    return checkpoint
+
+
 def test_wall_time_of_both_parts_counts(tmp_path: Path) -> None:
     spec, part = SPECS["rk4"], tmp_path / "run.h5.part"
     assert killed(spec, part, delay=0.0)
-    with h5py.File(part) as file:
-        taken = checkpoints(file)[0].state["times"]["wall_s"]
-        rows = checkpoints(file)[0].rows["time"]
+    taken, rows = read(part).state["times"]["wall_s"], read(part).rows["time"]
     run = mbdkit.resume(part)
     assert run.stats["wall_s"] > taken
     assert np.all(np.diff(run.elapsed) >= 0.0)
@@ -151,7 +160,7 @@ def test_wall_time_of_both_parts_counts(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The ``.part`` of a killed run."""
+    """The ``.part`` of a killed run, with its checkpoint."""
     part = tmp_path_factory.mktemp("killed") / "run.h5.part"
     assert killed(SPECS["rk4"], part, checkpoints=3, delay=0.0)
     return part
@@ -159,9 +168,10 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def part(left: Path, tmp_path: Path) -> Iterator[Path]:
-    """A copy of it, which a refusal must leave as it is."""
+    """A copy of both, which a refusal must leave as they are."""
     copy = tmp_path / "run.h5.part"
     shutil.copy(left, copy)
+    shutil.copy(checkpoint_path(left), checkpoint_path(copy))
     return copy
 
 
@@ -177,9 +187,9 @@ def refusal(part: Path, error: type[Exception] = SpecError) -> str:
 
 
 def change_provenance(part: Path, **entries: str) -> None:
-    with h5py.File(part, "r+") as file:
-        for name, value in entries.items():
-            file["provenance"].attrs.modify(name, value)
+    checkpoint = read(part)
+    checkpoint.head["provenance"].update(entries)
+    checkpoint.write(part)
 
 
 def test_another_version_is_named_and_refused(part: Path) -> None:
@@ -198,30 +208,33 @@ def test_file_of_a_living_run_is_refused(part: Path) -> None:
         assert "still writing" in refusal(part, ResourceError)
 
 
-def test_older_checkpoint_is_used_if_the_newer_one_is_damaged(part: Path) -> None:
+def test_checkpoint_that_was_not_written_to_its_end_is_not_used(part: Path) -> None:
     whole = mbdkit.run(SPECS["rk4"])
-    with h5py.File(part, "r+") as file:
-        newest, older = checkpoints(file)
-        slot = file[CHECKPOINT][SLOTS[newest.number % 2]]
-        slot[100] = slot[100] ^ 1
-        assert [one.number for one in checkpoints(file)] == [older.number]
+    new_checkpoint_path(part).write_bytes(checkpoint_path(part).read_bytes()[:1000])
     assert mbdkit.resume(part).data_sha256 == whole.data_sha256
+    assert os.listdir(part.parent) == ["run.h5"]
 
 
-def test_run_without_whole_checkpoints_is_refused(part: Path) -> None:
-    with h5py.File(part, "r+") as file:
-        for name in SLOTS:
-            file[CHECKPOINT][name][0] = 0
-    assert "none of its checkpoints can be used" in refusal(part)
+def test_run_with_a_damaged_checkpoint_is_refused(part: Path) -> None:
+    content = bytearray(checkpoint_path(part).read_bytes())
+    content[100] ^= 1
+    checkpoint_path(part).write_bytes(content)
+    assert "run.h5.part.checkpoint is damaged, so that this run cannot be resumed; run it anew" in refusal(part)
 
 
-def test_run_without_checkpoints_is_refused(part: Path) -> None:
-    with h5py.File(part, "r+") as file:
-        del file[CHECKPOINT]
+def test_run_without_checkpoint_is_refused(part: Path) -> None:
+    checkpoint_path(part).unlink()
     assert "it has no checkpoint; runs write the first one after 5 s of steps; run it anew" in refusal(part)
 
 
-def test_structure_that_cannot_be_read_is_restored_from_a_checkpoint(part: Path) -> None:
+def test_checkpoint_of_version_0_2_is_refused(part: Path) -> None:
+    checkpoint_path(part).unlink()
+    with h5py.File(part, "r+") as file:
+        file["checkpoint/first"] = np.zeros(9, np.uint8)
+    assert "its checkpoint is in the file itself, where another version of mbdkit has written it" in refusal(part)
+
+
+def test_rows_are_read_without_the_structure_of_the_file(part: Path) -> None:
     """A kill may leave the tables of HDF5 half written."""
     content = bytearray(part.read_bytes())
     content[:2048] = bytes(2048)
@@ -232,40 +245,77 @@ def test_structure_that_cannot_be_read_is_restored_from_a_checkpoint(part: Path)
     assert os.listdir(part.parent) == ["run.h5"]
 
 
+def test_resumed_run_that_was_killed_between_two_renamings_is_resumed(part: Path, frequent: None) -> None:
+    """The checkpoint is already that of the new file, whose rows are at other places than those of the ``.part``."""
+    old, kept = part.read_bytes(), part.with_name("kept")
+
+    def stop(reached: float, end: float) -> None:
+        shutil.copy(checkpoint_path(part), kept)
+        raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        mbdkit.resume(part, progress=stop)
+    kept.replace(checkpoint_path(part))
+    part.rename(part.with_name("run.h5.resumed.part"))
+    part.write_bytes(old)
+    assert mbdkit.resume(part).data_sha256 == mbdkit.run(SPECS["rk4"]).data_sha256
+    assert os.listdir(part.parent) == ["run.h5"]
+
+
 def test_changed_row_is_noticed(part: Path) -> None:
     with h5py.File(part, "r+") as file:
         file["trajectory/velocity"][3, 0, 0] += 1e-12
-    assert "none of its checkpoints can be used" in refusal(part)
+    assert "it is damaged, because its rows are not those of its checkpoint" in refusal(part)
 
 
-def test_damage_anywhere_is_refused_or_harmless(left: Path, tmp_path: Path) -> None:
-    whole, content = mbdkit.run(SPECS["rk4"]).data_sha256, left.read_bytes()
+def test_new_run_removes_the_checkpoint_of_a_killed_one(part: Path) -> None:
+    mbdkit.run("pendulum", archive=part.with_suffix("")).close()
+    assert os.listdir(part.parent) == ["run.h5"]
+
+
+@pytest.mark.parametrize("name", ["run.h5.part", "run.h5.part.checkpoint"])
+def test_damage_anywhere_is_refused_or_harmless(name: str, left: Path, tmp_path: Path) -> None:
+    whole = mbdkit.run(SPECS["rk4"]).data_sha256
     generator = np.random.default_rng(20261121)
-    for case in range(12):
+    for case in range(6):
         folder = tmp_path / str(case)
-        folder.mkdir()
-        part, damaged = folder / "run.h5.part", bytearray(content)
+        shutil.copytree(left.parent, folder)
+        content = (left.parent / name).read_bytes()
+        damaged = bytearray(content)
         if case % 4:
             damaged[int(generator.integers(len(content)))] ^= 1 << int(generator.integers(8))
         else:
             del damaged[int(generator.integers(len(content))) :]
-        part.write_bytes(damaged)
+        (folder / name).write_bytes(damaged)
         try:
-            assert mbdkit.resume(part).data_sha256 == whole
+            assert mbdkit.resume(folder / "run.h5.part").data_sha256 == whole
         except (SpecError, ResourceError):
-            assert part.read_bytes() == damaged
+            assert (folder / name).read_bytes() == damaged
 
 
 def test_made_up_state_is_refused(part: Path, frequent: None) -> None:
     """A stranger can compute hashes, too; indices that kernels follow are checked."""
-    with h5py.File(part, "r+") as file:
-        newest = checkpoints(file)[0]
-        slot = file[CHECKPOINT][SLOTS[newest.number % 2]]
-        progress = newest.state["stepper"]["run"]["progress"]
-        progress["passed"][0] = 10**9
-        made = newest.encoded()
-        slot[: len(made)] = np.frombuffer(made, np.uint8)
+    checkpoint = read(part)
+    checkpoint.state["stepper"]["run"]["progress"]["passed"][0] = 10**9
+    checkpoint.write(part)
     assert "the state of its checkpoint does not fit its spec (ValueError: it has passed more" in refusal(part)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"chunk_rows": 10**12},
+        {"chunk_rows": 0},
+        {"row_shape": (10**9, 3)},
+        {"offsets": np.array([-8])},
+        {"offsets": NONE},
+    ],
+)
+def test_made_up_places_of_rows_are_refused(changes: dict[str, Any], part: Path, frequent: None) -> None:
+    checkpoint = read(part)
+    checkpoint.arrays["trajectory/position"].__dict__.update(changes)
+    checkpoint.write(part)
+    assert "damaged" in refusal(part)
 
 
 def test_commands_that_read_unfinished_archives_do_not_show_checkpoints(part: Path) -> None:
@@ -274,9 +324,12 @@ def test_commands_that_read_unfinished_archives_do_not_show_checkpoints(part: Pa
 
 def test_state_survives_encoding() -> None:
     state = {"a": np.array([np.nan, -0.0, 5e-324]), "b": [None, 1, "x", 0.1 + 0.2, np.inf], "c": np.zeros((0, 2), int)}
-    again = Checkpoint.decoded(Checkpoint(3, {"time": 7}, ("line",), state, IMAGE).encoded() + b"rest of the slot")
+    before = checkpoint_of(state)
+    again = Checkpoint.decoded(before.encoded())
     assert again is not None
-    assert (again.number, again.rows, again.lines) == (3, {"time": 7}, ("line",))
+    assert (again.head, again.file, again.rows, again.lines) == (before.head, before.file, before.rows, before.lines)
+    assert again.arrays["events/name"].texts == ("up",)
+    assert again.arrays["energy/total"].offsets.tolist() == [8, 99]
     assert again.state["a"].tobytes() == state["a"].tobytes()  # type: ignore[attr-defined]
     assert again.state["b"] == state["b"]
     assert again.state["c"].shape == (0, 2)
@@ -291,6 +344,7 @@ def test_state_survives_encoding() -> None:
 )
 def test_methods_without_checkpoints_say_why(changes: dict[str, Any], why: str, part: Path) -> None:
     spec = mbdkit.RunSpec(**{"mbdkit": 1, "model": PENDULUM, **changes})
+    checkpoint_path(part).unlink()
     with h5py.File(part, "r+") as file:
         file.attrs.modify("spec", spec.canonical_json())
         file.attrs.modify("spec_sha256", spec.sha256())
@@ -335,7 +389,7 @@ def test_exception_of_the_progress_keeps_the_part(part: Path, frequent: None) ->
 
     with pytest.raises(RuntimeError, match="no"):
         mbdkit.resume(part, progress=fail)
-    assert os.listdir(part.parent) == ["run.h5.part"]
+    assert sorted(os.listdir(part.parent)) == ["run.h5.part", "run.h5.part.checkpoint"]
     assert mbdkit.resume(part).data_sha256 == mbdkit.run(SPECS["rk4"]).data_sha256
 
 
