@@ -90,7 +90,7 @@ class Accuracy:
         Time until which all errors are known [s]; nan if none is.
     order_observed
         Observed order of the positions in the step, for adaptive methods in the tolerance; nan if the differences
-        between the companion runs were rounding errors.
+        between the comparison runs were rounding errors.
     method
         How the estimates were made.
     check_s

@@ -172,7 +172,7 @@ def accuracy_sentence(run: Run) -> str:
     if accuracy is None or not len(run.time):
         return ""
     if not accuracy.rows_known:
-        return "errors unknown: the companion runs of the check do not agree with this run and each other"
+        return "errors unknown: the comparison runs of the check agree neither with this run nor with each other"
     until = "" if accuracy.is_complete else f" until {accuracy.known_until:.4g} s"
     afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"

@@ -46,13 +46,15 @@ def mbdkit(
 ) -> None:
     """Simulate planar multibody mechanisms and record joint drift.
 
-    Exit status: 0 done, 1 a rerun differs or a plugin is not verified, 2 the input is wrong, 3 the integration stopped
-    early or the computer refused a resource (full disk, no permission, file in use), 4 a plugin failed, 130 interrupted
-    (Ctrl-C, SIGTERM, SIGHUP).
+    Exit status: 0 success, 1 a rerun differs or a plugin is not verified, 2 the input
+    is wrong, 3 the integration stopped early or a resource is not available (full disk,
+    no permission, file in use), 4 a plugin failed, 130 interrupted (Ctrl-C, SIGTERM,
+    SIGHUP).
 
-    Environment: MBDKIT_PLUGINS=a,b loads plugins of these distributions only, none if empty;
-    MBDKIT_DISABLE_PLUGINS=a,b excludes these; MBDKIT_STRICT_PLUGINS=1 makes a plugin that cannot be loaded an
-    error; MBDKIT_CACHE_DIR is the folder for compiled code.
+    Environment: MBDKIT_PLUGINS=a,b loads only plugins of these distributions (no
+    plugins if empty); MBDKIT_DISABLE_PLUGINS=a,b excludes them; MBDKIT_STRICT_PLUGINS=1
+    makes a plugin that cannot be loaded an error; MBDKIT_CACHE_DIR is the folder for
+    compiled code.
     """
 
 
@@ -73,9 +75,10 @@ for name, group in {
 def main() -> None:
     """Run the command line."""
     try:
-        open_streams()  # first, because what is opened next would take the place of a closed stream
+        open_streams()  # first, because the next file opened would get the file descriptor of a closed stream
         stop_as_by_ctrl_c()
-        # Where numbers overflow, messages say so; the warnings of NumPy would name lines of code.
+        # mbdkit reports overflows itself; NumPy's warnings would refer to lines of
+        # code.
         warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"(mbdkit|numpy|scipy)\b")
         keep_results_apart()
         for stream in (sys.stdout, sys.stderr):
@@ -84,5 +87,5 @@ def main() -> None:
                 stream.reconfigure(errors="backslashreplace")
         sys.stdout, sys.stderr = PlainStream(sys.stdout), PlainStream(sys.stderr)
         app(prog_name="mbdkit")
-    except KeyboardInterrupt:  # before or after the command itself
+    except KeyboardInterrupt:  # `--json` before or after the command itself
         sys.exit(INTERRUPTED)

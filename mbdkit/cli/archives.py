@@ -46,7 +46,9 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
             say(f"{archive}: {problem}")
         if not checked.problems and not quiet:
             without = (
-                "" if checked.covers_attributes else f", without {ATTRIBUTES_HASH}: changed attributes are not found"
+                ""
+                if checked.covers_attributes
+                else f", without {ATTRIBUTES_HASH}: changed attributes cannot be detected"
             )
             show(f"{archive}: sound{without}")
     if not sound:

@@ -72,7 +72,8 @@ Workers = Annotated[
 ExecutorName = Annotated[
     Literal["local", "dask", "submitit"],
     typer.Option(
-        "--executor", help="What computes: processes of this machine, a Dask cluster, or jobs of Slurm (submitit)."
+        "--executor",
+        help="Where runs are computed: by processes of this machine, a Dask cluster, or jobs of Slurm (submitit).",
     ),
 ]
 Scheduler = Annotated[
@@ -80,8 +81,10 @@ Scheduler = Annotated[
     typer.Option(
         "--scheduler",
         metavar="ADDRESS",
-        help="With dask: the address of the scheduler, or its scheduler file. With submitit: slurm (default), or "
-        "local to try jobs on this machine.",
+        help=(
+            "With dask: the address of the scheduler, or its scheduler file. With submitit: slurm (default), or "
+            "local, to test with jobs on this machine."
+        ),
     ),
 ]
 Slurm = Annotated[

@@ -45,14 +45,14 @@ def design(
     with_report: Annotated[
         bool,
         typer.Option(
-            "--report", help="Also write report.html, with the device, its loads, and what is around the best point."
+            "--report", help="Also write report.html, with the device, its loads, and the goals around the best point."
         ),
     ] = False,
     overwrite: Annotated[
         bool,
         typer.Option(
             "--overwrite",
-            help="Start the folder anew: remove the points, results and report of its design; other files are kept.",
+            help="Replace the design in the folder: remove its points, results and report; other files are kept.",
         ),
     ] = False,
     as_json: AsJson = False,
@@ -62,10 +62,10 @@ def design(
     """Choose numbers of a spec so that measures become small.
 
     Writes design.json, archives of the start and of the best point, and points.jsonl
-    with all points that are evaluated. If a call is interrupted, the same one goes on
-    from these points. See `mbdkit guide design`.
+    with all points that are evaluated. If a call is interrupted, the same command
+    continues from these points. See `mbdkit guide design`.
 
-    Exit status 3 if no point satisfies all limits, or a resource is lacking.
+    Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
     from mbdkit.designs.solve_design import design as carry_out
     from mbdkit.studies.executors import Asked, opened
@@ -99,7 +99,9 @@ def design(
 
 
 def validate_design(source: Document, name: str, assignments: list[str]) -> None:
-    """Check a design spec, the specs of its scenarios and its expressions, and tell what it would search."""
+    """Check a design spec, the specs of its scenarios and its expressions, and print
+    what would be optimised.
+    """
     from mbdkit.designs.evaluation import Evaluator
     from mbdkit.designs.search import check_installed
     from mbdkit.spec import load_design_spec

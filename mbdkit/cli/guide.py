@@ -13,7 +13,7 @@ from mbdkit.cli.common_options import Debug
 
 def guide(
     topic: Annotated[
-        str | None, typer.Argument(metavar="TOPIC", help="A page, as listed; without it, the pages are listed.")
+        str | None, typer.Argument(metavar="TOPIC", help="Name of a page; without it, the pages are listed.")
     ] = None,
     debug: Debug = False,
 ) -> None:

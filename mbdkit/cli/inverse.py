@@ -31,9 +31,9 @@ def inverse(
 ) -> None:
     """Compute joint and actuator forces from a measured motion.
 
-    The mechanism is fitted to the measured columns of the spec, with its joints
-    closed to rounding, the motion is smoothed, and the equations of motion are solved
-    for the actuators and the reactions. See `mbdkit guide inverse`.
+    The mechanism is fitted to the measured columns of the spec, with its joints closed
+    to round-off, the motion is smoothed, and the equations of motion are solved for the
+    actuators and the reactions. See `mbdkit guide inverse`.
     """
     from mbdkit.spec import load_inverse_spec
 
@@ -91,7 +91,8 @@ def workload(
 def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwrite: bool) -> Run:
     """Compute the inverse dynamics of an archive again.
 
-    Tables are read from the folder of the archive only: an archive of a stranger must not make mbdkit read other files.
+    Tables are read from the folder of the archive only: an untrusted archive must not
+    make mbdkit read other files.
 
     Raises
     ------
@@ -117,7 +118,9 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 
 
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
-    """Check a spec of inverse dynamics and its data, and tell what it would compute."""
+    """Check a spec of inverse dynamics and its data, and print what would be
+    computed.
+    """
     from mbdkit.inverse_dynamics.compute import InverseProblem
     from mbdkit.spec import load_inverse_spec
 

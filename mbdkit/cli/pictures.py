@@ -28,23 +28,29 @@ def plot(
     kind: Annotated[str, typer.Option("--kind", metavar="KIND", callback=_check_kind, help=_KINDS_HELP)] = "trajectory",
     joints: Annotated[
         list[str] | None,
-        typer.Option("--joint", metavar="J", help="A joint of drift, reactions or torques; may be repeated."),
+        typer.Option(
+            "--joint", metavar="J", help="With drift, reactions or torques: draw this joint; may be repeated."
+        ),
     ] = None,
     elements: Annotated[
         list[str] | None,
-        typer.Option("--element", metavar="F", help="A force element of forces or torques; may be repeated."),
+        typer.Option(
+            "--element", metavar="F", help="With forces or torques: draw this force element; may be repeated."
+        ),
     ] = None,
     points: Annotated[
         list[str] | None,
-        typer.Option("--point", metavar="P", help="A marker, body, joint or free end of trajectory; may be repeated."),
+        typer.Option(
+            "--point", metavar="P", help="With trajectory: draw this marker, body, joint or free end; may be repeated."
+        ),
     ] = None,
     beams: Annotated[
         list[str] | None,
-        typer.Option("--beam", metavar="B", help="A beam of beams; may be repeated."),
+        typer.Option("--beam", metavar="B", help="With beams: draw this beam; may be repeated."),
     ] = None,
     times: Annotated[
         list[float] | None,
-        typer.Option("--time", metavar="T", help="Of beams: draw values along beams at this time; may be repeated."),
+        typer.Option("--time", metavar="T", help="With beams: draw values along beams at this time; may be repeated."),
     ] = None,
     component: Annotated[
         str | None,
@@ -68,7 +74,7 @@ def plot(
 ) -> None:
     """Plot a run, or one quantity of several runs. An existing picture is replaced.
 
-    The legend of several runs tells what differs: method, step, other keys, or file.
+    The legend of several runs shows how they differ: method, step, other keys, or file.
     """
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load

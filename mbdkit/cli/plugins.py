@@ -103,11 +103,11 @@ def plugins_verify(
 
 @plugins_app.command("doctor")
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
-    """Show which plugins and which Numba are in use, and any problems.
+    """Show the plugins and the version of Numba in use, and any problems.
 
-    Exit status 4 if a plugin could not be loaded. With another Numba than the
-    tested ones, and with MBDKIT_PLAIN_NUMBA=1, kernels are compiled without
-    Numba's internals: more slowly, with the same results.
+    Exit status 4 if a plugin could not be loaded. With a version of Numba that was not
+    tested, or with MBDKIT_PLAIN_NUMBA=1, kernels are compiled without using Numba's
+    internals, which takes longer but gives the same results.
     """
     from mbdkit.engine.jit.numba_version import numba_report, numba_text
     from mbdkit.registry import describe

@@ -39,7 +39,7 @@ def run(
     assignments: Set = None,
     overwrite: Overwrite = False,
     check: Annotated[
-        bool, typer.Option("--check", help="Estimate errors by companion runs; about ten times as slow.")
+        bool, typer.Option("--check", help="Estimate errors by comparison runs; about ten times as slow.")
     ] = False,
     accuracy: Annotated[
         float | None,
@@ -55,17 +55,17 @@ def run(
 ) -> None:
     """Run a spec and write its archive.
 
-    With --check, companion runs estimate the errors of positions, velocities and
-    reactions, and tell until when they are known.
+    With --check, comparison runs estimate the errors of positions, velocities and
+    reactions, and the time until which these errors are known.
 
     With --accuracy, pilot runs choose method and step so that positions are accurate
     to this share of the mechanism's size over the whole run, and a check confirms it.
     If the spec gives an integrator, only its step or tolerance is chosen.
 
-    With --resume instead of SPEC, a run that was killed goes on from its last
-    checkpoint and gives the same bits as without the interruption. Checkpoints are
-    written every 5 s, except by SciPy's solvers, by methods written in Python, and
-    with --accuracy.
+    With --resume instead of SPEC, a run that was killed is continued from its last
+    checkpoint; the results are bitwise identical to those of an uninterrupted run.
+    Checkpoints are written every 5 s, except by SciPy's solvers, by methods written in
+    Python, and with --accuracy.
     """
     if resume is not None:
         given = {"SPEC": spec, "--output": output, "--set": assignments, "--check": check, "--accuracy": accuracy}
@@ -81,7 +81,7 @@ def run(
     checked = load_spec(spec, [*(assignments or ()), *asked])
     path = output if output is not None else Path(f"{stem(spec)}.h5")
     check_new(path, spec, overwrite)
-    from mbdkit.runs.simulation import simulate  # compiled code: not needed to refuse a spec
+    from mbdkit.runs.simulation import simulate  # imports compiled code, which is not needed to refuse a spec
 
     with _placing(checked), progress_bar(path.name, quiet) as progress:
         result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
@@ -114,11 +114,11 @@ def _tell(result: Run, *, as_json: bool, quiet: bool) -> None:
 
 
 def _check_accuracy(accuracy: float) -> None:
-    """Raise SpecError for an accuracy that no run can have."""
+    """Raise SpecError for an accuracy that cannot be reached."""
     from mbdkit.base.errors import SpecError
     from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST
 
-    if not SMALLEST <= accuracy <= LARGEST:  # nan, too
+    if not SMALLEST <= accuracy <= LARGEST:  # also false for nan
         why = f"; rounding errors dominate below {SMALLEST:g}" if accuracy < SMALLEST else ""
         message = f"--accuracy should be a share of the mechanism's size from {SMALLEST:g} to {LARGEST:g}"
         raise SpecError(f"{message}, not {accuracy:g}{why}")
@@ -127,10 +127,10 @@ def _check_accuracy(accuracy: float) -> None:
 def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -> None:
     """Check a spec of any kind without running it.
 
-    The mechanism is built and its start made consistent; changes of the start are
-    printed. Of a study, the specs of all runs are checked, or of a few if it is
-    stored in blocks, and so are the expressions of its measures; --set changes the
-    base of every run.
+    The mechanism is built and its initial state made consistent; changes of the initial
+    state are printed. For a study, the specs of all runs are checked (a few of them if
+    it is stored in blocks), and the expressions of its measures; --set changes the base
+    of every run.
     """
     from mbdkit.spec import load_spec
     from mbdkit.spec.inverse_spec import is_inverse
@@ -193,7 +193,9 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
 
 
 def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
-    """Return a row for each event, with the value of its expression at the start."""
+    """Return a table row for each event, with the value of its expression at the
+    start.
+    """
     from mbdkit.events.watch import values_at_start
 
     values = values_at_start(spec.watched(), problem)
@@ -203,7 +205,9 @@ def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
 
 
 def _moves(start: AssembledState) -> list[tuple[str, ...]]:
-    """Return a row for each body whose start was changed, the largest changes first."""
+    """Return a table row for each body whose initial state was changed, the largest
+    changes first.
+    """
     changes = {
         name: (moved, start.moved_angle[name], start.changed_velocity[name], start.changed_rate[name])
         for name, moved in start.moved_position.items()
@@ -250,14 +254,14 @@ def rerun(
             comparison = compare(before, after)
             if not quiet:
                 if before.status in ("interrupted", "running"):
-                    show(f"{archive} is incomplete ({before.status}), so it has fewer rows")
+                    show(f"{archive} is incomplete ({before.status}), so that it has fewer recorded times")
                 show(comparison)
     if not comparison.same_data or comparison.falsified:
         raise typer.Exit(terminal.DIFFERS)
 
 
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
-    """Compute the run in an archive again."""
+    """Repeat the run in an archive."""
     from mbdkit.base.errors import SpecError
     from mbdkit.runs.simulation import simulate
     from mbdkit.spec import load_spec
@@ -325,7 +329,9 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
 
 
 def _asked(accuracy: Accuracy) -> dict[str, Any]:
-    """Return the accuracy that was asked, the one reached (None if unknown), and the choice."""
+    """Return the requested accuracy, the one reached (None if unknown), and the choice
+    of method and step.
+    """
     return {
         "asked": accuracy.asked,
         "reached": _number(accuracy.reached),

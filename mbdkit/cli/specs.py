@@ -69,7 +69,7 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     if context.invoked_subcommand is not None:
         return
     from mbdkit.notebook.example_notebooks import notebook_names, notebook_title
-    from mbdkit.spec.loading import example_names, read_source  # without validation, which would import plugins
+    from mbdkit.spec.loading import example_names, read_source  # no validation, because it would import plugins
 
     kinds: list[tuple[str, Literal["run", "inverse", "design"]]] = [
         ("RUN", "run"),
@@ -122,7 +122,9 @@ def examples_copy(
         if data is not None:
             texts[path.with_name(f"{name}.csv")] = data
     for target in texts:
-        if target.is_file():  # there is no --overwrite here, which the message of `replacing` names
+        if (
+            target.is_file()
+        ):  # replaces the message of `replacing`, which suggests --overwrite; this command has no such option
             raise SpecError("this file exists already; choose another name or folder with -o", file=target)
     for target, text in texts.items():
         with replacing(target, overwrite=False) as temporary:

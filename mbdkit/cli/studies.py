@@ -54,8 +54,11 @@ def study(
         Literal["files", "all", "histories", "summary", "hashes"] | None,
         typer.Option(
             "--store",
-            help="What is stored of each run: an archive of its own (files), or a part of a block of runs with all "
-            "arrays, positions and reactions over time, a summary, or hashes. By default files for up to 500 runs.",
+            help=(
+                "What is stored of each run: an archive of its own (files); or, in blocks of runs, all arrays (all), "
+                "positions and reactions over time (histories), a summary, or hashes. By default files for up to 500 "
+                "runs."
+            ),
         ),
     ] = None,
     assignments: BaseSet = None,
@@ -63,7 +66,7 @@ def study(
         bool,
         typer.Option(
             "--overwrite",
-            help="Start the folder anew: remove its study, runs, report and figures; other files are kept.",
+            help="Replace the study in the folder: remove its spec, runs, report and figures; other files are kept.",
         ),
     ] = False,
     with_report: Annotated[
@@ -78,20 +81,21 @@ def study(
 ) -> None:
     """Run a study: a family of runs.
 
-    Writes an archive for each run, or blocks of many runs, and index.h5 with a row for
-    each run. A second call computes only missing runs; failed runs are not repeated.
+    Writes an archive for each run, or blocks of many runs, and index.h5, a table with
+    one row for each run. A second call computes only missing runs; failed runs are not
+    repeated.
 
-    --set changes the base of every run, as the overrides of the study do; what an
+    --set changes the base of every run, like the overrides of the study; keys that an
     axis or a sample varies cannot be set.
 
-    Of a study with a sample, --report shows histograms, Sobol indices and quantiles
+    For a study with a sample, --report shows histograms, Sobol indices and quantiles
     over time; `mbdkit guide studies` explains these.
 
     With --executor dask or submitit, workers on other machines compute the runs and
     write them into the folder, which must have the same path there.
 
-    Exit status 3 if runs are missing because the disk is full, a process died or the
-    like: a second call tries again.
+    Exit status 3 if runs are missing, for example because the disk is full or a process
+    died; a second call tries again.
     """
     from mbdkit.studies.carry_out import study as carry_out
     from mbdkit.studies.executors import Asked, opened

@@ -1,4 +1,6 @@
-"""Zero crossings of a scalar within a step: detected on dense output, located on states of the method itself."""
+"""Zero crossings of a scalar within a step, detected on dense output and located on states computed by the method
+itself.
+"""
 
 from __future__ import annotations
 

@@ -87,9 +87,10 @@ Function = Callable[[Sequence[float]], float]
 
 
 class CompiledExpression(NamedTuple):
-    """An expression as a function, the arguments of its periodic functions, and the scalars whose roots are its kinks.
+    """An expression as a function, the arguments of its periodic functions, and the scalars at whose roots it is not
+    smooth.
 
-    These are the arguments of ``abs`` and the differences of the operands of ``min`` and ``max``.
+    The latter are the arguments of ``abs`` and the differences of the operands of ``min`` and ``max``.
     """
 
     value: Function
@@ -141,7 +142,7 @@ class RunExpression:
         return self.compiled(places).value
 
     def compiled(self, places: Mapping[Quantity, int]) -> CompiledExpression:
-        """Return the expression and the parts of it that determine how closely it has to be sampled; see `function`."""
+        """Return the expression and its parts that determine how densely it must be sampled; see `function`."""
         stack: list[Function] = []
         phases: list[Function] = []
         kinks: list[Function] = []
@@ -348,7 +349,9 @@ class RunCompiler(Compiler):
             self.unknown(name, self.known["beams"], _ONE["beams"], node)
         self.checked(attribute, ["beams"], name, node)
         if attribute not in OF_ELEMENTS:
-            self.refuse(f"'{attribute}' is that of the whole beam; write it without the number of an element", node)
+            self.refuse(
+                f"'{attribute}' is a quantity of the whole beam; write it without the number of an element", node
+            )
         count = self.mechanism.beams[name].elements
         match index:
             case ast.Constant(value=int() as element) if not isinstance(element, bool) and element < count:
@@ -364,9 +367,9 @@ class RunCompiler(Compiler):
         return self.get(Quantity("beams", name, attribute, element))
 
     def along(self, name: str, attribute: str, node: ast.expr) -> Code:
-        """Return the program of a quantity in all elements of a beam, which an event cannot have."""
+        """Raise SpecError for a quantity in all elements of a beam, which events cannot contain."""
         self.refuse(
-            f"'{attribute}' has a value in each element of the beam '{name}'; name an element, from 0: "
+            f"'{attribute}' has one value for each element of the beam '{name}'; choose an element, from 0: "
             f"{self.segment(node)}[0]",
             node,
         )

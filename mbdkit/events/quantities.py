@@ -35,7 +35,7 @@ class _States(NamedTuple):
 
 
 class QuantityEvaluator:
-    """Evaluates quantities at states, without calling the engine if all are entries of the state.
+    """Evaluates quantities at states. The engine is not called if all of them are entries of the state.
 
     Parameters
     ----------

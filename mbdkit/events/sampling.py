@@ -1,17 +1,17 @@
-"""Samples of an event's scalar within a step, close enough that no sign change between two of them is missed.
+"""Samples of an event's scalar within a step, so dense that no sign change between two of them is missed.
 
 The sampling starts with the quarters of the step and is refined in three ways.
 
-1. Between two samples, the argument of no ``sin``, ``cos`` or ``tan`` changes by more than `LARGEST_TURN`.
-2. Where the argument of ``abs``, or the difference of the operands of ``min`` or ``max``, changes sign, that place is
-   a sample, because it may be an extremum.
-3. Through every five samples goes a polynomial p of degree 4. Its error is estimated by its difference to the
-   polynomial of degree 3 through four of them, and by the difference of that to one of degree 2. Where both p and its
-   derivative are below their errors, there may be a double root, and samples are added between these five. Where p
-   changes sign between two samples of equal sign, the place of its largest opposite value becomes a sample.
+1. Between two samples, the arguments of ``sin``, ``cos`` and ``tan`` change by at most `LARGEST_TURN`.
+2. Where the argument of ``abs``, or the difference of the operands of ``min`` or ``max``, changes sign, a sample is
+   added, because the scalar may have an extremum there.
+3. A polynomial p of degree 4 is fitted through every five samples. Its error is estimated from the differences between
+   p and the polynomial of degree 3 through four of them, and between the latter and one of degree 2. Where both p and
+   its derivative are smaller than their errors, there may be a double root, and samples are added between these five.
+   Where p changes sign between two samples of equal sign, a sample is added where p is largest with the opposite sign.
 
-States within the step are those of dense output, polynomials of a degree up to 11, so that an expression without poles
-and without large factors in its exponents is smooth on this scale. `MOST_SAMPLES` limits the effort.
+States within the step are evaluated from dense output, polynomials of a degree up to 11, so that an expression without
+poles and without large factors in its exponents is smooth on this scale. `MOST_SAMPLES` limits the number of samples.
 """
 
 from __future__ import annotations
@@ -35,16 +35,17 @@ MOST_SAMPLES = 2000
 """Largest number of samples of one event in a step."""
 
 DEEPEST = 10
-"""Largest number of refinements of the same five samples: a scalar that touches zero would be refined without end."""
+"""Largest number of refinements of the same five samples; a scalar that touches zero would otherwise be refined for
+ever."""
 
 NOISE = 1e-12
-"""Values below this share of the largest one so far are rounding errors, whose roots are not searched for."""
+"""Values below this share of the largest one so far count as rounding errors; their roots are ignored."""
 
 SAFETY, LOWER_SHARE = 4.0, 0.1
-"""Factor of the estimated errors of a polynomial, and share of the estimate of the polynomial of degree 3 in them.
+"""Safety factor of the estimated errors of a polynomial, and weight of the second estimate (degree 3 against degree 2).
 
-Of 1000 polynomials of degree 5 to 7 whose roots are spread evenly over 1.6 steps, crossings of 6 are missed. With a
-factor of 2 and without the second estimate 47 are, for three quarters of the samples.
+With these values, crossings are missed for 6 of 1000 polynomials of degree 5 to 7 with roots distributed evenly over
+1.6 steps; with a factor of 2 and without the second estimate, for 47 of them, with three quarters of the samples.
 """
 
 Values = Sequence[float]
@@ -71,8 +72,8 @@ def refined(
     scalar
         The scalar of the event as a function of the quantities.
     phases, kinks
-        Arguments of the periodic functions in the scalar, and arguments of its `abs`, `min` and `max`: the scalar has a
-        kink where one of these changes sign.
+        Arguments of the periodic functions in the scalar, and arguments of its `abs`, `min` and `max`: the derivative
+        of the scalar is discontinuous where one of the latter changes sign.
     largest
         Largest absolute value of the scalar so far.
     """
@@ -129,7 +130,7 @@ def _divide(known: dict[float, Values], at: Callable[[float], Values], phase: Sc
 
 
 def _mark_kinks(known: dict[float, Values], values_at: Callable[[float], Values], kink: Scalar) -> None:
-    """Add the places where `kink` changes sign."""
+    """Add samples where `kink` changes sign."""
     for a, b in list(pairwise(sorted(known))):
         if kink(known[a]) * kink(known[b]) < 0.0:
             place = _root(lambda theta: kink(values_at(theta)), a, b)
@@ -147,7 +148,7 @@ def _root(function: Callable[[float], float], a: float, b: float) -> float:
 
 @lru_cache(maxsize=256)
 def _interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return what five values at `nodes` (from 0 to 1) are multiplied by, for their polynomial of degree 4.
+    """Return the matrices that map five values at `nodes` (from 0 to 1) to their polynomial of degree 4 and its errors.
 
     Returns a matrix (5, 5) for its coefficients in ascending powers, and one (4, 5) for the largest difference to the
     polynomial through all but the middle node, and that of the derivatives; then the same for this polynomial and the
@@ -170,9 +171,10 @@ def _interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bool, list[float]]:
-    """Return whether a scalar has no double root near its values at five places, and places where it changes sign.
+    """Return whether a scalar has no double root near five samples, and the positions at which it changes sign.
 
-    A double root is near if an extremum of the polynomial is below its error, or if its slope may vanish where it does.
+    A double root is possible if an extremum of the polynomial is smaller than its error, or if the derivative may
+    vanish near a root.
     """
     begin, width = five[0], five[-1] - five[0]
     nodes = [round((place - begin) / width, 9) for place in five]

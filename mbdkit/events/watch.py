@@ -120,12 +120,12 @@ class Watch:
 
     @property
     def worst_pairs(self) -> np.ndarray:
-        """(P,) largest squared norm of each pair's Phi so far, without the part of a step after a stop."""
+        """(P,) largest squared norm of Phi of each pair of rows so far; excludes the part of a step after a stop."""
         return self.stepper.worst_pairs if self.stopped is None else self._worst_before
 
     @property
     def evidence(self) -> StepEvidence:
-        """What the stepper has observed over its steps."""
+        """Quantities that the stepper has observed over its steps."""
         return self.stepper.evidence
 
     @property
@@ -170,12 +170,14 @@ class Watch:
         return self.stepper.last_state()
 
     def taken_nodes(self) -> Nodes:
-        """Return the nodes of integrals of the steps since the last call, without the part of a step after a stop."""
+        """Return the quadrature nodes of the steps since the last call; excludes the part of a step after a stop."""
         taken, self._nodes = self._nodes, []
         return Nodes.joined([*taken, self.stepper.taken_nodes()])
 
     def stored(self) -> dict[str, Any]:
-        """Return what the watch keeps from step to step, as plain values for a checkpoint; all crossings are taken."""
+        """Return the state that is kept between steps, as plain values for a checkpoint; all crossings must have been
+        fetched.
+        """
         return {
             "signs": self._signs,
             "recorded": self._recorded,
@@ -251,7 +253,7 @@ class Watch:
         return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
-        """End the run at `theta`; return the rows before it and the row of the end, unless it is recorded already."""
+        """End the run at `theta`; return the rows before it and the final row, unless that is recorded already."""
         end = self.stepper.cut(theta)
         kept = stretch.rows(stretch.time < end.time[0])
         if end.time[0] <= max([self._recorded, *kept.time]):

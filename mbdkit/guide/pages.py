@@ -1,4 +1,4 @@
-"""The pages of the guide: every Markdown file in this folder is one, and `mbdkit guide` finds it by its name."""
+"""The pages of the guide: every Markdown file in this folder is a page, which `mbdkit guide` finds by its name."""
 
 from __future__ import annotations
 

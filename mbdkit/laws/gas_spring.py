@@ -19,11 +19,11 @@ SUMMARY = "A gas spring: pushes with a preload that grows with compression, by t
 class GasSpringOptions(StrictModel):
     """Options of `gas-spring`: the push ``preload / (1 - x/stroke * (1 - progression**(-1/exponent)))**exponent``.
 
-    x is the compression, ``extended_length - length``. The gas in the cylinder follows the polytropic law
-    ``p V^exponent = constant``, and its volume decreases linearly with x, so that the push at full stroke is
-    ``progression * preload``. Manufacturers call preload F1, the force at full stroke F2, and F2/F1 progression. The
-    end stops of the cylinder are not part of the law: beyond the extended length the push continues to decrease by the
-    same formula, and beyond the stroke to increase linearly.
+    x is the compression, ``extended_length - length``. The gas in the cylinder follows the polytropic law ``p
+    V^exponent = constant``, and its volume decreases linearly with x, so that the push at full stroke is ``progression
+    * preload``. Manufacturers call preload F1, the force at full stroke F2, and F2/F1 progression. The end stops of the
+    cylinder are not part of the law: beyond the extended length the push decreases further by the same formula, and
+    beyond the stroke it increases linearly.
     """
 
     preload: NotNegative

@@ -25,13 +25,13 @@ class OneSidedOptions(StrictModel):
     damper: if the sum of spring and damper force has the wrong sign, the force is zero.
 
     With `engages_at`, the spring is out of contact until its length has passed this value beyond the free length; the
-    force then begins with a jump of ``stiffness * (engages_at - free_length)``, as that of a preloaded spring does.
+    force then jumps from zero to ``stiffness * (engages_at - free_length)``, like that of a preloaded spring.
     """
 
     stiffness: NotNegative
     """Stiffness [N/m or N m/rad]."""
     damping: NotNegative = 0.0
-    """Damping while in contact [N s/m or N m s/rad]; it makes the force jump at the beginning of contact."""
+    """Damping while in contact [N s/m or N m s/rad]; it makes the force discontinuous at the beginning of contact."""
     free_length: Number = 0.0
     """Length, angle or coordinate at which the spring exerts no force, and contact begins [m or rad]."""
     engages_at: Number | None = None

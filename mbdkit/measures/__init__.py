@@ -1,1 +1,1 @@
-"""Measures: numbers that expressions or plugins take from a run."""
+"""Measures: numbers computed from a run by expressions or plugins."""

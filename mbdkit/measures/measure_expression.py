@@ -48,7 +48,7 @@ _SECOND = read_unit("s")
 
 
 _OF_HISTORY = ("work", "dissipated", "balance")
-"""Energies that are integrals over time themselves, and so are known in the recorded states only."""
+"""Energies that are time integrals themselves and therefore known at the recorded states only."""
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions of a quantity along a beam that return its largest or smallest value at each time."""
 _OF_VECTORS = ("mean", "final", "integral", "at")
@@ -57,7 +57,7 @@ _OF_VECTORS = ("mean", "final", "integral", "at")
 
 @dataclass(frozen=True)
 class _Value:
-    """What is known of an operand before a run.
+    """Properties of an operand that are known before a run.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ _PARAMETER = _Value(None)
 
 
 class _Code(list[tuple[str, float]]):
-    """A program with what is known of its value."""
+    """A program with the known properties of its value."""
 
     def __init__(self, program: Code, value: _Value):
         super().__init__(program)
@@ -107,8 +107,8 @@ class MeasureExpression:
     unit
         Unit of the value.
     integrands
-        What has to be integrated with the run. Reductions of a program have the place of their integrand, counted from
-        1; 0 if it is not known before the end of the run.
+        Expressions that are integrated with the run. Reductions of a program refer to their integrand by its index,
+        from 1; 0 if the integrand is not known before the end of the run.
     """
 
     text: str
@@ -130,7 +130,7 @@ class MeasureExpression:
         ------
         SpecError
             If the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value is
-            not one number. The key is ``unit`` if the unit does not suit.
+            not one number. The key of the error is ``unit`` if the given unit does not match.
         """
         try:
             wanted = read_unit(unit) if unit else None
@@ -151,7 +151,7 @@ class MeasureExpression:
 
     @staticmethod
     def integrands_of(text: str, spec: ModelSpec) -> tuple[Integrand, ...]:
-        """Return what an expression integrates over time; raise SpecError as `parse` does, but for its unit."""
+        """Return the integrands of an expression; raise SpecError like `parse`, except about the unit."""
         compiler = _MeasureCompiler(text, spec)
         compiler.measure()
         return compiler.integrands()
@@ -216,7 +216,7 @@ class SeriesExpression(MeasureExpression):
 
 
 _VECTORS_OF = {"neg": ([True],), "mul": ([True, False], [False, True]), "div": ([True, False],)}
-"""Which operands of an operation may be vectors."""
+"""The operands of an operation that may be vectors."""
 _HAS_ELEMENTS = (
     "has a value in each element of a beam; name an element, as in beams.NAME.moment[0], or use along_max or along_min "
     "of it"
@@ -246,18 +246,18 @@ class _MeasureCompiler(RunCompiler):
         value = _known(program)
         if value.is_series:
             self.refuse(
-                "the expression changes over time, and a measure is one number; use max, min, mean, rms, final, "
-                "integral or at of it",
+                "the expression changes over time, but a measure is one number; apply max, min, mean, rms, final, "
+                "integral or at to it",
                 tree,
             )
         if value.is_vector:
-            self.refuse("the expression is a vector, and a measure is one number; use abs of it, its norm", tree)
+            self.refuse("the expression is a vector, but a measure is one number; use abs of it, its norm", tree)
         if all(operation not in ("get", "t") for operation, _ in program):
             self.refuse("the expression contains no quantity of the run", tree)
         return tuple(program), value
 
     def integrands(self) -> tuple[Integrand, ...]:
-        """Return what the expression integrates over time, apart from what is known only at the end of a run."""
+        """Return the integrands of the expression, except those that are known only at the end of a run."""
         found: tuple[Integrand, ...] = ()
         for text, program in self._integrated:
             found += (Integrand(text, program, tuple(self.quantities), found),)
@@ -367,7 +367,9 @@ class _MeasureCompiler(RunCompiler):
         """Return a program that reduces another one over time."""
         value = _known(program)
         if not value.is_series:
-            self.refuse(f"'{self.segment(node.args[0])}' does not change over time, so it has no '{name}'", node)
+            self.refuse(
+                f"'{self.segment(node.args[0])}' does not change over time, so that '{name}' cannot be applied", node
+            )
         if value.is_vector and name not in _OF_VECTORS:
             self.refuse(f"'{self.segment(node.args[0])}' is a vector, which has no '{name}'; use abs of it", node)
         if value.along:
@@ -379,7 +381,7 @@ class _MeasureCompiler(RunCompiler):
         return _Code([*program, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
 
     def _place_of_integrand(self, program: Code, node: ast.expr, *, squared: bool) -> int:
-        """Return the place of a quantity among the integrands, from 1; 0 if it is not known before the end of a run."""
+        """Return the index of a quantity among the integrands, from 1; 0 if it is not known before the end of a run."""
         read = [self.quantities[int(number)] for operation, number in program if operation == "get"]
         of_rows = any(operation.startswith(REDUCE) and not place for operation, place in program)
         if of_rows or any(one.kind == "events" or one.attribute in _OF_HISTORY for one in read):

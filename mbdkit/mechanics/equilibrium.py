@@ -1,4 +1,6 @@
-"""Static equilibrium by a damped Newton search that moves in the direction of the forces, so that it ends stably."""
+"""Static equilibrium by a damped Newton search that moves in the direction of the forces, so that it ends in a stable
+equilibrium.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.run_source import RunSource, Sections
 
 MOST_STEPS = 500
-"""Largest number of attempted steps, rejected ones included; beyond it the search fails."""
+"""Largest number of attempted steps, including rejected ones, after which the search fails."""
 
 LONGEST = 0.5
 """Largest step of a coordinate, relative to the size of the mechanism or to 1 rad."""
@@ -40,10 +42,11 @@ BALANCED = 1e-13
 """An imbalance below this fraction of the balancing forces counts as zero and ends the search."""
 
 STALLED = 1e-8
-"""A search that no longer improves is accepted if the imbalance is below this fraction of the balancing forces."""
+"""A search that no longer makes progress is accepted if the imbalance is below this fraction of the balancing
+forces."""
 
 NEAR = 1e-2
-"""Below this imbalance, relative to the balancing forces, a step with the true stiffness is tried first."""
+"""Imbalance, relative to the balancing forces, below which a step with the true stiffness is tried first."""
 
 PATIENCE = 8
 """Consecutive steps that do not halve the imbalance, after which the search counts as stagnant."""
@@ -58,13 +61,14 @@ MOST_CLOSINGS = 20
 """Largest number of Newton steps for closing the joints."""
 
 MOST_SADDLES = 10
-"""Largest number of saddles that a search leaves."""
+"""Largest number of saddle points from which a search continues."""
 
 SADDLE = 1e-9
-"""A stiffness below minus this fraction of the largest stiffness of a single coordinate is negative, not rounding."""
+"""A stiffness counts as negative, not as round-off, below minus this fraction of the largest stiffness of a single
+coordinate."""
 
 NEUTRAL = 1e-11
-"""The lowest stiffness counts as zero below this fraction of the terms that it is the sum of."""
+"""The lowest stiffness counts as zero if it is below this fraction of the terms in its sum."""
 
 
 @dataclass(frozen=True)
@@ -245,7 +249,7 @@ def rest(prepared: PreparedMechanism) -> Rest:
 def _descent(prepared: PreparedMechanism, found: Rest) -> np.ndarray | None:
     """Return the motion (n,) along which the stiffness at rest is most negative; None if it is nowhere negative.
 
-    Also None for a mechanism that is too large to be reduced to its degrees of freedom.
+    Also None if the mechanism is too large to be reduced to its degrees of freedom.
     """
     if not 0 < prepared.freedoms <= prepared.equations.n <= DENSE:
         return None
@@ -381,7 +385,7 @@ class _Search:
     def closed(self, q: np.ndarray) -> np.ndarray:
         """Return a position near `q` at which all joints are closed.
 
-        Translations have the small weight `PLACES`, so that the bodies are moved rather than turned.
+        Translations have the small weight `PLACES`, so that bodies are translated rather than rotated.
         """
         p, before = self.p, np.inf
         weight = np.tile([PLACES / self.extent**2, PLACES / self.extent**2, 1.0], len(p.bodies))

@@ -30,16 +30,16 @@ MOST_POINTS = 5000
 """Largest number of points of a path."""
 
 MOST_CORRECTIONS, EASY = 8, 4
-"""Largest number of Newton corrections of a point, and the number up to which the next step is longer."""
+"""Largest number of Newton corrections of a point, and the number up to which the step length is increased."""
 
 CONVERGED = 1e-7
-"""Newton's method ends with the first correction below this: the next one would be of the size of its square."""
+"""Newton's method ends with the first correction below this: the next one would be about its square."""
 
 LOAD_STEP = 1e-5
 """Step of the central differences of the loads by time, as a share of the time span."""
 
 LOCATED = 1e-12
-"""Tolerance of the place of a critical point on the path, relative to a step along it."""
+"""Tolerance of the position of a critical point on the path, relative to a step along it."""
 
 APART = 1e-6
 """Distance of critical points, relative to a step along the path, below which they count as one."""
@@ -111,10 +111,10 @@ class EquilibriumPath:
 def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> EquilibriumPath:
     """Follow the static equilibrium while loads and drivers change with time, slowly from start to end.
 
-    The path begins with the equilibrium that `equilibrium` finds at the start time. Its points and the time are
-    unknowns of the same rank (pseudo-arclength continuation; H. B. Keller, 1977), so that the path is followed past
-    limit points, where the time decreases, until it reaches the end time. A mechanism whose load grows cannot follow:
-    it snaps through there.
+    The path begins with the equilibrium that `equilibrium` finds at the start time. The time is treated as an unknown
+    like the positions (pseudo-arclength continuation; H. B. Keller, 1977), so that the path is followed past limit
+    points, where the time decreases, until it reaches the end time. A mechanism under a growing load snaps through at a
+    limit point.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class _Follower:
     """Follows the path of a mechanism in steps along its tangents.
 
     The unknowns are q, lambda and the time. The length of a step is the root of the sum of the squares of the changes
-    of the coordinates, averaged over the bodies, and of the time; multipliers do not count.
+    of the coordinates, averaged over the bodies, and of the time; multipliers are not included.
     """
 
     def __init__(self, prepared: PreparedMechanism):
@@ -182,7 +182,7 @@ class _Follower:
         self.weight = np.concatenate([1 / (bodies * size**2), np.zeros(p.m), [1 / self.span**2]])
         self.none = np.zeros(p.n)
         self.meaningless = diags_array(prepared.held.astype(float))
-        """Stiffness of the angles of point masses, which would have none."""
+        """Artificial stiffness of the angles of point masses, which keeps the matrix regular."""
 
     def path(self) -> EquilibriumPath:
         found = rest(self.prepared)
@@ -301,7 +301,9 @@ class _Follower:
         return [*self._bifurcations(here, 0.0, before), limit, *self._bifurcations(here, after, step)]
 
     def _bifurcations(self, here: _Point, low: float, high: float) -> list[CriticalPoint]:
-        """Return the bifurcations between two distances from a point, found by halving until each is alone."""
+        """Return the bifurcations between two distances from a point; the interval is halved until it contains only
+        one.
+        """
         first, last = (self._at(here, part)[0] if part else here for part in (low, high))
         change = abs(last.unstable - first.unstable)
         if not change:
@@ -314,7 +316,7 @@ class _Follower:
             place = self._root(
                 here, low, high, lambda point: distance_to_singular(self.prepared, self._state_of(point), border)
             )
-        except ValueError:  # two at the same place, or far from where the border belongs to
+        except ValueError:  # two coinciding bifurcations, or a bordered matrix that is too far from its singular state
             if high - low <= APART * LONGEST:
                 place = middle
             else:

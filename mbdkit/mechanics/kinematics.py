@@ -16,7 +16,7 @@ from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.spec.run_source import RunSource, Sections
 
 ASIDE = 0.1
-"""A step is halved if the position deviates from its extrapolation by more than this fraction of the step."""
+"""A step is halved if the position deviates from its extrapolation by more than this fraction of the displacement."""
 
 SMALL = 1e-6
 """Deviations below this, relative to the size of the mechanism or to 1 rad, never cause a step to be halved."""

@@ -47,8 +47,8 @@ def equilibrium_text(found: Equilibrium) -> str:
 
 def equilibrium_facts(found: Equilibrium) -> list[tuple[str, str]]:
     """Return stability, time, accuracy and stiffness of an equilibrium, each with its label."""
-    left = f"remaining accelerations {found.imbalance:.1e}, gaps in the joints {found.residual:.1e} (m, rad, s)"
-    stiffness = f"{found.stiffness:.6g} 1/s^2, the lowest along the degrees of freedom, for unit mass"
+    left = f"remaining accelerations {found.imbalance:.1e}, misalignment of the joints {found.residual:.1e} (m, rad, s)"
+    stiffness = f"{found.stiffness:.6g} 1/s^2 (lowest eigenvalue of the stiffness for unit mass)"
     return [
         ("equilibrium", STABILITY[found.stability]),
         ("time", f"{found.time:g} s, for drivers and loads"),
@@ -58,7 +58,7 @@ def equilibrium_facts(found: Equilibrium) -> list[tuple[str, str]]:
 
 
 def sharing(found: Equilibrium) -> str:
-    """Return which reactions of an equilibrium are not unique; empty if all are."""
+    """Return a remark on the reactions that are not unique; empty if all are unique."""
     if not found.shared:
         return ""
     return f"not unique, because joints are redundant: the reactions of {listed(found.shared, 'and')}"

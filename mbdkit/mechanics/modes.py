@@ -21,7 +21,7 @@ NOISE = 64 * float(np.finfo(float).eps)
 """Rounding error of an eigenvalue per degree of freedom, relative to the largest eigenvalue."""
 
 SPREAD = 1e6
-"""Ratio of the largest to the smallest eigenvalue above which the smaller ones come from the inverse."""
+"""Ratio of the largest to the smallest eigenvalue above which the smaller ones are computed from the inverse matrix."""
 
 FEW = 10
 """Default number of modes for a mechanism that is too large for a dense eigenvalue problem."""
@@ -291,8 +291,8 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
 def _undamped(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the eigenvalues (f,) and eigenvectors (f, f) of a symmetric stiffness; zero where only round-off is left.
 
-    Eigenvalues of slender beams are lost in the rounding errors of the largest one, and found again by Rayleigh's
-    quotient. Its error is that of its terms, and the square of the vectors' error.
+    The lowest eigenvalues of slender beams are lost in the rounding errors of the largest one and recomputed by
+    Rayleigh's quotient, whose error is the round-off of its terms plus the square of the error of the eigenvector.
     """
     squares, vectors = eigh(stiffness)
     largest = np.max(np.abs(squares), initial=0.0)
@@ -303,7 +303,7 @@ def _undamped(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _first_order(stiffness: np.ndarray, damping: np.ndarray, loose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what `oscillations` does, from the first-order form.
+    """Return the result of `oscillations`, computed from the first-order form.
 
     Parameters
     ----------
@@ -331,8 +331,8 @@ def _with_small_ones(
     """Return eigenvalues and vectors of the first-order form with accurate small ones, for the stiffness ``squares``.
 
     Rounding errors of eigenvalues are relative to the largest one. In beams with damped material these are so large
-    that the lowest ones are lost. Those of the inverse are relative to the smallest one, so the smaller eigenvalues are
-    taken from there. As in `mbdkit.mechanics.reduced.lowest`, a shift keeps the inverse regular.
+    that the lowest ones are lost. For the inverse matrix, they are relative to the smallest one, so that the smaller
+    eigenvalues are computed from it. As in `mbdkit.mechanics.reduced.lowest`, a shift keeps the inverse regular.
     """
     f = len(squares)
     shift = 0.5 * np.sqrt(np.min(squares[squares > 0]))

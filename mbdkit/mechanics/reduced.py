@@ -21,7 +21,8 @@ NEGATIVE = 1e-6
 """Tolerance of the search for a negative stiffness, relative to the eigenvalue closest to zero."""
 
 BLURRED = 1e-10
-"""Share of the largest eigenvalue below which rounding errors of a dense matrix may be more than one per cent."""
+"""Share of the largest eigenvalue below which an eigenvalue of a dense matrix may have rounding errors above one per
+cent."""
 
 SYMMETRIC = 1e-15
 """Skew part of a matrix, relative to its largest entry, below which it is rounding."""
@@ -92,7 +93,7 @@ def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
     """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2].
 
     Nodes of slender beams have so little inertia that the largest eigenvalues are 1e15 times the lowest one, which is
-    lost in their rounding errors; inverse iteration finds it.
+    then lost in their rounding errors; inverse iteration recovers it.
     """
     if prepared.equations.n <= DENSE:
         values = _eigenvalues(reduce(prepared, at).stiffness)
@@ -199,7 +200,7 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
 
     ARPACK first finds the eigenvalue of the inverse with the largest absolute value. If it is positive, a second search
     looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse lie close to zero, where a relative
-    tolerance asks for more accuracy than is needed. The second search therefore adds the first eigenvalue as a shift;
+    tolerance requires more accuracy than is needed. The second search therefore adds the first eigenvalue as a shift;
     the tolerance `NEGATIVE` is then relative to that.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh

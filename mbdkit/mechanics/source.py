@@ -52,7 +52,7 @@ class AssembledMechanism:
 
     @property
     def held(self) -> np.ndarray:
-        """Which coordinates have no meaning, (n,): the angles of point masses."""
+        """Mask (n,) of the coordinates without meaning: the angles of point masses."""
         bodies = self.spec.mechanism().bodies.values()
         return np.array([(False, False, body.inertia is None) for body in bodies], dtype=bool).ravel()
 

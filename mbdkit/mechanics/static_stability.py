@@ -1,8 +1,8 @@
 """Stability of equilibria from the matrix of statics: the number of unstable motions, and where it changes.
 
 The matrix of statics, ``[K, Phi_q^T; Phi_q, 0]`` with the stiffness K, is singular where an equilibrium loses or
-regains its stability along a motion. Its number of negative eigenvalues is that of the unstable motions plus that of
-the constraint rows (H. Maddocks, 1985), whatever the masses.
+regains its stability along a motion. The number of its negative eigenvalues is the number of unstable motions plus the
+number of constraint rows, for any masses (H. Maddocks, 1985).
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
     matrix = static_matrix(prepared, at)[0].toarray()
     if np.max(np.abs(matrix - matrix.T)) > SYMMETRIC * np.max(np.abs(matrix)):
         return int(np.sum(np.linalg.eigvals(reduce(prepared, at).stiffness).real < 0))
-    _, blocks, _ = ldl(0.5 * (matrix + matrix.T))  # of blocks of one or two rows, which have as many negative ones
+    _, blocks, _ = ldl(
+        0.5 * (matrix + matrix.T)
+    )  # eigenvalues of the blocks of one or two rows; the number of negative ones is the same
     signs = eigvalsh_tridiagonal(np.diag(blocks).copy(), np.diag(blocks, 1).copy())
     return int(np.sum(signs < 0)) - prepared.equations.m
 
@@ -69,8 +71,8 @@ def singular_motion(prepared: PreparedMechanism, at: State) -> np.ndarray:
 def distance_to_singular(prepared: PreparedMechanism, at: State, border: np.ndarray) -> float:
     """Return a smooth function of a state that changes its sign where the matrix of statics is singular.
 
-    It is the last unknown of the matrix with `border` (n + m,) as a further row and column, whose right side is 1 in
-    the last row only; by Cramer's rule, it is the ratio of the determinants (Govaerts, Numerical Methods for
+    It is the last unknown of the matrix with `border` (n + m,) as a further row and column, with a right-hand side that
+    is 1 in the last row only; by Cramer's rule, it is the ratio of the determinants (Govaerts, Numerical Methods for
     Bifurcations of Dynamical Equilibria, section 3.2).
 
     Parameters

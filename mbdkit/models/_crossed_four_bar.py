@@ -118,7 +118,7 @@ class CrossedFourBar:
         return abs(flexion) < 2.0 * math.pi and self._fits(flexion) and all(map(self._fits, scanned))
 
     def _limit(self, sign: float) -> float:
-        """Return the largest flexion in one direction, found by a scan in steps of one degree and bisection."""
+        """Return the largest flexion in one direction, by a scan in steps of one degree and bisection."""
         steps = next((step for step in range(1, 361) if not self._fits(sign * step * _SCAN)), 361)
         inside, outside = (steps - 1) * _SCAN, steps * _SCAN
         while inside < (middle := 0.5 * (inside + outside)) < outside:

@@ -67,7 +67,7 @@ class Knee:
     rods
         The bodies `acl` and `pcl`, whose x axes point from the femoral to the tibial joint.
     ends
-        Half of the length of each rod [m], which its joints are away from its centre.
+        Half of the length of each rod [m]: the distance of its joints from its centre.
     femoral
         Joints C and D in the thigh frame; tibial: joints A and B in the shank frame [m].
     shank

@@ -166,7 +166,7 @@ class Person:
 
     @property
     def trunk(self) -> Segment:
-        """Head, arms and trunk: what the two legs leave of the body mass; origin at the hips."""
+        """Head, arms and trunk: the body mass without both legs; origin at the hips."""
         legs = 2 * (self.fractions.thigh.mass + self.fractions.shank.mass + self.fractions.foot.mass)
         mass = (1.0 - legs) * self.body_mass
         return Segment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (TRUNK_GYRATION * self.height) ** 2)

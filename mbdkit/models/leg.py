@@ -17,7 +17,7 @@ The person faces +x; with all angles zero, the leg is straight and the foot flat
 Root
     With ``root: hip``, the hip is pinned to the ground. With ``root: trunk``, a body `trunk` with head and arms carries
     the hip and is free in the plane. The mechanism has one leg. In motions that are the same on both sides, this leg
-    carries half of the trunk (``trunk_share: 0.5``); otherwise, what the other leg does must be given as a load.
+    carries half of the trunk (``trunk_share: 0.5``); otherwise, the force of the other leg must be given as a load.
 Segments
     Masses, lengths, centres of mass and radii of gyration are fractions of body mass and height by `table`: Winter's,
     or those of de Leva for women and men. De Leva's shank ends at the lateral malleolus, which counts as the ankle
@@ -26,8 +26,8 @@ Segments
     Winter's fractions.
 Coordinates
     `hip_flexion`, `knee_flexion` and `ankle_dorsiflexion`, with these signs, and with ``root: trunk`` also `hip_x`,
-    `hip_y` [m] and `trunk_tilt` (counter-clockwise, that is backward): names that measured motions and actuators may
-    have.
+    `hip_y` [m] and `trunk_tilt` (counter-clockwise, that is backward): measured motions and actuators may have these
+    names.
 Knee of `leg-four-bar`
     That of the model `four-bar-knee` on a thigh that moves: rods `acl` and `pcl`, joints A and B on the shank, C and D
     on the thigh. Knee flexion is the angle between thigh and shank.
@@ -219,7 +219,7 @@ class _Leg:
         )
 
     def place_below_knee(self, shank: Frame) -> None:
-        """Place shank and foot, given the frame of the shank."""
+        """Add shank and foot, given the frame of the shank."""
         o, ankle = self.options, -1j * self.person.shank_length
         foot = Frame.at(
             shank.to_global(ankle),
@@ -247,7 +247,9 @@ class _Leg:
         }
         for kind, own, more in (("joints", self.joints, o.joints), ("markers", markers, o.markers)):
             for key in own.keys() & more.keys():
-                raise SpecError(f"the leg has one of this name already, of {listed(sorted(own))}", key=f"{kind}.{key}")
+                raise SpecError(
+                    f"the leg itself has an element of this name (it has {listed(sorted(own))})", key=f"{kind}.{key}"
+                )
         data = MechanismData(
             gravity=o.gravity,
             bodies=self.bodies,

@@ -1,1 +1,1 @@
-"""What Jupyter notebooks show of runs, mechanisms, studies, equilibria and modes: tables, pictures, animations."""
+"""Display of runs, mechanisms, studies, equilibria and modes in Jupyter notebooks: tables, pictures, animations."""

@@ -1,4 +1,4 @@
-"""`Run.animate`: an animation of a run that notebooks show with its controls."""
+"""`Run.animate`: an animation of a run with controls, for notebooks."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 _NUMBERS = 150_000
-"""Pose values in the output of a cell, about one megabyte."""
+"""Largest number of pose values in the output of a cell, about one megabyte."""
 _IN_DARK_THEMES = (
     ".mbdkit-player { color-scheme: light; } "
     ':is([data-jp-theme-light="false"], .vscode-dark) .mbdkit-player { color-scheme: dark; }'
 )
-"""Style by which the page in the frame prefers the colours of the notebook."""
+"""Style that makes the page in the frame follow the light or dark theme of the notebook."""
 _HEIGHT = 640
 """Height of the frame [px]."""
 

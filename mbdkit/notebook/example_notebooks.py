@@ -1,4 +1,6 @@
-"""The packaged notebooks: Python scripts with cells, which begin with ``# %%``, and the same as Jupyter files."""
+"""The packaged notebooks: Python scripts with cells, which begin with ``# %%``, and their conversion to Jupyter
+files.
+"""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _CHART = (5.4, 3.3)
 
 
 def html_of(thing: HtmlView) -> str:
-    """Return the HTML of an object; one that cannot be read, such as a closed run, is shown as text with the reason."""
+    """Return the HTML of an object; if it cannot be read, like a closed run, the HTML shows the reason."""
     try:
         return view(thing).html()
     except MbdkitError as error:

@@ -1,4 +1,4 @@
-"""A view of a result in a notebook: sentences, pictures and tables as one fragment of HTML that loads nothing."""
+"""A view of a result in a notebook: text, pictures and tables as one self-contained fragment of HTML."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class View:
-    """What a notebook shows of an object.
+    """The content that a notebook shows for an object.
 
     Parameters
     ----------

@@ -140,7 +140,7 @@ class Registry:
         if len(namesakes) > 1:
             owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in namesakes], "and")
             ids = listed([f"'{item.id}'" for item in namesakes], "or")
-            raise SpecError(f"the {label} name '{name}' is claimed by {owners}; write {ids}", key=key)
+            raise SpecError(f"the {label} name '{name}' is used by {owners}; write {ids}", key=key)
         if namesakes:
             return namesakes[0]
         for item in self.of_kind(kind):
@@ -160,7 +160,7 @@ class Registry:
         if not colon or not distribution:
             return ""
         if not here:
-            return f"; '{name}' comes with the distribution {distribution}, which is not installed"
+            return f"; '{name}' is provided by the distribution {distribution}, which is not installed"
         reasons = dict.fromkeys(report.error for report in here if report.status == "disabled" and report.error)
         return f"; {distribution} is {listed(reasons, 'and')}" if reasons else ""
 
@@ -175,5 +175,5 @@ class Registry:
         if not others:
             return report
         owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in others], "and")
-        error = f"the short name '{name}' is also claimed by {owners}; write the long id '{report.id}'"
+        error = f"the short name '{name}' is also used by {owners}; write the long id '{report.id}'"
         return Report(report.id, report.kind, report.origin, "clash", error, report.seconds)

@@ -18,7 +18,7 @@ from mbdkit.registry.policy import API
 
 Schema = dict[str, Any]
 WIDTH = 80
-DEEPEST = 6  # levels of nested options; the options of a plugin may contain themselves
+DEEPEST = 6  # limits the levels of nested options, because the options of a plugin may be recursive
 
 
 def listing(installed: Registry) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _entry(report: Report) -> dict[str, Any]:
 
 
 def claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return name and text of each claim; those that say nothing are left out."""
+    """Return name and text of each claim; empty claims are omitted."""
     texts = []
     for name, value in claims.items():
         if isinstance(value, bool):
@@ -154,7 +154,7 @@ def claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _option_lines(options: type[BaseModel]) -> list[str]:
-    if not options.model_fields:  # pydantic makes no schema of BaseModel itself
+    if not options.model_fields:  # pydantic cannot make a schema of BaseModel itself
         return ["  none"]
     schema = options.model_json_schema()
     lines: list[str] = []
@@ -179,7 +179,7 @@ def options_in(schema: Schema, deepest: int = DEEPEST) -> Iterator[tuple[str, st
 
 def _options(schema: Schema, definitions: Schema, prefix: str, deepest: int) -> Iterator[tuple[str, str, str, str]]:
     for name, info in schema.get("properties", {}).items():
-        if "const" in info:  # the type of an element, which is in its name here
+        if "const" in info:  # the type of a force element, which is part of its name here
             continue
         inside = _inside(info, definitions)
         default = info.get("default")
@@ -191,7 +191,7 @@ def _options(schema: Schema, definitions: Schema, prefix: str, deepest: int) -> 
 
 
 def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
-    """Return the schemas of the mappings inside an option, each with the text that its key path adds."""
+    """Return the schemas of the mappings inside an option, each with the suffix for its key path."""
     if "$ref" in info:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []

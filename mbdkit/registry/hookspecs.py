@@ -54,7 +54,7 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:  # type: ignore[empty-body]
 def mbdkit_force_laws() -> list[ForceLawPlugin]:  # type: ignore[empty-body]
     """Return the force laws of this plugin, for elements of type ``law``.
 
-    A law written in SymPy, which also takes its derivatives::
+    A law written in SymPy, from which its derivatives are computed::
 
         length, rate, k, k3, c = sympy.symbols("length rate stiffness cubic damping")
         law = mbdkit.ExpressionLaw(k*length + k3*length**3 + c*rate, k*length**2/2 + k3*length**4/4, passive=True)
@@ -98,7 +98,7 @@ def mbdkit_studies() -> list[StudyPlugin]:  # type: ignore[empty-body]
 
 @hookspec
 def mbdkit_measures() -> list[MeasurePlugin]:  # type: ignore[empty-body]
-    """Return the measures of this plugin, which a study takes of each of its runs.
+    """Return the measures of this plugin, which a study computes for each of its runs.
 
     A measure is a function of a run and of options::
 

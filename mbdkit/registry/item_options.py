@@ -1,4 +1,4 @@
-"""The options of an item as a spec holds them: with its name among them, and strictly validated."""
+"""The options of an item as in a spec: strictly validated, and including its name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 @functools.cache
 def named_options(item: Registered) -> type[BaseModel]:
-    """Return the item's options with its name among them, strict and frozen whatever the plugin's class says."""
+    """Return the class of the item's options including its name; strict and frozen even if the plugin's class is
+    not.
+    """
     options: type[BaseModel] = create_model(
         class_name(f"{item.name} {item.kind}"),
         __base__=type(
@@ -32,7 +34,9 @@ def named_options(item: Registered) -> type[BaseModel]:
 
 
 def name_type(item: Registered) -> Any:
-    """Return the type of the key that names the item in a spec: any of its names, turned into the canonical one."""
+    """Return the type of the key that names the item in a spec; it accepts any of its names and converts them to the
+    canonical one.
+    """
     names = dict.fromkeys([item.spec_name, item.name, item.id])
     return Annotated[
         str,

@@ -29,7 +29,7 @@ class Orders(NamedTuple):
     positions: float
     velocities: float
     multipliers: float | None = None
-    """Order of the multipliers that the method itself carries; None where it carries none."""
+    """Order of the multipliers that the method itself computes; None if it computes none."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Claims:
     Parameters
     ----------
     order
-        Order of convergence of positions and velocities; None where the method controls its own error.
+        Order of convergence of positions and velocities; None for adaptive methods.
     multiplier_order
-        Order of convergence of the multipliers that the method itself carries; None where it carries none.
+        Order of convergence of the multipliers that the method itself computes; None if it computes none.
     symmetric
         A step by -h undoes a step by h.
     symplectic
@@ -63,7 +63,7 @@ class Claims:
         Formulations of the equations that the method supports.
     stabilizations
         Supported stabilizations, of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``. Baumgarte's
-        terms are part of the equations; the driver of the method makes the projections.
+        terms are part of the equations; the step loop applies the projections.
     orders
         Orders by formulation, where they differ from `order` and `multiplier_order`, which hold for the first one.
     """
@@ -83,7 +83,7 @@ class Claims:
     orders: Mapping[str, Orders] = field(default_factory=dict)
 
     def orders_on(self, formulation: str) -> Orders | None:
-        """Return the orders claimed on a formulation; None where the method controls its own error."""
+        """Return the orders claimed on a formulation; None for adaptive methods."""
         if formulation in self.orders:
             return Orders(*self.orders[formulation])
         return None if self.order is None else Orders(self.order, self.order, self.multiplier_order)
@@ -94,7 +94,7 @@ class Plugin:
 
     A new kind of plugin is a subclass with the class attributes below and the fields of the item, an entry in
     `ITEM_CLASSES`, and a hook specification in `mbdkit.registry.hookspecs`. Loading, naming, listing and reporting of
-    errors need nothing else.
+    errors are common to all kinds.
     """
 
     kind: ClassVar[str]
@@ -102,11 +102,13 @@ class Plugin:
     hook: ClassVar[str]
     """Name of the hook that returns a list of such items."""
     key: ClassVar[str]
-    """Key of a spec that names such an item; errors about the name carry it."""
+    """Key of a spec that names such an item, for error messages."""
     name_key: ClassVar[str] = "name"
     """Key that holds the name beside the item's options."""
 
-    if TYPE_CHECKING:  # fields of the subclasses; a property at run time would become the default of the field
+    if (
+        TYPE_CHECKING
+    ):  # fields of the subclasses, for type checkers only; a property would become the default of the field
 
         @property
         def name(self) -> str:
@@ -126,7 +128,7 @@ class Plugin:
 
     @classmethod
     def label(cls) -> str:
-        """Return the name of the kind as it stands in a sentence."""
+        """Return the name of the kind as used in a sentence."""
         return cls.kind.replace("-", " ")
 
     def check(self) -> None:
@@ -255,7 +257,7 @@ class ForceLawPlugin(Plugin):
     summary
         One line that describes the law.
     options
-        Pydantic model of the options, which stand beside ``type``, ``law`` and ``pathway`` in the element.
+        Pydantic model of the options, which are keys beside ``type``, ``law`` and ``pathway`` in the element.
     law
         The law, as an ``ExpressionLaw`` in SymPy or as a ``FunctionLaw`` that Numba compiles.
     references
@@ -276,14 +278,14 @@ class ForceLawPlugin(Plugin):
     def check(self) -> None:
         """Check the types of the fields and the names of the options; raises PluginError."""
         super().check()
-        # By its attributes and not by its class: the registry does not import the mechanism, which is above it.
+        # Recognised by attributes instead of by class, because the registry may not import the room `mechanism`.
         law: Any = self.law
         is_law = hasattr(law, "passive") and (hasattr(law, "force") or hasattr(law, "function"))
         if not is_law or isinstance(law, type):
             raise PluginError(f"its law is {described(law)}, not an ExpressionLaw or a FunctionLaw")
         for name, info in self.options.model_fields.items():
             if name in LAW_KEYS or info.alias in LAW_KEYS:
-                raise PluginError(f"its option '{name}' has a name that every element of type law uses itself")
+                raise PluginError(f"its option '{name}' has the name of a key that every element of type law has")
 
     def claimed(self) -> Mapping[str, Any]:
         """Return whether the law has a potential and whether it is passive."""
@@ -304,7 +306,7 @@ class StudyPlugin(Plugin):
         File of the study spec (YAML, TOML or JSON). Files that it names are relative to its folder.
     verdict
         Takes the `mbdkit.Study`, complete or not, and returns the `mbdkit.analysis.verdict.Verdict` that its report
-        shows; None for the verdict that any study gets. Import what it needs inside the function: plugins are loaded
+        shows; None for the general verdict of a study. Import what it needs inside the function: plugins are loaded
         whenever mbdkit starts.
     references
         BibTeX entries of the sources.
@@ -353,8 +355,8 @@ class MeasurePlugin(Plugin):
     units
         Unit of the number, such as ``N m``; ``1`` for a pure number.
     take
-        Takes the `mbdkit.Run`, complete or not, and an instance of `options`, and returns the number: nan if the run
-        does not provide it. Import what it needs inside the function: plugins are loaded whenever mbdkit starts.
+        Takes the `mbdkit.Run`, complete or not, and an instance of `options`, and returns the number: nan if it cannot
+        be computed for this run. Import what it needs inside the function: plugins are loaded whenever mbdkit starts.
     references
         BibTeX entries of the sources.
     """

@@ -1,4 +1,6 @@
-"""Loading of plugins: each entry point by itself, so that a broken plugin costs a warning and nothing else."""
+"""Loading of plugins: each entry point separately, so that a broken plugin causes a warning and does not affect
+others.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ log = logging.getLogger("mbdkit")
 
 
 class EntryPoint(Protocol):
-    """The part of `importlib.metadata.EntryPoint` that loading needs."""
+    """The attributes of `importlib.metadata.EntryPoint` that are used here."""
 
     @property
     def name(self) -> str:
@@ -73,12 +75,13 @@ def load_installed() -> Registry:
 
 
 def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = None) -> Registry:
-    """Load each entry point by itself; a failure is reported, costs one line of warning, and leaves out the item.
+    """Load each entry point separately; if one fails, its items are skipped, with one line of warning and a report.
 
     Parameters
     ----------
     entry_points
-        Entry points of the group ``mbdkit``. In the registry mbdkit's own come first, then the others by distribution.
+        Entry points of the group ``mbdkit``. In the registry, items of mbdkit come first, then the others by
+        distribution.
     policy
         Which distributions are loaded; all of them by default.
     """
@@ -99,12 +102,12 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         found: list[Registered] = []
         problems: list[tuple[str, Kind | None, str]] = []
         try:
-            with contextlib.redirect_stdout(sys.stderr):  # stdout belongs to --json
+            with contextlib.redirect_stdout(sys.stderr):  # stdout is reserved for the output of --json
                 for kind, thing in _offered(entry_point, origin):
                     _accept(kind, thing, origin, [*items, *found], found, problems)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # a plugin may raise anything, SystemExit included
+        except BaseException as error:  # a plugin may raise any exception, including SystemExit
             problems.append((f"{origin.distribution}:{entry_point.name}", None, _sentence(error)))
         seconds = time.perf_counter() - begin
         items += found
@@ -145,7 +148,7 @@ def _accept(
     identifier = f"{origin.distribution}:{name if isinstance(name, str) else '?'}"
     try:
         item = Registered(kind, _checked(kind, thing), origin)
-        if origin.distribution != hookspecs.PROJECT:  # the tests of mbdkit do the same for its own
+        if origin.distribution != hookspecs.PROJECT:  # built-in items are checked by the tests of mbdkit
             named_options(item).model_json_schema()
         if any(other.kind == kind and other.id == item.id for other in known):
             raise PluginError(f"its distribution has another {KINDS[kind].label()} of the same name")

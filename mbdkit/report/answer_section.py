@@ -175,7 +175,7 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
     left = len(columns) - len(chosen)
     note = f"The {ROWS} of {len(columns)} joints with the largest forces or torques." if left else ""
     if run.accuracy is not None and used:
-        source = "by companion runs" if run.kind == "forward" else "from the noise of the data and the cutoff"
+        source = "by comparison runs" if run.kind == "forward" else "from the noise of the data and the cutoff"
         note = f"{note} Errors are estimated {source}.".strip()
     return Table(name, title, tuple(headings), tuple(rows), note)
 

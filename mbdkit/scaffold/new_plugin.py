@@ -46,8 +46,8 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
         *_STUDY,
         (
             (
-                "`step`: what it needs of the past goes into `StepState.memory`; a step that cannot be taken raises "
-                "`mbdkit.StepError`;"
+                "`step`: keep data of earlier steps in `StepState.memory`; raise `mbdkit.StepError` if a step cannot "
+                "be taken;"
             ),
             'the claims, and with another formulation `formulations=("index-3",)`;',
         ),
@@ -59,7 +59,7 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
         *_STUDY,
         (
             'the tableau: exact coefficients as numbers or text such as `"1/4 - sqrt(3)/6"`; mbdkit checks its order;',
-            "the claims; `mbdkit.ImplicitRungeKutta(tableau())` steps an implicit one;",
+            "the claims; use `mbdkit.ImplicitRungeKutta(tableau())` for an implicit tableau;",
         ),
     ),
     "model": _Flavour(
@@ -87,7 +87,7 @@ _FLAVOURS: dict[NewKind, _Flavour] = {
         ("numpy>=1.26", "pydantic>=2.7"),
         "study.yaml",
         "mbdkit study {name}/study.yaml",
-        ("the options and `take`, which computes one number from a run, nan if the run does not provide it;",),
+        ("the options and `take`, which computes one number from a run (nan if that is not possible);",),
     ),
 }
 
@@ -111,8 +111,8 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
     package, item = name.replace("-", "_"), name.removeprefix("mbdkit-")
     if not (_NAME.fullmatch(name) and _NAME.fullmatch(item)):
         raise SpecError(
-            f"'{name}' is no name for a new plugin: small letters, digits and single hyphens, a letter first, such as "
-            "mbdkit-rocket"
+            f"'{name}' cannot be the name of a new plugin: use small letters, digits and single hyphens, with a "
+            f"letter first, such as mbdkit-rocket"
         )
     if target.exists() or target.is_symlink():
         raise SpecError("this exists already; choose another name", file=target)
@@ -129,7 +129,10 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
 def _check_free(name: str, package: str, item: str, kind: Kind) -> None:
     """Raise SpecError if the name of the distribution, package or plugin is in use."""
     if keyword.iskeyword(package) or package in sys.stdlib_module_names:
-        raise SpecError(f"'{name}' is no name for a new plugin: Python uses it itself; mbdkit-{name} would do")
+        raise SpecError(
+            f"'{name}' cannot be the name of a new plugin, because Python itself uses it; choose mbdkit-{name}, for "
+            f"example"
+        )
     try:
         raise SpecError(f"the distribution {name} {version(name)} is installed already; choose another name")
     except PackageNotFoundError:

@@ -304,7 +304,9 @@ class _Builder:
         self.spread([_shortest(x).xreplace(here) for x in terms], first, second, self.forces)
 
     def add_beam(self, name: str, beam: Beam) -> None:
-        """Add the forces of a beam on its nodes: the force conjugate to the state of a cross-section, by its nodes."""
+        """Add the forces of a beam on its nodes: the force conjugate to the state of a cross-section, distributed to
+        its nodes.
+        """
         held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.section_stiffness), strict=True))
         retardation = self.parameter(beam.damping, "tau", name, tex=r"\tau")
         held |= {c: retardation * held[k] for c, k in zip(d.SECTION_DAMPING, d.SECTION_STIFFNESS, strict=True)}
@@ -390,7 +392,9 @@ def _section_terms() -> sp.Matrix:
 def _section_state(
     whole: Sequence[sp.Expr], nodes: Sequence[int], shape: Sequence[sp.Expr], slope: Sequence[sp.Expr]
 ) -> tuple[sp.Expr, ...]:
-    """Return the state of a cross-section by the coordinates `whole` of all bodies, or its rates by the velocities."""
+    """Return the state of a cross-section as a function of the coordinates `whole` of all bodies, or its rates from
+    velocities.
+    """
     x, y, angle = ([whole[3 * node + axis] for node in nodes] for axis in range(3))
     return tuple(
         sum((w * value for w, value in zip(weights, values, strict=True)), sp.Integer(0))
@@ -450,7 +454,7 @@ def _spline(table: Table) -> sp.Expr:
 
 
 def _within_the_period(table: Table) -> sp.Expr | None:
-    """Return the time at which the curve of a periodic table has its value; None if the table is not periodic."""
+    """Return the time within the table at which a periodic table is evaluated; None if the table is not periodic."""
     if not table.period:
         return None
     first = _number(table.table[0][0])

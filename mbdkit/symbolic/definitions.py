@@ -41,12 +41,12 @@ SECTION_RATES = sp.symbols("dvx dvy w dw", real=True)
 c, s = sp.symbols("c s", real=True)
 """Cosine and sine of the angle of the cross-section."""
 SECTION_LENGTH = sp.Symbol("h", real=True)
-"""Length of the beam that an integration point stands for [m]."""
+"""Length of the part of the beam that an integration point represents [m]."""
 SECTION_STIFFNESS = sp.symbols("ea ga ei", real=True)
 SECTION_DAMPING = sp.symbols("da ds db", real=True)
-"""Stiffness and damping by axial strain, shear strain and curvature."""
+"""Stiffness and damping of axial strain, shear strain and curvature."""
 SECTION_REFERENCE = sp.symbols("e0 g0 k0", real=True)
-"""Axial strain plus 1, shear strain and curvature without stress."""
+"""Axial strain plus 1, shear strain and curvature of the stress-free beam."""
 along, across = sp.symbols("along across", real=True)
 """Components of the derivative of the position along the normal of the cross-section, and across it."""
 _dx, _dy, _th, _dth = SECTION
@@ -91,7 +91,7 @@ _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
 _DERIVATIVES[length] = {
     q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / length for q in BODY_COORDINATES
 }
-for _i in range(3):  # turned with the first body, and changed with the relative angle
+for _i in range(3):  # it rotates with the first body, and depends on the relative angle
     (_hx, _hy), (_next_hx, _next_hy) = ((_TURNED[0][_k], _TURNED[1][_k]) for _k in (_i, _i + 1))
     _DERIVATIVES[_hx] = {tha: -_hy - _next_hx, thb: _next_hx}
     _DERIVATIVES[_hy] = {tha: _hx - _next_hy, thb: _next_hy}

@@ -17,8 +17,8 @@ from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
 LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
 
 SIDE = "mbdkit_side_"
-"""Begin of the names of parameters that say on which side of a corner a law is (`mbdkit.gradients.law_corners`); beyond
-the corner, the potential is not that of the force."""
+"""Prefix of the parameters that select the side of a discontinuity of a law (`mbdkit.gradients.law_corners`); beyond
+the discontinuity, the potential does not belong to the force."""
 
 _CORNERED = (sp.Abs, sp.Min, sp.Max, sp.Heaviside, sp.sign)
 
@@ -93,7 +93,9 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
 
 
 def smooth_pieces(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp.Expr]:
-    """Return force and potential of a law with all corners as conditions of ``Piecewise``; see `law_expressions`."""
+    """Return force and potential of a law with all discontinuities as conditions of ``Piecewise``; see
+    `law_expressions`.
+    """
     force, potential = (_without_corners(one) for one in law_expressions(law, names))
     return force, potential
 
@@ -126,4 +128,4 @@ def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, f
         if not (math.isfinite(found) and math.isfinite(wanted)):
             continue
         if abs(found - wanted) > 1e-8 * max(abs(found), abs(wanted)):
-            raise PluginError(f"the derivative {slope} of its potential is not its force at rate zero, {at_rest}")
+            raise PluginError(f"the derivative of its potential, {slope}, is not its force at rate zero, {at_rest}")

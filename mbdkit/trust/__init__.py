@@ -1,1 +1,1 @@
-"""How far a result can be trusted: the criteria of verdicts, and the numbers they are applied to."""
+"""Verdicts on runs: the criteria, and the numbers to which they are applied."""

@@ -1,8 +1,8 @@
-"""The verdict on a run: a function of a few numbers, with all of its limits.
+"""Compute the verdict on a run from a few numbers, with the limits defined here.
 
-A verdict is one of four levels. ``good`` needs an estimate of the error. Without one the best level is ``unknown``:
-a run whose joints hold and whose energy balances can still be wrong, as that of a chaotic double pendulum is after some
-seconds.
+A verdict is one of four levels. ``good`` needs an estimate of the error. Without one the best level is ``unknown``: a
+run with small misalignments and a good energy balance can still be wrong, like that of a chaotic double pendulum after
+a few seconds.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ LEVELS: tuple[Level, ...] = ("good", "unknown", "doubtful", "bad")
 """All levels, from the best to the worst."""
 
 NOTHING_SUSPICIOUS = "nothing suspicious seen; error not estimated"
-"""Meaning of the level ``unknown`` without reasons."""
+"""Meaning of the level ``unknown`` if there are no further reasons."""
 
 
 @dataclass(frozen=True)
@@ -56,21 +56,21 @@ the limits, in 3 % of those down to a tenth of the first limit, and in none belo
 ENERGY_JUMP = 0.05
 """Change of the energy balance in one step, as a share of the largest kinetic energy, above which a run is bad.
 
-Of 61 runs in which an implicit step had accepted a spurious solution of its stage equations, all exceeded it; of 1,671
-right runs 2 did, and both were wrong by more than 1e-3.
+Of 61 runs in which an implicit step had accepted a spurious solution of its stage equations, all exceeded it; 2 of
+1,671 other runs did as well, and both had errors above 1e-3.
 """
 
 BRANCH_ANGLE, BRANCH_RATIO = 0.25, 4.0
 """A run is suspected to have left its branch if, on the shortest path of at least 2 % of the mechanism's characteristic
 length around a minimum of the distance to singularity, the line of its velocity turns by at least the first [rad], and
-by at least the second relative to the length of the path. A branch is left by a sharp turn, because another motion
-begins there."""
+by at least the second relative to the length of the path. The threshold is an angle because another branch of the
+motion starts in a different direction."""
 
 ROUNDING = 1e4
-"""Energies below this many roundings of the largest energy count as zero; decides runs that are at rest."""
+"""Energies below this multiple of the round-off of the largest energy count as zero; matters for runs at rest."""
 
 ROUND_OFF = 1e-12
-"""Misalignment, as a share of the mechanism's size, that counts as rounding errors of double precision."""
+"""Misalignment, as a share of the mechanism's size, up to which it counts as round-off in double precision."""
 
 EPS = 2.0**-52
 
@@ -114,10 +114,10 @@ class EstimatedErrors:
     known_until
         Time up to which the errors are known [s]; nan if none is.
     asked, reached
-        Accuracy of positions that was asked, and the largest estimated error in its measure, as shares of the
+        Requested accuracy of positions, and the largest estimated error in the same measure, as shares of the
         mechanism's size.
     missed
-        Why it was not reached, as a clause; empty if it was, or if nothing is known.
+        Why the accuracy was not reached, as a clause; empty if it was reached, or if the reason is unknown.
     """
 
     position: float
@@ -225,7 +225,7 @@ def _ending(evidence: Evidence) -> Found:
 
 
 def _joints(evidence: Evidence) -> Found:
-    advice = "forces are wrong long before a joint visibly opens"
+    advice = "forces become wrong long before a misalignment is visible"
     gap, angle = evidence.misalignment, evidence.angle_misalignment
     share = gap / evidence.size if evidence.size > 0 else gap
     if level := MISALIGNMENT.level(share):
@@ -253,7 +253,7 @@ def _energies(evidence: Evidence) -> Found:
     if not share <= ENERGY_JUMP:
         jump = f"by {evidence.energy_jump:.3g} J in one step at t = {evidence.energy_jump_time:.6g} s"
         limit = f"{share:.2g} of the largest kinetic energy (bad above {ENERGY_JUMP:g})"
-        yield "bad", f"The energy balance changes {jump}, {limit}: the step is wrong; use smaller steps."
+        yield "bad", f"The energy balance changes {jump}, {limit}: this step is wrong; use smaller steps."
     share = _share(evidence.balance, evidence)
     if level := ENERGY.level(share):
         off = f"by up to {evidence.balance:.3g} J, {share:.2g} of the largest kinetic energy ({ENERGY})"
@@ -262,7 +262,7 @@ def _energies(evidence: Evidence) -> Found:
 
 def _branches(evidence: Evidence) -> Found:
     limits = f"bad from {BRANCH_ANGLE:g} rad and {BRANCH_RATIO:g} times the path"
-    advice = "it has probably left its branch; compare it with a run with `stabilization: projection`"
+    advice = "it has probably continued on another branch; compare it with a run with `stabilization: projection`"
     for one in evidence.branch:
         if one.counts:
             turn = f"by {one.angle:.2g} rad on a path of {one.path:.2g} of the longest link ({limits})"
@@ -275,9 +275,9 @@ def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
         known = "unknown" if unconfirmed else f"{accuracy.reached:.2g}"
         because = f": {accuracy.missed}" if accuracy.missed else ""
         what = f"positions accurate to {accuracy.asked:g} of the mechanism's size"
-        yield "doubtful", f"The run was asked for {what}; their estimated error is {known}{because}."
+        yield "doubtful", f"The run was to have {what}; their estimated error is {known}{because}."
     if math.isnan(accuracy.known_until):
-        yield "doubtful", "The error could not be estimated: the companion runs do not approach each other."
+        yield "doubtful", "The error could not be estimated: the comparison runs do not converge."
         return
     if accuracy.known_until < evidence.end:
         yield (

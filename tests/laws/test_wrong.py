@@ -238,7 +238,7 @@ class Points(Nothing):
     ("changes", "words"),
     [
         ({"law": length}, "its law is an object of type Symbol, not an ExpressionLaw or a FunctionLaw"),
-        ({"options": Points}, "its option 'points' has a name that every element of type law uses itself"),
+        ({"options": Points}, "its option 'points' has the name of a key that every element of type law has"),
         ({"name": "a law"}, "is not made of letters, digits"),
     ],
 )

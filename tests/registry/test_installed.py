@@ -80,7 +80,7 @@ def test_two_plugins_of_one_name_are_told_apart_by_their_long_names(tmp_path):
         install_module(tmp_path, name, GOOD)
     doctor = mbdkit(tmp_path, "plugins", "doctor")
     assert doctor.returncode == 0
-    assert doctor.stdout.count("clash: the short name 'swing' is also claimed by") == 2
+    assert doctor.stdout.count("clash: the short name 'swing' is also used by") == 2
     spec = {"mbdkit": 1, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.1}}
     (tmp_path / "short.json").write_text(json.dumps(spec | {"model": {"name": "swing"}}))
     refused = mbdkit(tmp_path, "validate", "short.json")

@@ -84,7 +84,7 @@ def test_what_is_left_out_is_not_imported_and_is_told_where_it_is_missed(entry_p
 
 
 def test_a_long_id_of_a_distribution_that_is_not_there_says_so(two):
-    with pytest.raises(SpecError, match="comes with the distribution crank, which is not installed"):
+    with pytest.raises(SpecError, match="is provided by the distribution crank, which is not installed"):
         load_registry(two).get("integrator", "crank:euler")
 
 

@@ -97,4 +97,4 @@ def test_a_spec_with_a_long_name_says_which_distribution_is_missing(made):
     (made / "long.json").write_text(json.dumps(SPEC | {"integrator": {"name": "euler-kit:euler"}}))
     done = mbdkit(made, "validate", "long.json")
     assert done.returncode == 2
-    assert "'euler-kit:euler' comes with the distribution euler-kit, which is not installed" in done.stderr
+    assert "'euler-kit:euler' is provided by the distribution euler-kit, which is not installed" in done.stderr

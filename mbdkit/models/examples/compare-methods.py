@@ -20,8 +20,7 @@ runs = {label: mbdkit.run("double-pendulum", integrator=method, time=TIME) for l
 for label, run in runs.items():
     print(f"{label:8}  misalignment {run.misalignment_max:.1e} m, verdict {run.verdict}")
 
-# %% [markdown]
-# `mbdkit.plot.compare` draws the same quantity of several runs. The legend tells what differs.
+# %% [markdown] `mbdkit.plot.compare` draws the same quantity of several runs. The legend shows how the runs differ.
 
 # %%
 axes = mbdkit.plot.compare(list(runs.values()), kind="drift", joints="J2")
@@ -42,8 +41,8 @@ for label, method in METHODS.items():
 # %% [markdown]
 # ## Formulations without drift
 #
-# Projection returns to the constraints after each step. It removes the drift, not the error of the motion, which a
-# check estimates.
+# Projection returns the state to the constraints after each step. It removes the drift, but not the error of the
+# motion, which a check estimates.
 
 # %%
 projected = mbdkit.run(
