@@ -172,7 +172,10 @@ def test_a_free_leg_falls_with_its_trunk() -> None:
     [
         ({"hip_velocity": [1, 0]}, r"model\.hip_velocity: with `root: hip` the trunk is at rest"),
         ({"table": "dempster"}, r"model\.table: .*winter"),
-        ({"markers": {"toe": {"body": "foot", "point": [0, 0]}}}, r"model\.markers\.toe: the leg itself has an element of this name"),
+        (
+            {"markers": {"toe": {"body": "foot", "point": [0, 0]}}},
+            r"model\.markers\.toe: the leg itself has an element of this name",
+        ),
         ({"forces": {"s": {"type": "torque", "body": "trunk", "value": 1}}}, r"model\.forces\.s.*trunk"),
         ({"height": -1}, r"model\.height"),
     ],
