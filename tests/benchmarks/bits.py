@@ -1,17 +1,25 @@
-"""Archives of every packaged example under every built-in method, compared bit by bit between two versions.
+"""Results compared bit by bit between two versions.
 
-``python -m tests.benchmarks.bits FOLDER`` writes one archive per combination and ``hashes.json``;
-``python -m tests.benchmarks.bits FOLDER --against OTHER`` then lists every combination whose ``data_sha256`` differs,
-with the largest relative difference of positions over the first ten recorded steps and over the whole run. Only the
-public interface is used, so that the same file runs under an older version (``PYTHONPATH``).
+``python -m tests.benchmarks.bits FOLDER`` runs every packaged example with every built-in method and writes their
+archives and ``hashes.json``; with ``--drawn 400 --seed 1`` it draws that many runs instead: models (pendulums, random
+mechanisms with springs, loads, drivers, beams and closed loops, examples), methods, formulations, stabilizations and
+events at random; some are computed in blocks of a study, in lanes where possible, some are killed and resumed.
+``--against OTHER`` then lists every run whose ``data_sha256``, status or counters differ, with the largest relative
+difference of positions over the first ten recorded steps and over the whole run.
+
+Only the public interface is used, so that the same file runs under an older version, whose folder is in
+``PYTHONPATH``: ``PYTHONPATH=OLDER python tests/benchmarks/bits.py FOLDER``.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
+import signal
 import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -77,24 +85,221 @@ def _spec(example: str, variant: str) -> dict[str, Any]:
     return spec
 
 
+_COMPARED = ("status", "sha", "counters")
+
+IN_BLOCK = 5
+"""Runs of a study in blocks that one draw stands for."""
+
+LARGE = ("chain", "double-wishbone", "watt-six-bar")
+"""Examples that are not drawn, because their runs take long."""
+
+
+def _mechanism(rng: np.random.Generator) -> dict[str, Any]:
+    """Draw a mechanism: a tree of bodies on revolute joints, with forces, and perhaps a driver, a loop or a beam."""
+    bodies: dict[str, Any] = {}
+    joints: dict[str, Any] = {}
+    forces: dict[str, Any] = {}
+    where = {"ground": np.zeros(2)}
+    for number in range(int(rng.integers(1, 5))):
+        name, parent = f"b{number}", str(rng.choice(list(where)))
+        joint = where[parent] + rng.uniform(-0.4, 0.4, 2)
+        where[name] = joint + rng.uniform(0.2, 0.5, 2) * rng.choice([-1, 1], 2)
+        bodies[name] = {
+            "mass": float(rng.uniform(0.2, 3.0)),
+            "inertia": float(rng.uniform(0.01, 0.2)),
+            "position": where[name].tolist(),
+            "angular_velocity": float(rng.uniform(-2.0, 2.0)),
+        }
+        joints[f"J{number}"] = {"type": "revolute", "bodies": [parent, name], "at": joint.tolist()}
+    last = list(bodies)[-1]
+    if rng.random() < 0.6:
+        forces["spring"] = {
+            "type": "spring-damper", "bodies": ["ground", last], "points": [[0.3, 1.0], [0.1, 0.0]],
+            "stiffness": float(rng.uniform(5.0, 200.0)), "damping": float(rng.uniform(0.0, 2.0)), "free_length": 0.4,
+        }  # fmt: skip
+    if rng.random() < 0.4:
+        forces["twist"] = {"type": "torsion-spring", "bodies": ["ground", "b0"], "stiffness": 4.0, "damping": 0.05}
+    if rng.random() < 0.4:
+        forces["load"] = {"type": "force", "body": last, "point": [0.1, 0.05], "value": [1.0, "2*cos(3*t)"]}
+    if rng.random() < 0.3:
+        joints["drive"] = {
+            "type": "driver", "bodies": joints["J0"]["bodies"], "coordinate": "angle", "motion": "0.4*sin(2*t)",
+        }  # fmt: skip
+    if len(bodies) > 2 and rng.random() < 0.4:
+        reach = float(np.hypot(*(where[last] - [0.9, -0.7])))
+        joints["rod"] = {
+            "type": "distance", "bodies": ["ground", last], "points": [[0.9, -0.7], [0.0, 0.0]], "length": reach,
+        }  # fmt: skip
+    model = {"name": "mechanism", "bodies": bodies, "joints": joints, "forces": forces}
+    if rng.random() < 0.25:
+        end = [float(where[last][0]) + 0.6, float(where[last][1])]
+        model["beams"] = {
+            "beam": {
+                "a": where[last].tolist(), "b": end, "elements": int(rng.integers(2, 4)),
+                "stiffness": {"axial": 4e3, "shear": 2e3, "bending": 2.0}, "mass_per_length": 0.5, "damping": 1e-3,
+            }
+        }  # fmt: skip
+        joints["clamp"] = {"type": "weld", "bodies": [last, "beam.0"], "at": where[last].tolist()}
+    return model
+
+
+def _drawn_model(rng: np.random.Generator) -> tuple[str, dict[str, Any], str, str]:
+    """Draw a model; return what it is, the model, an angle that a study may vary, and a quantity for events."""
+    kind = rng.choice(["pendulum", "mechanism", "example"], p=[0.35, 0.45, 0.2])
+    if kind == "example":
+        from mbdkit.spec.loading import load_spec
+
+        example = str(rng.choice([name for name in EXAMPLES if name not in LARGE]))
+        spec = load_spec(example).model_dump(mode="json")
+        return example, spec, "", ""
+    if kind == "mechanism":
+        model = _mechanism(rng)
+        return f"{len(model['bodies'])} bodies", {"model": model}, "model.bodies.b0.mass", "b0.angle - 0.02"
+    n = int(rng.integers(1, 7))
+    model = {
+        "name": "n-pendulum", "n": n, "lengths": rng.uniform(0.3, 1.2, n).tolist(),
+        "masses": rng.uniform(0.3, 2.0, n).tolist(), "angles": rng.uniform(-2.0, 2.0, n).tolist(),
+        "rates": rng.uniform(-2.0, 2.0, n).tolist(),
+    }  # fmt: skip
+    return f"{n} rods", {"model": model}, "model.angles.0", f"rod{n}.y"
+
+
+def _drawn_spec(rng: np.random.Generator) -> tuple[str, dict[str, Any], str]:
+    """Draw a spec; return its description, the spec, and the key of it that a study may vary."""
+    what, spec, key, quantity = _drawn_model(rng)
+    variant = str(rng.choice(list(VARIANTS)))
+    step = float(rng.choice([0.001, 0.002, 0.005]))
+    drawn = {
+        "mbdkit": 1,
+        **{name: spec[name] for name in ("model", "parameters") if spec.get(name)},
+        **json.loads(json.dumps(VARIANTS[variant])),
+        "time": {"start": 0.0, "end": float(rng.choice([0.3, 0.7])), "step": step},
+        "output": {"every": int(rng.choice([1, 3]))},
+        "limits": {"max_steps": 100_000},
+    }
+    if quantity and rng.random() < 0.3:
+        drawn["events"] = {"crossing": {"when": quantity, "action": str(rng.choice(["note", "stop"]))}}
+        variant += ", event"
+    return f"{what}, {variant}", drawn, key
+
+
+def _drawn(job: tuple[int, int, Path]) -> tuple[str, dict[str, Any]]:
+    """Draw a run by seed and number, and carry it out."""
+    seed, number, folder = job
+    rng = np.random.default_rng([seed, number])
+    what, spec, key = _drawn_spec(rng)
+    path = folder / f"drawn {seed}-{number}.h5"
+    how = rng.choice(["alone", "block", "resumed"], p=[0.7, 0.15, 0.15])
+    if how == "block" and key:
+        return f"drawn {seed}-{number} | {what}, block", _in_block(spec, key, rng)
+    if how == "resumed":
+        share = float(rng.uniform(0.1, 0.9))
+        spec["time"]["end"] = 8.0
+        return f"drawn {seed}-{number} | {what}, resumed", _found(lambda: _resumed(spec, path, share))
+    return f"drawn {seed}-{number} | {what}", _found(lambda: _alone(spec, path))
+
+
+def _alone(spec: dict[str, Any], path: Path) -> Any:
+    import mbdkit
+
+    path.unlink(missing_ok=True)
+    return mbdkit.run(spec, archive=str(path))
+
+
+def _in_block(spec: dict[str, Any], key: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Carry out some runs in a block of a study, in lanes if the method has them."""
+    import mbdkit
+
+    values = rng.uniform(0.5, 1.0, IN_BLOCK)
+    try:
+        frame = mbdkit.ensemble(spec, {key: values}, store="hashes", measures="all").to_frame()
+    except mbdkit.SpecError as error:
+        return {"refused": str(error).splitlines()[0]}
+    counted = [name for name in (*_COUNTERS, "misalignment_max") if name in frame]
+    return {
+        "status": frame.status.tolist(),
+        "sha": frame.data_sha256.tolist(),
+        "counters": [[str(value) for value in frame[name]] for name in counted],
+    }
+
+
+_COUNTERS = (
+    "steps", "accepted", "rejected", "rhs_evaluations", "jacobian_evaluations", "factorizations",
+    "newton_iterations", "projections",
+)  # fmt: skip
+
+_WITHOUT_CHECKPOINT = ("it has no checkpoint", "cannot be stored", "SciPy offers no way")
+
+
+def _resumed(spec: dict[str, Any], path: Path, share: float) -> Any:
+    """Kill a run after a share of its time, and resume it; run it again if it has left no checkpoint."""
+    import mbdkit
+
+    part = path.with_name(f"{path.name}.part")
+    for old in path.parent.glob(f"{path.name}*"):
+        old.unlink()
+    child = os.fork()
+    if child == 0:
+        _checkpoint_often()
+
+        def kill(reached: float, end: float) -> None:
+            if reached >= share * end:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        try:
+            mbdkit.run(spec, archive=str(path), progress=kill)
+        except mbdkit.SpecError:
+            pass
+        finally:
+            os._exit(0)
+    os.waitpid(child, 0)
+    if path.exists():
+        return mbdkit.load(path)
+    try:
+        return mbdkit.resume(part) if part.exists() else mbdkit.run(spec, archive=str(path))
+    except mbdkit.SpecError as error:
+        if not any(reason in str(error) for reason in _WITHOUT_CHECKPOINT):
+            raise
+        return mbdkit.run(spec, archive=str(path), overwrite=True)
+
+
+def _checkpoint_often() -> None:
+    """Let runs of this process write a checkpoint every few milliseconds, in whichever module the version has it."""
+    for name, values in (
+        ("mbdkit.runs.run_checkpoint", {"INTERVAL": 0.01, "SHARE": 1e9}),
+        ("mbdkit.run_checkpoint", {"INTERVAL": 0.01, "SHARE": 1e9}),
+        ("mbdkit.stepping.interface", {"STRETCH": 0.002}),
+    ):
+        try:
+            module = importlib.import_module(name)
+        except ModuleNotFoundError:
+            continue
+        for constant, value in values.items():
+            setattr(module, constant, value)
+
+
+def _found(begin: Callable[[], Any]) -> dict[str, Any]:
+    """Carry out a run, and return what is compared of it."""
+    import mbdkit
+
+    try:
+        run = begin()
+    except mbdkit.SpecError as error:
+        return {"refused": str(error).splitlines()[0]}
+    found = {
+        "status": run.status,
+        "reason": run.status_reason,
+        "sha": run.data_sha256,
+        "counters": {name: int(run.stats[name]) for name in _COUNTERS if name in run.stats},
+    }
+    run.close()
+    return found
+
+
 def _run(job: tuple[str, str, Path]) -> tuple[str, dict[str, Any]]:
     example, variant, folder = job
-    import h5py
-
-    import mbdkit
-    from mbdkit.base.errors import SpecError
-
     path = folder / f"{example} {variant}.h5"
-    key = f"{example} | {variant}"
-    path.unlink(missing_ok=True)
-    try:
-        run = mbdkit.run(_spec(example, variant), archive=str(path))
-    except SpecError as error:
-        return key, {"refused": str(error).splitlines()[0]}
-    with h5py.File(path) as file:
-        found = {"status": run.status, "reason": str(file.attrs["status_reason"]), "sha": file.attrs["data_sha256"]}
-    run.close()
-    return key, found
+    return f"{example} | {variant}", _found(lambda: _alone(_spec(example, variant), path))
 
 
 def _difference(one: Path, other: Path) -> str:
@@ -124,11 +329,17 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--against", type=Path, help="a folder that this command has written with another version")
     parser.add_argument("--only", default="", help="a part of the names of the combinations to run")
+    parser.add_argument("--drawn", type=int, default=0, metavar="N", help="draw N runs instead of the combinations")
+    parser.add_argument("--seed", type=int, default=1, help="of the runs that are drawn")
     asked = parser.parse_args()
     asked.folder.mkdir(parents=True, exist_ok=True)
-    jobs = [(e, v, asked.folder) for e in EXAMPLES for v in VARIANTS if asked.only in f"{e} | {v}"]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        found = dict(pool.map(_run, jobs))
+        if asked.drawn:
+            drawn = [(asked.seed, number, asked.folder) for number in range(asked.drawn)]
+            found = dict(pool.map(_drawn, drawn))
+        else:
+            jobs = [(e, v, asked.folder) for e in EXAMPLES for v in VARIANTS if asked.only in f"{e} | {v}"]
+            found = dict(pool.map(_run, jobs))
     file = asked.folder / "hashes.json"
     known = json.loads(file.read_text()) if file.exists() else {}
     file.write_text(json.dumps(known | found, indent=1))
@@ -139,12 +350,12 @@ def main() -> None:
     differing = [
         key
         for key, value in found.items()
-        if key in other and any(other[key].get(what) != value.get(what) for what in ("status", "sha"))
+        if key in other and any(what in other[key] and other[key][what] != value.get(what) for what in _COMPARED)
     ]
     for key in differing:
-        name = key.replace(" | ", " ") + ".h5"
+        name = (key.partition(" | ")[0] if key.startswith("drawn") else key.replace(" | ", " ")) + ".h5"
         print(f"{key}: {other[key]} -> {found[key]}")
-        if "sha" in found[key] and "sha" in other[key]:
+        if all((folder / name).exists() for folder in (asked.folder, asked.against)):
             print(f"    {_difference(asked.folder / name, asked.against / name)}")
     print(f"{len(found) - len(differing)} equal, {len(differing)} differ")
     sys.exit(bool(differing))
