@@ -48,6 +48,11 @@ class Axis:
     unit: str = ""
     log: bool = False
 
+    @property
+    def title(self) -> str:
+        """The label with the unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
 
 @dataclass(frozen=True, eq=False)
 class Line:
@@ -146,6 +151,14 @@ class Figure:
     def needs_key(self) -> bool:
         """Whether the lines need names: there are several, or a single one that the title does not name."""
         return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
+
+    def visible(self, line: Line) -> np.ndarray:
+        """Return a mask (K,) of the points of a line that can be drawn: finite, and positive on logarithmic axes."""
+        seen: np.ndarray = np.isfinite(line.x) & np.isfinite(line.y)
+        for axis, values in ((self.x, line.x), (self.y, line.y)):
+            if axis.log:
+                seen &= np.nan_to_num(values) > 0
+        return seen
 
 
 @dataclass(frozen=True)

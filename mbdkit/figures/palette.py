@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mbdkit.figures.drawing_geometry import Drawing, Trace
+from mbdkit.figures.page_model import Figure
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
 """Six colours that colour-blind readers can distinguish (Okabe and Ito, with a darker purple)."""
@@ -36,3 +37,18 @@ def trace_colors(drawing: Drawing, traces: Sequence[Trace]) -> list[str]:
     if len(drawing.links) <= len(PALETTE) and len(set(owners)) == len(owners):
         return [PALETTE[owner] for owner in owners]
     return [PALETTE[index % len(PALETTE)] for index in range(len(traces))]
+
+
+def line_styles(chart: Figure) -> list[tuple[str, int]]:
+    """Return the colour and the index of the dashes of each line.
+
+    Lines of a group share a colour; a line without a group forms its own. If there are more groups than colours, the
+    colours repeat. Lines of the same colour differ in their dashes.
+    """
+    groups = dict.fromkeys(line.group or line.label for line in chart.lines if not line.color)
+    colors = {group: PALETTE[place % len(PALETTE)] for place, group in enumerate(groups)}
+    found: list[tuple[str, int]] = []
+    for line in chart.lines:
+        color = line.color or colors[line.group or line.label]
+        found.append((color, sum(color == other for other, _ in found)))
+    return found

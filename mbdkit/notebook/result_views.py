@@ -31,7 +31,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.notebook.view import Picture, View
 from mbdkit.plot import drift_plot, reactions_plot
 from mbdkit.plot.caption import caption
-from mbdkit.plot.chart_images import chart_image
+from mbdkit.plot.charts import chart_image
 from mbdkit.plot.mode_shapes import modes_figure
 from mbdkit.report.model_section import composition, drawing, element_tables
 from mbdkit.report.run_report import mechanism_of

@@ -18,9 +18,8 @@ from mbdkit.figures.curves import Array, bands
 from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.figures.palette import PALETTE
 from mbdkit.figures.scene import nearest_rows
-from mbdkit.plot.chart_images import draw_chart
+from mbdkit.plot.charts import Panel, draw_chart, draw_panel
 from mbdkit.plot.element_quantity import MOST
-from mbdkit.plot.panel import Panel, dress_over_time, panel_title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -190,11 +189,10 @@ def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = Non
 
 
 def _draw(axes: Axes, chart: Figure) -> None:
-    draw_chart(axes, chart)
-    title = f"{chart.title}: {chart.lines[0].label}" if len(chart.lines) == 1 else chart.title
-    panel_title(axes, title)
+    draw_chart(axes, chart, f"{chart.title}: {chart.lines[0].label}" if len(chart.lines) == 1 else chart.title)
 
 
 def _draw_nothing(axes: Axes) -> None:
-    dress_over_time(axes, "bending moment\n[N m]")
-    panel_title(axes, "Bending moment: there are no beams")
+    draw_panel(
+        axes, Figure("", "", "", _TIME, Axis("bending moment\n", "N m"), ()), "Bending moment: there are no beams"
+    )

@@ -16,7 +16,7 @@ from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.figures.curves import require_rows
 from mbdkit.plot.caption import method, plain_name
-from mbdkit.plot.chart_axes import draw_on
+from mbdkit.plot.charts import draw_on
 from mbdkit.plot.plot_kinds import plot_module
 from mbdkit.spec import RunSpec
 from mbdkit.spec.key_words import key_unit, key_words
@@ -97,6 +97,11 @@ def compare(
     found = list(runs)
     chart, heading = comparison(found, kind or "trajectory", labels, **options)
     return draw_on(ax, chart, heading, vary_dashes=len(found) > 1)
+
+
+def draw_run(run: Run, kind: str, ax: Axes | None = None, **options: Any) -> Axes:
+    """Draw a kind of plot of a run on axes, or those of a new figure, and return them; see `Run.plot`."""
+    return draw_on(ax, comparison([run], kind, **options)[0])
 
 
 def comparison(

@@ -12,9 +12,18 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.figures.page_model import Axis, Figure
 from mbdkit.figures.quantity_text import length
-from mbdkit.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, picked, value_text
-from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment, velocity_misalignment
-from mbdkit.plot.panel import Panel
+from mbdkit.plot.charts import Panel
+from mbdkit.plot.element_quantity import (
+    MOST,
+    ElementQuantity,
+    angle_misalignment,
+    draw_elements,
+    element_chart,
+    joint_misalignment,
+    picked,
+    value_text,
+    velocity_misalignment,
+)
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

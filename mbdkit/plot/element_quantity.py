@@ -1,9 +1,9 @@
-"""A quantity of every joint or force element over time, drawn in a panel or returned as lines of a chart."""
+"""A quantity of every joint or force element over time, with estimated errors, drawn in a panel or as a chart."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from mbdkit.figures.beam_curves import distributed_loads
 from mbdkit.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
 from mbdkit.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit.figures.palette import FAINT, INK, PALETTE, PAPER
-from mbdkit.plot.panel import dress_over_time, panel_title, single_row_marker
+from mbdkit.plot.charts import draw_panel
 from mbdkit.plot.style import legend, powers_of_ten
 
 if TYPE_CHECKING:
@@ -117,6 +117,69 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     return quantity.only(columns)
 
 
+def joint_quantity(
+    run: Run, name: str, path: str, unit: str, values: Callable[[Array], Array] = np.asarray
+) -> ElementQuantity:
+    """Read an array of the archive group /joints.
+
+    Parameters
+    ----------
+    path
+        Path of the array, of shape (T, J, ...).
+    values
+        Maps a block of rows to one value for each row and joint, such as the norm over the last axis.
+    """
+    return ElementQuantity(name, unit, run.joint_names, bands(np.asarray(run.time), run.dataset(path), values))
+
+
+def joint_misalignment(run: Run) -> ElementQuantity:
+    """Return the misalignment of every joint [m]."""
+    return joint_quantity(run, "misalignment", "joints/misalignment", "m")
+
+
+def velocity_misalignment(run: Run) -> ElementQuantity:
+    """Return the velocity misalignment of every joint [m/s]."""
+    return joint_quantity(run, "velocity misalignment", "joints/velocity_misalignment", "m/s")
+
+
+def angle_misalignment(run: Run) -> ElementQuantity:
+    """Return the angle misalignment of every joint [rad]; zero for joints that do not constrain an angle."""
+    return joint_quantity(run, "angle misalignment", "joints/angle_misalignment", "rad")
+
+
+def reaction_force(run: Run) -> ElementQuantity:
+    """Return the magnitude of the reaction force of every joint [N], with its estimated error."""
+    force = joint_quantity(
+        run, "reaction force", "joints/reaction_force", "N", lambda force: np.hypot(force[..., 0], force[..., 1])
+    )
+    return with_errors(run, force, "reaction_error")
+
+
+def reaction_torque(run: Run) -> ElementQuantity:
+    """Return the reaction torque of every joint [N m], with its estimated error."""
+    return with_errors(run, joint_quantity(run, "reaction torque", "joints/reaction_torque", "N m"), "torque_error")
+
+
+def with_errors(
+    run: Run, quantity: ElementQuantity, name: str, joints: Sequence[int] | slice = slice(None)
+) -> ElementQuantity:
+    """Add the estimated errors of joints to a quantity, if they were estimated.
+
+    Parameters
+    ----------
+    name
+        Attribute of `Accuracy`: ``reaction_error`` or ``torque_error``.
+    joints
+        Index of the joint of each element; by default the elements are all joints.
+    """
+    accuracy = run.accuracy
+    if accuracy is None:
+        return quantity
+    errors = errors_at(accuracy, getattr(accuracy, name)[:, joints], quantity.data.time)
+    until = math.nan if accuracy.is_complete else accuracy.known_until
+    return replace(quantity, errors=errors, known_until=until)
+
+
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
     """Return the columns of the wanted elements or, if None, of at most `most` non-zero ones with the largest values.
 
@@ -195,48 +258,27 @@ def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool
         Title of the panel; by default it states the largest value.
     """
     elements, data = quantity.elements, quantity.data
-    dress_over_time(axes, f"{quantity.name}\n[{quantity.unit}]")
-    if not elements:
-        panel_title(axes, f"{quantity.name}: there are no {what}")
-        return
-    column, most = quantity.largest
-    told = f"{value_text(most, quantity.unit)}{_known_to(quantity, column)}"
-    panel_title(axes, title or f"{quantity.name}: largest {told} ({elements[column]})")
-    columns = list(range(len(elements)))
-    handles, labels = [], []
-    floor = _floor(data.high) if log else -np.inf
-    if len(elements) > len(PALETTE):
-        columns = quantity.largest_columns(len(PALETTE) - 1)
+    few, handles, labels, floor = quantity, [], [], _floor(data.high) if log else -np.inf
+    if len(elements) > MOST:
+        few = quantity.only(quantity.largest_columns(MOST - 1))
         top = np.max(np.nan_to_num(np.maximum(np.abs(data.low), np.abs(data.high))), axis=1)
-        (line,) = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
-        handles.append(line)
-        labels.append(f"largest of {len(elements)}")
-    for color, chosen in zip(PALETTE, columns, strict=False):
-        time, values = (data.time, np.maximum(data.high[:, chosen], floor)) if log else data.curve(chosen)
-        (line,) = axes.plot(time, values, color=color, linewidth=1.1, marker=single_row_marker(time))
-        handles.append(line)
-        labels.append(elements[chosen])
-        if (band := _band(quantity, chosen)) is not None:
-            axes.fill(*band.T, color=color, alpha=0.25, linewidth=0)
-    if np.isfinite(quantity.known_until):
-        axes.axvline(quantity.known_until, color=FAINT, linewidth=1.0, linestyle=":")
-        late = quantity.known_until > (data.time[0] + data.time[-1]) / 2
-        axes.annotate(
-            UNKNOWN,
-            (quantity.known_until, 0.98),
-            xycoords=("data", "axes fraction"),
-            xytext=(-3 if late else 3, 0),
-            textcoords="offset points",
-            size=7.5,
-            color=FAINT,
-            ha="right" if late else "left",
-            va="top",
-        )
-    legend(axes, handles, labels)
+        handles = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
+        labels = [f"largest of {len(elements)}"]
+    chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
     if log:
-        axes.set_yscale("log")
+        chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
+    if not elements:
+        title = f"{quantity.name}: there are no {what}"
+    elif not title:
+        column, most = quantity.largest
+        told = f"{value_text(most, quantity.unit)}{_known_to(quantity, column)}"
+        title = f"{quantity.name}: largest {told} ({elements[column]})"
+    handles += draw_panel(axes, chart, title)
+    axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
+    legend(axes, handles, [*labels, *few.elements])
+    if log:
         _show_floor(axes, floor, data.high, quantity.unit)
-    else:
+    elif elements:
         powers_of_ten(axes)
         if np.nanmin(data.low, initial=0.0) >= 0.0:
             axes.set_ylim(bottom=0.0)

@@ -14,7 +14,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.figures.curves import Array, bands
 from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.figures.palette import INK, PALETTE
-from mbdkit.plot.panel import Panel, dress_over_time, panel_title, single_row_marker
+from mbdkit.plot.charts import Panel, draw_panel
 from mbdkit.plot.style import legend, powers_of_ten
 
 if TYPE_CHECKING:
@@ -37,30 +37,34 @@ _TIME = Axis("time", "s")
 def panels(run: Run) -> list[Panel]:
     """Return the panels of the energies and of their balance."""
     values = _read(run, *COLORS)
-    largest_kinetic = float(np.nanmax(values["kinetic"], initial=0.0))
-    return [
-        Panel(partial(_draw_energies, time=np.asarray(run.time), values=values)),
-        Panel(
-            partial(
-                _draw_balance,
-                time=np.asarray(run.time),
-                balance=values["balance"],
-                largest_kinetic=largest_kinetic,
-            )
-        ),
-    ]
+    energies, balance = _charts(run, values)
+    _, base = _relative(values)
+    largest, kinetic = (float(np.nanmax(np.abs(values[name]), initial=0.0)) for name in ("balance", "kinetic"))
+    share = f", {largest / kinetic:.2g} of the largest kinetic energy" if kinetic > 0 else ""
+    titles = {
+        "energy": f"energy (potential and total relative to the potential at the start, {base:.4g} J)",
+        "balance": f"balance (total + dissipated - work - start): largest {largest:.3g} J{share}",
+    }
+    return [Panel(partial(_draw, chart=chart, title=titles[chart.name])) for chart in (energies, balance)]
+
+
+def _draw(axes: Axes, chart: Figure, title: str) -> None:
+    lines = draw_panel(axes, chart, title)
+    if chart.needs_key:
+        legend(axes, lines, [line.label for line in chart.lines])
+    powers_of_ten(axes)
 
 
 def charts(run: Run) -> list[Figure]:
     """Return the charts of the energies and of their balance."""
-    if not run.records("energy/balance"):
-        return []
-    values = _read(run, *COLORS)
+    return list(_charts(run, _read(run, *COLORS))) if run.records("energy/balance") else []
+
+
+def _charts(run: Run, values: dict[str, Array]) -> tuple[Figure, Figure]:
     energies, base = _relative(values)
-    lines = tuple(Line(name, *bands(run.time, curve[:, None]).curve(0)) for name, curve in energies.items())
+    lines = tuple(_line(run, name, curve, name) for name, curve in energies.items())
     caption = f"Potential and total energy are relative to the potential energy at the start, {base:.4g} J."
-    balance = Line("balance", *bands(run.time, values["balance"][:, None]).curve(0))
-    return [
+    return (
         Figure("energy", "Energy", caption, _TIME, Axis("energy", "J"), lines),
         Figure(
             "balance",
@@ -68,9 +72,13 @@ def charts(run: Run) -> list[Figure]:
             "Total + dissipated - work, minus its value at the start. Without numerical error it is zero.",
             _TIME,
             Axis("balance", "J"),
-            (balance,),
+            (_line(run, "balance", values["balance"], "balance"),),
         ),
-    ]
+    )
+
+
+def _line(run: Run, name: str, values: Array, label: str) -> Line:
+    return Line(label, *bands(run.time, values[:, None]).curve(0), group=name, color=COLORS[name])
 
 
 def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
@@ -97,10 +105,7 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
         names = [name for name in TERMS if name in relative][:most]
     shown = {name: relative.get(name, values[name]) for name in COLORS if name in names}
     labels = {"potential": "potential (0 at the start)"} if base else {}
-    lines = (
-        Line(labels.get(name, name), *bands(run.time, curve[:, None]).curve(0), group=name)
-        for name, curve in shown.items()
-    )
+    lines = (_line(run, name, curve, labels.get(name, name)) for name, curve in shown.items())
     label = "energy balance" if names == ["balance"] else "energy"
     return Figure("energy", "Energy", "", _TIME, Axis(label, "J"), tuple(lines))
 
@@ -121,26 +126,3 @@ def _relative(values: dict[str, Array]) -> tuple[dict[str, Array], float]:
             continue
         found[name] = curve - base if name in ("potential", "total") else curve
     return found, base
-
-
-def _draw_energies(axes: Axes, time: Array, values: dict[str, Array]) -> None:
-    dress_over_time(axes, "energy [J]")
-    energies, base = _relative(values)
-    handles = []
-    for name, values_of_one in energies.items():
-        curve = bands(time, values_of_one[:, None]).curve(0)
-        width = 1.8 if name == "total" else 1.2
-        handles += axes.plot(*curve, color=COLORS[name], linewidth=width, marker=single_row_marker(curve[0]))
-    legend(axes, handles, list(energies))
-    panel_title(axes, f"energy (potential and total relative to the potential at the start, {base:.4g} J)")
-    powers_of_ten(axes)
-
-
-def _draw_balance(axes: Axes, time: Array, balance: Array, largest_kinetic: float) -> None:
-    dress_over_time(axes, "balance [J]")
-    curve = bands(time, balance[:, None]).curve(0)
-    axes.plot(*curve, color=COLORS["balance"], linewidth=1.1, marker=single_row_marker(curve[0]))
-    largest = float(np.nanmax(np.abs(balance), initial=0.0))
-    share = f", {largest / largest_kinetic:.2g} of the largest kinetic energy" if largest_kinetic > 0 else ""
-    panel_title(axes, f"balance (total + dissipated - work - start): largest {largest:.3g} J{share}")
-    powers_of_ten(axes)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.figures.page_model import Axis, Figure
+from mbdkit.plot.charts import Panel
 from mbdkit.plot.element_quantity import MOST, draw_elements, element_chart, element_values, has_elements, picked
-from mbdkit.plot.panel import Panel
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

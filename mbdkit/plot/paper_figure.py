@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from mbdkit.base.errors import SpecError
 from mbdkit.figures.palette import GRID, INK, PALETTE, PAPER
-from mbdkit.plot.chart_axes import draw_on, settle_layout
+from mbdkit.plot.charts import draw_on, settle_layout
 from mbdkit.plot.comparison import comparison
 
 if TYPE_CHECKING:

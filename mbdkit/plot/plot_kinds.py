@@ -14,7 +14,7 @@ from mbdkit.base.errors import SpecError
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.figures.page_model import Figure
-    from mbdkit.plot.panel import Panel
+    from mbdkit.plot.charts import Panel
 
 # The modules are imported when they are used: the command line lists the kinds without loading Matplotlib.
 PLOT_KINDS: dict[str, str] = {

@@ -12,9 +12,16 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.figures.curves import Array, bands
 from mbdkit.figures.page_model import Axis, Figure
-from mbdkit.plot.element_quantity import MOST, ElementQuantity, draw_elements, element_chart, picked
-from mbdkit.plot.joint_quantity import reaction_force, with_errors
-from mbdkit.plot.panel import Panel
+from mbdkit.plot.charts import Panel
+from mbdkit.plot.element_quantity import (
+    MOST,
+    ElementQuantity,
+    draw_elements,
+    element_chart,
+    picked,
+    reaction_force,
+    with_errors,
+)
 from mbdkit.plot.torques_plot import carried_torque
 
 if TYPE_CHECKING:

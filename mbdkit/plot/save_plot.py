@@ -14,16 +14,14 @@ from matplotlib.figure import Figure
 from mbdkit.base.files import check_suffix
 from mbdkit.figures.curves import require_rows
 from mbdkit.plot.caption import caption
-from mbdkit.plot.chart_images import draw_chart
+from mbdkit.plot.charts import Panel, draw_chart
 from mbdkit.plot.comparison import comparison
-from mbdkit.plot.panel import Panel, panel_title
 from mbdkit.plot.paper_figure import paper_figure
 from mbdkit.plot.plot_kinds import plot_module
 from mbdkit.plot.style import FORMATS, new_figure, save
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.figures.page_model import Figure as Chart
 
 _WIDTH = 7.2  # inches
 _HEADING_AND_LABELS = 2.1  # inches
@@ -52,7 +50,8 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
     require_rows(run)
     if options:
         chart, _ = comparison([run], kind, **options)
-        panels: Sequence[Panel] = [Panel(partial(_draw_named, chart=chart), height=2.7)]
+        title = chart.lines[0].label if len(chart.lines) == 1 else ""  # a single line has no legend
+        panels: Sequence[Panel] = [Panel(partial(draw_chart, chart=chart, title=title), height=2.7)]
     elif hasattr(module, "panels"):
         panels = module.panels(run)
     else:
@@ -68,13 +67,6 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
                 axes.set_xlabel("")
                 axes.tick_params(labelbottom=False)
     return picture
-
-
-def _draw_named(axes: Axes, chart: Chart) -> None:
-    """Draw a chart; a single line, which has no legend, is named by the title."""
-    draw_chart(axes, chart)
-    if len(chart.lines) == 1:
-        panel_title(axes, chart.lines[0].label)
 
 
 def plot(

@@ -12,6 +12,7 @@ from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.figures.curves import Bands
 from mbdkit.figures.page_model import Axis, Figure
+from mbdkit.plot.charts import Panel
 from mbdkit.plot.element_quantity import (
     MOST,
     ElementQuantity,
@@ -20,9 +21,9 @@ from mbdkit.plot.element_quantity import (
     element_values,
     has_elements,
     picked,
+    reaction_force,
+    reaction_torque,
 )
-from mbdkit.plot.joint_quantity import reaction_force, reaction_torque
-from mbdkit.plot.panel import Panel
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

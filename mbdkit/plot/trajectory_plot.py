@@ -19,7 +19,7 @@ from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.figures.palette import FAINT, INK, body_colors, trace_colors
 from mbdkit.figures.plane_geometry import view_box
 from mbdkit.figures.pose import Pose
-from mbdkit.plot.panel import Panel
+from mbdkit.plot.charts import Panel
 from mbdkit.plot.style import dress, legend
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.figures.page_model import Axis, Figure
-from mbdkit.figures.palette import color_key, color_number
-from mbdkit.plot.chart_images import axis_title, line_styles
+from mbdkit.figures.palette import color_key, color_number, line_styles
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 """Dashes that distinguish lines of the same colour."""
@@ -67,7 +66,7 @@ def _outline(corners: np.ndarray, chart: Figure) -> dict[str, Numbers]:
 
 
 def _axis_data(axis: Axis) -> dict[str, Any]:
-    return {"title": axis_title(axis), "unit": axis.unit, "log": axis.log}
+    return {"title": axis.title, "unit": axis.unit, "log": axis.log}
 
 
 def _numbers(values: np.ndarray, axis: Axis) -> Numbers:

@@ -11,7 +11,7 @@ from mbdkit.analysis.verdict import Verdict
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_output, check_suffix, replacing
-from mbdkit.plot.chart_images import image_files, write_chart_images
+from mbdkit.plot.charts import image_files, write_chart_images
 from mbdkit.report.report_page import ReportPage
 from mbdkit.report.run_report import run_report
 from mbdkit.report.verdict_text import markdown_text

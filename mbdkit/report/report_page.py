@@ -12,7 +12,6 @@ import numpy as np
 
 from mbdkit.analysis.verdict import Answer, Verdict
 from mbdkit.figures.page_model import Cell, Column, Figure, Section, Table
-from mbdkit.plot.chart_images import axis_title, visible_points
 from mbdkit.report.chart_data import charts_data
 from mbdkit.report.methods_used import Methods
 from mbdkit.report.templating import render
@@ -132,8 +131,8 @@ FILTERS: dict[str, Callable[..., Any]] = {
 
 def _summary(figure: Figure) -> Table:
     """Return a table of the points of a chart or, if there are many, of ends and extremes of its curves."""
-    x, y = axis_title(figure.x), axis_title(figure.y)
-    seen = [(line, visible_points(line, figure)) for line in figure.lines]
+    x, y = figure.x.title, figure.y.title
+    seen = [(line, figure.visible(line)) for line in figure.lines]
     if sum(int(np.sum(mask)) for _, mask in seen) <= 60:
         rows: Sequence[tuple[Cell, ...]] = [
             (line.label, float(a), float(b))

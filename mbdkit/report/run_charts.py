@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from mbdkit.figures.drawing_geometry import choose_traces, draw_spec
 from mbdkit.figures.page_model import Axis, Figure, Mark
 from mbdkit.figures.palette import PALETTE, trace_colors
-from mbdkit.plot.energy_plot import COLORS
 from mbdkit.plot.plot_kinds import PLOT_KINDS, plot_module
 from mbdkit.report.element_charts import angle_charts, component_charts, power_charts
 from mbdkit.report.load_sections import inverse_charts
@@ -51,7 +50,7 @@ def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
     paths = {trace.label: color for trace, color in zip(traces, trace_colors(drawing, traces), strict=True)}
     few = run.joint_names if len(run.joint_names) <= len(PALETTE) else ()
     joints = dict(zip(few, PALETTE, strict=False))
-    return {"trajectory": paths, "energy": COLORS, "balance": COLORS} | dict.fromkeys(_OF_JOINTS, joints)
+    return {"trajectory": paths} | dict.fromkeys(_OF_JOINTS, joints)
 
 
 def _colored(chart: Figure, colors: Mapping[str, str]) -> Figure:

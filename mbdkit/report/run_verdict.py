@@ -13,8 +13,7 @@ from mbdkit.archive.run_summary import accuracy_sentence, without_suspicion
 from mbdkit.figures.curves import bands, take
 from mbdkit.figures.drawing_geometry import draw_spec
 from mbdkit.figures.quantity_text import count, duration, length, proportion
-from mbdkit.plot.element_quantity import ElementQuantity
-from mbdkit.plot.joint_quantity import angle_misalignment, joint_misalignment
+from mbdkit.plot.element_quantity import ElementQuantity, angle_misalignment, joint_misalignment
 from mbdkit.report.run_charts import run_charts
 from mbdkit.report.run_tables import run_tables
 from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
