@@ -12,8 +12,9 @@ import pytest
 
 from mbdkit.archive.layout import QUANTITIES
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import ArchiveNames, Ending
+from mbdkit.archive.run_writer import Ending
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.quantities.names import ArchiveNames
 
 MakeRun = Callable[..., Run]
 

@@ -11,7 +11,9 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.hdf5 import create, set_text
-from mbdkit.archive.layout import ACCURACY, AXIS_NAMES, BY_PATH
+from mbdkit.archive.layout import ACCURACY, BY_PATH
+from mbdkit.quantities.array import COORDINATE_UNITS
+from mbdkit.quantities.names import COORDINATES
 
 SMALL_FORCE = 1e-9
 """Joints whose largest force is below this share of the largest of all joints carry rounding errors only."""
@@ -188,7 +190,8 @@ class Accuracy:
         """
         group = file.create_group("accuracy")
         values = {
-            **{f"accuracy/{name}": np.array(text, object) for name, text in AXIS_NAMES.items()},
+            "accuracy/coordinate": np.array(COORDINATES, object),
+            **{f"accuracy/{name}": np.array(units, object) for name, units in COORDINATE_UNITS.items()},
             "accuracy/body": np.array(bodies, object),
             "accuracy/joint": np.array(joints, object),
             **{f"accuracy/{name}": np.ascontiguousarray(getattr(self, name), np.float64) for name in _VALUES},

@@ -16,11 +16,13 @@ from mbdkit.archive import layout
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
-from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, Array
+from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed, one_line, shown
+from mbdkit.quantities.array import FLOAT, TEXT, Array
+from mbdkit.quantities.names import AXES, COORDINATES
 from mbdkit.trust.criteria import LEVELS
 
 
@@ -241,7 +243,7 @@ class _Checker:
         if not isinstance(dataset, h5py.Dataset):
             self.say(f"{path} is missing")
             return
-        dtype = layout.TEXT if is_text(dataset) else dataset.dtype.str
+        dtype = TEXT if is_text(dataset) else dataset.dtype.str
         if dtype != array.dtype:
             self.say(f"{path} has the type {dtype}, not {array.dtype}")
         for name, value in (("units", array.units), ("long_name", array.long_name), ("row_units", array.row_units)):
@@ -258,7 +260,7 @@ class _Checker:
         else:
             self.scales(array, dataset)
         unknown_is_nan = array.group in layout.MAY_BE_UNKNOWN
-        if self.status != "running" and dtype == layout.FLOAT and not unknown_is_nan:
+        if self.status != "running" and dtype == FLOAT and not unknown_is_nan:
             bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))
             if bad:
                 self.say(f"{path} has {bad} values that are not finite")
@@ -339,11 +341,11 @@ class _Checker:
 
     def names(self) -> None:
         fixed = (
-            ("accuracy/coordinate", layout.COORDINATES),
-            ("trajectory/coordinate", layout.COORDINATES),
-            ("events/coordinate", layout.COORDINATES),
-            ("joints/axis", layout.AXES),
-            ("markers/axis", layout.AXES),
+            ("accuracy/coordinate", COORDINATES),
+            ("trajectory/coordinate", COORDINATES),
+            ("events/coordinate", COORDINATES),
+            ("joints/axis", AXES),
+            ("markers/axis", AXES),
         )
         for path, wanted in fixed:
             if path in self.file and tuple(self.file[path].asstr()[:]) != wanted:

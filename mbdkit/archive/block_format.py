@@ -9,22 +9,15 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
+from mbdkit.quantities.table import RECORDED
+
 FORMAT = "mbdkit-block"
 FORMAT_VERSION = "1.0"
 
 Store = Literal["hashes", "summary", "histories", "all"]
 STORES: tuple[Store, ...] = get_args(Store)
 
-HISTORIES = frozenset(
-    (
-        "trajectory/time",
-        "trajectory/position",
-        "trajectory/velocity",
-        "joints/misalignment",
-        "joints/reaction_force",
-        "joints/reaction_torque",
-    )
-)
+HISTORIES = frozenset(["trajectory/time", *(array.path for array in RECORDED.values() if array.is_history)])
 """Arrays that ``store: histories`` keeps."""
 
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")

@@ -20,9 +20,9 @@ from mbdkit.archive.columns import write_column, write_hashes
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import create, set_text
-from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
+from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import LIBVER, write_image
-from mbdkit.archive.run_writer import name_texts
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 
 _BY_RUN = {
     "status": "complete, failed, interrupted, missing or left-out",

@@ -23,9 +23,10 @@ from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
-from mbdkit.archive.run_writer import ArchiveNames, SharedForces
+from mbdkit.archive.run_writer import SharedForces
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.base.errors import SpecError
+from mbdkit.quantities.names import ArchiveNames
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.trust.criteria import LEVELS, Judgement, Level

@@ -21,9 +21,9 @@ from typing import Any, BinaryIO
 import h5py
 import numpy as np
 
-from mbdkit.archive.layout import TEXT, Array
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import SpecError
+from mbdkit.quantities.array import TEXT, Array
 
 _MAGIC = b"mbdkit checkpoint 2\n"
 _HEADER = len(_MAGIC) + hashlib.sha256().digest_size

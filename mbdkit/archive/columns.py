@@ -13,7 +13,7 @@ import numpy as np
 from h5py import h5p
 
 from mbdkit.archive.hdf5 import create, set_text
-from mbdkit.archive.layout import TEXT, Array
+from mbdkit.quantities.array import TEXT, Array
 
 _LEVEL = 4
 """Of deflate; higher ones take longer, and make results smaller by a few per cent only."""

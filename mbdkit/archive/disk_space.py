@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
 
 from mbdkit.archive import layout
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.memory import available_memory, in_bytes, installed_memory
+from mbdkit.quantities.names import ArchiveNames
 
 NEARLY_NOTHING = 2**20
 """A disk with less free space than this is called full [bytes]."""
@@ -19,18 +19,21 @@ SMALL = 2**22
 """Archives in memory up to this size are not compared with what is free [bytes]; finding that out takes 0.1 ms."""
 
 
-def row_bytes(sizes: Mapping[str, int], quantities: frozenset[str]) -> int:
+def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[str] | None = None) -> int:
     """Return the size of one recorded row, including the statistics of the interval that ends there [bytes].
 
     Parameters
     ----------
-    sizes
-        Lengths of the axes that do not grow, by name.
+    names
+        Names along the axes.
     quantities
         Which of `layout.QUANTITIES` are recorded.
+    kept
+        Paths of the arrays that count; by default, all.
     """
+    sizes, arrays = names.sizes, (array for array in layout.recorded_by(names, quantities) if array.grows)
     return sum(
-        8 * math.prod(sizes[dim] for dim in array.dims[1:]) for array in layout.recorded(quantities) if array.grows
+        8 * math.prod(sizes[dim] for dim in array.dims[1:]) for array in arrays if kept is None or array.path in kept
     )
 
 

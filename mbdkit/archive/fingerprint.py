@@ -10,7 +10,8 @@ import h5py
 import numpy as np
 from h5py import h5a, h5t
 
-from mbdkit.archive.layout import ATTRIBUTES_HASH, TEXT, is_hashed
+from mbdkit.archive.layout import ATTRIBUTES_HASH, is_hashed
+from mbdkit.quantities.array import TEXT
 
 BLOCK_BYTES = 1 << 23
 

@@ -15,17 +15,12 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
-from mbdkit.archive.layout import Array
+from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.archive.run_writer import (
-    ArchiveNames,
-    Ending,
-    RunWriter,
-    SharedForces,
-    name_line,
-    name_texts,
-)
+from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_line
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.quantities.array import FLOAT, GROWING, TEXT, Array
+from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement
 
 
@@ -40,7 +35,7 @@ class FinishedRun:
     layout
         The arrays of the archive's layout that it recorded, those of names included.
     arrays
-        Values of the arrays with rows, by `layout.Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
+        Values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
     shared
         Description of the reactions of redundant joints; None without them.
     status, reason
@@ -99,7 +94,7 @@ class FinishedRun:
 
     def write(self, writer: ArchiveWriter) -> None:
         """Write the arrays into an archive that was begun for them, without finishing it."""
-        for dim in layout.GROWING:
+        for dim in GROWING:
             growing = {one.key: self.arrays[one.key] for one in self.layout if one.grows and one.dims[0] == dim}
             if growing:
                 writer.take(dim, growing)
@@ -136,10 +131,10 @@ class ArrayWriter(RunWriter):
         self._shared, self._assembly = shared, assembly
         self._keys = {
             dim: tuple(dict.fromkeys(one.key for one in self.arrays if one.grows and one.dims[0] == dim))
-            for dim in layout.GROWING
+            for dim in GROWING
         }
         self._parts: dict[str, list[np.ndarray]] = {key: [] for keys in self._keys.values() for key in keys}
-        self._rows = dict.fromkeys(layout.GROWING, 0)
+        self._rows = dict.fromkeys(GROWING, 0)
         self.finished: FinishedRun | None = None
 
     @property
@@ -174,7 +169,7 @@ class ArrayWriter(RunWriter):
         arrays = {}
         for one in self.arrays:
             if one.grows and one.key not in arrays:
-                dtype = np.dtype(object if one.dtype == layout.TEXT else one.dtype)
+                dtype = np.dtype(object if one.dtype == TEXT else one.dtype)
                 parts = self._parts[one.key]
                 shape = (0, *(sizes[dim] for dim in one.dims[1:]))
                 joined = np.concatenate(parts) if parts else np.zeros(shape, dtype)
@@ -187,7 +182,7 @@ class ArrayWriter(RunWriter):
             ending.status,
             ending.reason,
             ending.stats,
-            np.asarray(ending.misalignment_max, layout.FLOAT),
+            np.asarray(ending.misalignment_max, FLOAT),
             ending.judgement,
             tuple(ending.warnings),
             array_hash(self.names, self.arrays).of(arrays),
@@ -220,7 +215,7 @@ class ArrayHash:
         return sha256(array.data).hexdigest()
 
     def of(self, arrays: Mapping[str, np.ndarray], known: Mapping[str, str] = MappingProxyType({})) -> str:
-        """Return the hash of a run from its arrays by `layout.Array.key`; they are contiguous.
+        """Return the hash of a run from its arrays by `Array.key`; they are contiguous.
 
         Parameters
         ----------
@@ -232,7 +227,7 @@ class ArrayHash:
         for path, key, dtype in self._arrays:
             values = arrays[key]
             if key not in digests:
-                text = dtype == layout.TEXT
+                text = dtype == TEXT
                 digests[key] = sha256(text_bytes(values)).hexdigest() if text else self.digest(values)
             lines.append(line(path, dtype, values.shape, digests[key]))
         return digest_lines(lines)

@@ -5,7 +5,7 @@ Columns are named as quantities in expressions of events, such as ``knee.force_x
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -16,29 +16,13 @@ import numpy as np
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
-from mbdkit.archive.layout import ELEMENTS, GROUPS, LAYOUT, TEXT, Array
+from mbdkit.archive.layout import ELEMENTS, GROUPS, LAYOUT
 from mbdkit.base.errors import MbdkitError
+from mbdkit.quantities.array import TEXT, Array
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-#: Names of the components of arrays; other arrays append the name of the component to their own.
-COMPONENTS: Mapping[str, tuple[str, ...]] = {
-    "trajectory/position": ("x", "y", "angle"),
-    "trajectory/velocity": ("vx", "vy", "angular_velocity"),
-    "trajectory/acceleration": ("ax", "ay", "angular_acceleration"),
-    "joints/reaction_force": ("force_x", "force_y"),
-    "joints/reaction_force_first": ("force_first_x", "force_first_y"),
-    "joints/reaction_force_second": ("force_second_x", "force_second_y"),
-    "joints/reaction_torque": ("torque",),
-    "markers/position": ("x", "y"),
-    "markers/velocity": ("vx", "vy"),
-    "events/position": ("x", "y", "angle"),
-    "events/velocity": ("vx", "vy", "angular_velocity"),
-    "accuracy/position_error": ("x_error", "y_error", "angle_error"),
-    "accuracy/velocity_error": ("vx_error", "vy_error", "angular_velocity_error"),
-    "accuracy/reaction_error": ("force_error",),
-}
 _COMPONENT_DIMS = ("coordinate", "axis")
 BLOCK_VALUES = 2_000_000  # values of a block; a block of text takes about ten times as much memory
 
@@ -159,9 +143,8 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
     for at in product(*(range(len(each)) for each in names)):
         element = [each[k] for dim, each, k in zip(dims, names, at, strict=True) if dim not in _COMPONENT_DIMS]
         last = [(each[k], k) for dim, each, k in zip(dims, names, at, strict=True) if dim in _COMPONENT_DIMS]
-        short = COMPONENTS.get(array.path)
-        if short is not None:
-            quantity = short[last[0][1] if last else 0]
+        if array.components:
+            quantity = array.components[last[0][1] if last else 0]
         else:
             quantity = "_".join([array.name, *(name for name, _ in last)])
         unit = units[at[dims.index(row_dim)]] if units else array.units

@@ -10,7 +10,8 @@ import numpy as np
 
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.hdf5 import create
-from mbdkit.archive.layout import TEXT, Array, is_timing
+from mbdkit.archive.layout import is_timing
+from mbdkit.quantities.array import TEXT, Array
 
 #: Size of the row buffers of a table; they are written when they are full or when a flush is due.
 BUFFER_BYTES = 1 << 23

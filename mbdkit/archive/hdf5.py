@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5ds, h5p, h5s, h5t
 
-from mbdkit.archive.layout import TEXT, Array
+from mbdkit.quantities.array import TEXT, Array
 
 _STRING = h5t.py_create(h5py.string_dtype(), logical=True)  # in the file
 _STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python strings

@@ -8,10 +8,11 @@ from typing import Any, ClassVar, Protocol, TypeVar, overload
 
 import numpy as np
 
-from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, MIXED, later
+from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, later
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.quantities.array import MIXED
 
 
 class UnknownNameError(MbdkitError, KeyError):
@@ -218,7 +219,7 @@ class BeamHistory:
 
     def __init__(self, source: Source, name: str, elements: slice, bodies: Sequence[str]):
         self.source, self.name = source, name
-        self._elements = elements
+        self.index = elements
         #: Names of the nodes, which are bodies.
         self.nodes: tuple[str, ...] = tuple(body for body in bodies if body.rpartition(".")[0] == name)
         first = list(bodies).index(self.nodes[0])
@@ -250,7 +251,7 @@ class BeamHistory:
         return np.asarray(self._of_elements("strain_energy").sum(axis=1))
 
     def _of_elements(self, quantity: str) -> np.ndarray:
-        return self.source.array(f"beams/{quantity}")[:, self._elements]
+        return self.source.array(f"beams/{quantity}")[:, self.index]
 
     def __repr__(self) -> str:
         return f"<beam {self.name}: {len(self.nodes)} nodes>"

@@ -13,11 +13,12 @@ from mbdkit.archive.archive_check import blaming_damage
 from mbdkit.archive.fingerprint import datasets, is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import COUNTERS, TEXT, TIMINGS
+from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import accuracy_sentence, corrections
 from mbdkit.base.text import shown
+from mbdkit.quantities.array import TEXT
 
 #: Maximum number of items of a list to print.
 NAMES_SHOWN = 32

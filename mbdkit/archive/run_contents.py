@@ -20,12 +20,13 @@ from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
+from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
 from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.archive.run_writer import name_texts
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.quantities.array import GROWING, Array
 from mbdkit.spec import RunSpec
 
 _NAMES = (
@@ -203,8 +204,8 @@ class ArchiveContents(RunContents):
         """See `RunContents`."""
         noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
         if noted is not None:
-            return {dim: int(rows) for dim, rows in zip(layout.GROWING, noted, strict=True)}
-        lengths: dict[str, list[int]] = {dim: [0] for dim in layout.GROWING}  # of an earlier version
+            return {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=True)}
+        lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # of an earlier version
         for array in layout.LAYOUT:
             if array.grows and array.path in self._file:
                 lengths[array.dims[0]].append(len(self._file[array.path]))
@@ -223,7 +224,7 @@ class ArchiveContents(RunContents):
             raise UnknownNameError("array", path, list(layout.BY_PATH))
         raise NotRecordedError(path, self.header.attributes["format_version"])
 
-    def _crashed(self, array: layout.Array) -> h5py.Dataset | np.ndarray:
+    def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
         """Return the whole rows of a growing array of a crashed run."""
         version = self.header.attributes["format_version"]
         is_flushed = self.whole_rows["time"] > 0  # arrays are created with their first rows

@@ -14,6 +14,8 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.plain_data import LONGEST_TITLE
+from mbdkit.quantities.array import GROWING, TEXT
+from mbdkit.quantities.names import AXES, COORDINATES
 
 #: Sections of a spec that are mappings if they are present.
 _MAPPINGS = ("model", "integrator", "time", "output")
@@ -38,18 +40,18 @@ def check_shapes(file: h5py.File) -> None:
         dataset = file[path]
         if not isinstance(dataset, h5py.Dataset):
             raise ValueError(f"{path} is not an array")
-        if (layout.TEXT if is_text(dataset) else dataset.dtype.str) != array.dtype:
+        if (TEXT if is_text(dataset) else dataset.dtype.str) != array.dtype:
             raise ValueError(f"{path} has the type {dataset.dtype}, not {array.dtype}")
         if len(dataset.shape) != len(array.dims):
             raise ValueError(f"{path} has {len(dataset.shape)} axes, not {len(array.dims)}")
         for dim, length in zip(array.dims, dataset.shape, strict=True):
-            if crashed and dim in layout.GROWING:
+            if crashed and dim in GROWING:
                 continue
             # all groups have the same rows, bodies and joints, but events have their own times
-            place = f"events/{dim}" if array.group == "events" and dim in layout.GROWING else dim
+            place = f"events/{dim}" if array.group == "events" and dim in GROWING else dim
             if lengths.setdefault(place, length) != length:
                 raise ValueError(f"axis {dim} of {path} has the length {length}, elsewhere {lengths[place]}")
-    for dim, fixed in (("coordinate", len(layout.COORDINATES)), ("axis", len(layout.AXES))):
+    for dim, fixed in (("coordinate", len(COORDINATES)), ("axis", len(AXES))):
         if lengths.get(dim, fixed) != fixed:
             raise ValueError(f"the axis {dim} has the length {lengths[dim]}")
 

@@ -15,8 +15,9 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import line, text_bytes
-from mbdkit.archive.layout import Array
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.quantities.array import TEXT, Array
+from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement
 
 #: Keys accepted by the `append` methods.
@@ -62,81 +63,6 @@ class Ending:
     def __post_init__(self) -> None:
         if self.status not in layout.STATUSES[1:]:
             raise ValueError(f"a run ends as complete, failed or interrupted, not {self.status!r}")
-
-
-@dataclass(frozen=True)
-class ArchiveNames:
-    """Names along the axes of an archive.
-
-    Parameters
-    ----------
-    bodies, joints
-        Names, in the order of the engine.
-    constraints
-        ``joint.row`` for every constraint row, such as ``J1.x``.
-    constraint_units
-        Unit of the constraint function of every constraint row, ``m`` or ``rad``.
-    joint_bodies
-        First and second body of every joint.
-    joint_units
-        Unit of the coordinate of every joint, ``rad`` or ``m``; by default, ``rad``.
-    forces, force_bodies
-        Names of the force elements, and first and second body of each.
-    force_units
-        Unit of the length of every force element, ``m`` or ``rad``.
-    markers, marker_bodies
-        Names of the markers, and the body of each.
-    elements, element_beams
-        Names of the elements of beams, and the beam of each.
-    observed, observed_units
-        Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
-    actuators, actuator_units
-        Names of the actuators, and the unit of the value of each, ``N`` or ``N m``.
-    loads, load_bodies
-        Names of the measured loads, and the body of each.
-    """
-
-    bodies: Sequence[str]
-    joints: Sequence[str]
-    constraints: Sequence[str]
-    constraint_units: Sequence[str]
-    joint_bodies: Sequence[tuple[str, str]]
-    joint_units: Sequence[str] = ()
-    forces: Sequence[str] = ()
-    force_bodies: Sequence[tuple[str, str]] = ()
-    force_units: Sequence[str] = ()
-    markers: Sequence[str] = ()
-    marker_bodies: Sequence[str] = ()
-    elements: Sequence[str] = ()
-    element_beams: Sequence[str] = ()
-    observed: Sequence[str] = ()
-    observed_units: Sequence[str] = ()
-    actuators: Sequence[str] = ()
-    actuator_units: Sequence[str] = ()
-    loads: Sequence[str] = ()
-    load_bodies: Sequence[str] = ()
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Lengths of the axes that do not grow, by name."""
-        return {
-            "body": len(self.bodies),
-            "coordinate": len(layout.COORDINATES),
-            "joint": len(self.joints),
-            "axis": len(layout.AXES),
-            "constraint": len(self.constraints),
-            "force": len(self.forces),
-            "marker": len(self.markers),
-            "element": len(self.elements),
-            "observed": len(self.observed),
-            "actuator": len(self.actuators),
-            "load": len(self.loads),
-        }
-
-    def present(self, quantities: frozenset[str]) -> frozenset[str]:
-        """Return the `quantities` without the groups of elements that the mechanism does not have."""
-        there = {"forces": self.forces, "markers": self.markers, "beams": self.elements}
-        return frozenset(group for group in quantities if group not in layout.ELEMENTS or there[group])
 
 
 @dataclass(frozen=True)
@@ -190,7 +116,7 @@ class RunWriter(ABC):
         arrays: tuple[Array, ...] | None = None,
     ):
         self.names = names
-        chosen = layout.recorded(names.present(quantities), frozenset(extra_datasets))
+        chosen = layout.recorded_by(names, quantities, frozenset(extra_datasets))
         self.arrays = chosen if arrays is None else arrays
 
     @property
@@ -293,45 +219,7 @@ class RunWriter(ABC):
         self.take(dim, rows)
 
 
-def name_texts(names: ArchiveNames) -> dict[str, Sequence[str]]:
-    """Return the values of the arrays of names and units, by path."""
-    units = names.constraint_units
-    rates = [f"{unit}/s" for unit in ("m", "m", "rad")]
-    return {
-        **{f"{group}/body": names.bodies for group in ("trajectory", "events")},
-        **{f"{group}/coordinate": layout.COORDINATES for group in ("trajectory", "events")},
-        **{f"{group}/row_units": ("m", "m", "rad") for group in ("trajectory", "events")},
-        **{f"{group}/velocity_row_units": rates for group in ("trajectory", "events")},
-        "trajectory/acceleration_row_units": [f"{rate}^2" for rate in rates],
-        **{f"{group}/joint": names.joints for group in ("joints", "motion")},
-        **{f"{group}/axis": layout.AXES for group in ("joints", "markers", "loads")},
-        "joints/first_body": [first for first, _ in names.joint_bodies],
-        "joints/second_body": [second for _, second in names.joint_bodies],
-        "joints/angle_row_units": names.joint_units or ["rad"] * len(names.joints),
-        "forces/force": names.forces,
-        "forces/first_body": [first for first, _ in names.force_bodies],
-        "forces/second_body": [second for _, second in names.force_bodies],
-        "forces/row_units": names.force_units,
-        "forces/rate_row_units": [layout.RATE_UNITS[unit] for unit in names.force_units],
-        "forces/value_row_units": [layout.MULTIPLIER_UNITS[unit] for unit in names.force_units],
-        "markers/marker": names.markers,
-        "markers/body": names.marker_bodies,
-        "beams/element": names.elements,
-        "beams/beam": names.element_beams,
-        "motion/observed": names.observed,
-        "motion/row_units": names.observed_units,
-        "actuators/actuator": names.actuators,
-        "actuators/row_units": names.actuator_units,
-        "loads/load": names.loads,
-        "loads/body": names.load_bodies,
-        "constraints/constraint": names.constraints,
-        "constraints/row_units": units,
-        "constraints/velocity_row_units": [layout.RATE_UNITS[unit] for unit in units],
-        "constraints/multiplier_row_units": [layout.MULTIPLIER_UNITS[unit] for unit in units],
-    }
-
-
 @lru_cache(maxsize=256)
 def name_line(path: str, text: tuple[str, ...]) -> str:
     """Return the line of an array of names for `data_sha256`; runs of one mechanism have the same."""
-    return line(path, layout.TEXT, (len(text),), sha256(text_bytes(text)).hexdigest())
+    return line(path, TEXT, (len(text),), sha256(text_bytes(text)).hexdigest())

@@ -14,10 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from mbdkit.archive.group_table import TableColumn
-from mbdkit.archive.layout import TEXT
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import csv_cell, shown
+from mbdkit.quantities.array import TEXT
 
 MATLAB_LENGTH = 63
 """Longest name of a variable in MATLAB (``namelengthmax``)."""

@@ -20,18 +20,13 @@ from mbdkit.archive.fingerprint import attributes_sha256, digest_lines
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text, set_texts
 from mbdkit.archive.hdf5_errors import cause
-from mbdkit.archive.layout import Array
+from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import integrals_json
 from mbdkit.archive.part_file import LIBVER, Target
-from mbdkit.archive.run_writer import (
-    ArchiveNames,
-    Ending,
-    RunWriter,
-    SharedForces,
-    name_line,
-    name_texts,
-)
+from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_line
 from mbdkit.base.errors import MbdkitError, ResourceError
+from mbdkit.quantities.array import FLOAT, GROWING, Array
+from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
@@ -102,7 +97,7 @@ class ArchiveWriter(RunWriter):
         super().__init__(names, quantities, extra_datasets, arrays)
         self._tables = {
             dim: Table(growing, names.sizes, self._write_more)
-            for dim in layout.GROWING
+            for dim in GROWING
             if (growing := [array for array in self.arrays if array.dims[0] == dim])
         }
         self._shared = shared
@@ -213,7 +208,7 @@ class ArchiveWriter(RunWriter):
         """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
         started = time.perf_counter()
         file, accuracy = self._file, ending.accuracy
-        misalignment_max = np.asarray(ending.misalignment_max, layout.FLOAT)
+        misalignment_max = np.asarray(ending.misalignment_max, FLOAT)
         with self._storing():
             errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
             with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
@@ -262,7 +257,7 @@ class ArchiveWriter(RunWriter):
         present = {array.group for array in self.arrays}
         for group in (*(group for group in layout.GROUPS if group in present), "stats", "provenance"):
             self._file.create_group(group)
-        self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(layout.GROWING), np.int64)
+        self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
         target = self._file["provenance"]
         for name, entry in provenance.items():
             if isinstance(entry, str):
@@ -328,7 +323,7 @@ class ArchiveWriter(RunWriter):
             self._file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, self._row_counts())
 
     def _row_counts(self) -> np.ndarray:
-        counts = [self._tables[dim].written if dim in self._tables else 0 for dim in layout.GROWING]
+        counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
         return np.array(counts, np.int64)
 
     def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:

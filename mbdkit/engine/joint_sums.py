@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -26,8 +28,15 @@ class JointSums:
         self._joints = len(mechanism.joints)
         self.joint = mechanism.topology.pair_joint
         pairs = len(mechanism.topology.pairs)
+        longest = max(map(len, mechanism.joint_pairs), default=0)
+        self._rounds = [
+            np.array([sorted(members)[place] for members in mechanism.joint_pairs if place < len(members)])
+            for place in range(longest)
+        ]
         self._is_length = np.zeros(pairs, dtype=bool)
         self._is_length[[row.pair for row in mechanism.rows if row.unit == "m"]] = True
+        self._row_pair = np.array([row.pair for row in mechanism.rows], dtype=np.int64)
+        self._row_place = np.array([row.place for row in mechanism.rows], dtype=np.int64)
 
     def misalignment(self, residual: np.ndarray) -> np.ndarray:
         """Return the misalignment of joints, (T, J) [m], from the residuals (T, P, 2) of their pairs.
@@ -48,6 +57,16 @@ class JointSums:
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Sum values (..., P, n) of pairs over each joint: (..., J, n)."""
         out = np.zeros((*values.shape[:-2], self._joints, values.shape[-1]))
-        for pair, joint in enumerate(self.joint.tolist()):  # in this order, so that sums have the same bits
-            out[..., joint, :] += values[..., pair, :]
+        for pairs in self._rounds:  # the pairs of each joint in their order, so that sums have the same bits
+            out[..., self.joint[pairs], :] += values[..., pairs, :]
         return out
+
+    def by_row(self, values: np.ndarray) -> np.ndarray:
+        """Return the values (T, m) of constraint rows, in the order of the archive, from those of pairs (T, P, 2)."""
+        return values[:, self._row_pair, self._row_place]
+
+
+@lru_cache(maxsize=16)
+def joint_sums(mechanism: CompiledMechanism) -> JointSums:
+    """Return the sums of a mechanism."""
+    return JointSums(mechanism)

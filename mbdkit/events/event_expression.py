@@ -31,56 +31,15 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, Program
-
-BODY = ("x", "y", "angle", "vx", "vy", "angular_velocity", "ax", "ay", "angular_acceleration")
-BODY_FRAMES = ("force_first_x", "force_first_y", "force_second_x", "force_second_y")
-JOINT = ("force", "force_x", "force_y", "torque", "misalignment", "angle", "driver_power", *BODY_FRAMES)
-FORCE = ("length", "rate", "value", "power", "potential")
-MARKER = ("x", "y", "vx", "vy")
-BEAM = ("axial", "shear", "moment", "strain_energy")
-OF_ELEMENTS = BEAM[:3]
-"""Quantities of a beam that have a value in each of its elements."""
-ENERGY = ("kinetic", "potential", "total")
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.table import KINDS
 
 Code = list[tuple[str, float]]
-_ONE = {
-    "bodies": "body",
-    "joints": "joint",
-    "forces": "force element",
-    "markers": "marker",
-    "beams": "beam",
-    "events": "event",
-    "actuators": "actuator",
-}
-_EXAMPLE = {
-    "bodies": "angle",
-    "joints": "force",
-    "forces": "value",
-    "markers": "x",
-    "beams": "strain_energy",
-    "energy": "total",
-    "events": "time",
-    "actuators": "value",
-}
-_BARE = ("bodies", "joints")
+_KINDS = {kind.word: kind for kind in KINDS if kind.example}
+"""Kinds that have quantities in expressions."""
+_BARE = tuple(word for word, kind in _KINDS.items() if kind.is_bare)
 """Kinds of elements whose quantities can be written without the kind, as NAME.ATTRIBUTE."""
 _ANGLES = ("angle", "angular_velocity", "angular_acceleration")
-_NOT_NEGATIVE = {("joints", "force"), ("joints", "misalignment"), ("energy", "kinetic")}
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One scalar of a run: `kind` is ``bodies``, ``joints``, ``forces``, ``markers``, ``beams`` or ``energy``.
-
-    The `name` is that of the body, joint, ...; empty for ``energy``. The `element` is that of a beam, from 0; None for
-    all elements together.
-    """
-
-    kind: str
-    name: str
-    attribute: str
-    element: int | None = None
-
 
 Function = Callable[[Sequence[float]], float]
 """A function of the time and the quantities of an expression."""
@@ -226,7 +185,7 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
             "such as NAME.angle of a body"
         )
     alone = quantities[0] if len(program) == 1 and last == "get" else None
-    if (alone is not None and (alone.kind, alone.attribute) in _NOT_NEGATIVE) or (
+    if (alone is not None and (alone.is_vector or alone.recorded.array.is_not_negative)) or (
         last in ("abs", "sqrt", "exp") or (last == "powi" and int(number) % 2 == 0)
     ):
         raise SpecError(
@@ -244,12 +203,7 @@ class RunCompiler(Compiler):
     """
 
     attributes: ClassVar[Mapping[str, Sequence[str]]] = {
-        "bodies": BODY,
-        "joints": JOINT,
-        "forces": FORCE,
-        "markers": MARKER,
-        "beams": BEAM,
-        "energy": ENERGY,
+        word: [name for name, one in kind.attributes.items() if one.in_events] for word, kind in _KINDS.items()
     }
     wanted = (
         "an expression of a run, which has numbers, t, pi, NAME.ATTRIBUTE of bodies and joints, forces.NAME.value, "
@@ -258,13 +212,7 @@ class RunCompiler(Compiler):
 
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
-        self.known: dict[str, list[str]] = {
-            "bodies": list(mechanism.bodies),
-            "joints": list(mechanism.joints),
-            "forces": list(mechanism.forces),
-            "markers": list(mechanism.markers),
-            "beams": list(mechanism.beams),
-        }
+        self.known = {word: list(getattr(mechanism, word)) for word in _KINDS if hasattr(mechanism, word)}
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:
@@ -287,13 +235,14 @@ class RunCompiler(Compiler):
             case ast.Attribute(value=ast.Name(id=name), attr=attribute) if name not in self.known or self.kinds(name):
                 return self.of(self.kind(name, attribute, node), name, attribute, node)
             case ast.Name(id=group) if group in self.attributes:
-                example = f"{group}.{'NAME.' * (group in self.known)}{_EXAMPLE[group]}"
+                example = f"{group}.{'NAME.' * (group in self.known)}{_KINDS[group].example}"
                 self.refuse(f"'{group}' is not a quantity by itself; write {example}, for example", node)
             case ast.Name(id=name) if any(name in names for names in self.known.values()):
                 kind = next(kind for kind, names in self.known.items() if name in names)
-                example = f"{'' if kind in _BARE else f'{kind}.'}{name}.{_EXAMPLE[kind]}"
+                example = f"{'' if kind in _BARE else f'{kind}.'}{name}.{_KINDS[kind].example}"
                 self.refuse(
-                    f"'{name}' is a {_ONE[kind]}, not a number; use one of its quantities, such as {example}", node
+                    f"'{name}' is a {_KINDS[kind].one}, not a number; use one of its quantities, such as {example}",
+                    node,
                 )
             case ast.Name(id=name) if meant := [quoted for quoted in self.quoted if re.match(rf"{name}\W", quoted)]:
                 self.refuse(f"unknown name '{name}'{self.spelling(meant[0])}", node)
@@ -317,8 +266,10 @@ class RunCompiler(Compiler):
         kinds = self.kinds(name)
         if not kinds:
             if other := next((kind for kind, names in self.known.items() if name in names), ""):
-                example = f"{other}.{name}.{attribute if attribute in self.attributes[other] else _EXAMPLE[other]}"
-                self.refuse(f"'{name}' is a {_ONE[other]}; write {example}", node)
+                example = (
+                    f"{other}.{name}.{attribute if attribute in self.attributes[other] else _KINDS[other].example}"
+                )
+                self.refuse(f"'{name}' is a {_KINDS[other].one}; write {example}", node)
             self.unknown(name, [*self.known["bodies"], *self.known["joints"]], "body or joint", node)
         fitting = [kind for kind in kinds if self.checked(attribute, kinds, name, node) in self.attributes[kind]]
         if len(fitting) > 1:
@@ -333,9 +284,9 @@ class RunCompiler(Compiler):
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
         """Return the program of a quantity of an element."""
         if name not in self.known[kind]:
-            self.unknown(name, self.known[kind], _ONE[kind], node)
+            self.unknown(name, self.known[kind], _KINDS[kind].one, node)
         self.checked(attribute, [kind], name, node)
-        if kind == "beams" and attribute in OF_ELEMENTS:
+        if Quantity(kind, name, attribute).beam:
             return self.along(name, attribute, node)
         if attribute in _ANGLES and (kind == "bodies" or self.mechanism.joints[name].travel is None):
             for body in (name,) if kind == "bodies" else self.mechanism.joints[name].bodies:
@@ -346,9 +297,9 @@ class RunCompiler(Compiler):
     def of_element(self, name: str, attribute: str, index: ast.expr, node: ast.expr) -> Code:
         """Return the program of a quantity of one element of a beam."""
         if name not in self.known["beams"]:
-            self.unknown(name, self.known["beams"], _ONE["beams"], node)
+            self.unknown(name, self.known["beams"], _KINDS["beams"].one, node)
         self.checked(attribute, ["beams"], name, node)
-        if attribute not in OF_ELEMENTS:
+        if not Quantity("beams", name, attribute).beam:
             self.refuse(
                 f"'{attribute}' is a quantity of the whole beam; write it without the number of an element", node
             )
@@ -384,7 +335,7 @@ class RunCompiler(Compiler):
         """Return `attribute` if one of the kinds has it; raise SpecError otherwise."""
         known = [word for kind in kinds for word in self.attributes[kind]]
         if attribute not in known:
-            whose = " and ".join(f"{_ONE[kind]} '{name}'" for kind in kinds) if name else "energy"
+            whose = " and ".join(f"{_KINDS[kind].one} '{name}'" for kind in kinds) if name else "energy"
             hint = f"{did_you_mean(attribute, known)}; it has {listed(known, 'and')}"
             self.refuse(f"{whose} has no '{attribute}'{hint}", node)
         return attribute

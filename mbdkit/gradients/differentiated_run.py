@@ -15,7 +15,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
-from mbdkit.gradients.differentiated_states import States, joined_states, one_after_another, series_of
+from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import with_sides, with_unknown_corners
 from mbdkit.gradients.sided_stepper import SidedStepper
@@ -70,8 +70,8 @@ class DifferentiatedRun:
         Sentences on force laws whose corners are inside steps.
     """
 
-    rows: States
-    nodes: States | None
+    rows: DifferentiatedStates
+    nodes: DifferentiatedStates | None
     end: np.ndarray
     crossings: tuple[Crossing, ...]
     sizes: Sequence[float] | None
@@ -146,7 +146,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
         raise RunError("a recorded state has no unique accelerations")
     energy = np.stack([rows.work, rows.dissipated], axis=-1)
     q, v, energy, *values = (x[..., None] for x in (q, v, energy, *observed))
-    states = States(workspace, rows.time, None, q, v, energy, Observed(*values), np.zeros_like(energy))
+    states = DifferentiatedStates.of(workspace.mechanism, rows.time, q, v, Observed(*values), energy)
     return DifferentiatedRun(states, None, np.zeros(0), (), None)
 
 
@@ -289,7 +289,7 @@ class _Pass:
             rows, nodes, moved, tuple(crossings), sizes, is_split=self._sided is not None, doubts=self._doubts(rows)
         )
 
-    def _doubts(self, rows: States) -> tuple[str, ...]:
+    def _doubts(self, rows: DifferentiatedStates) -> tuple[str, ...]:
         """Return sentences on force laws that have, or may have, corners inside steps."""
         mechanism = self.workspace.mechanism
         sided = None if self._sided is not None else with_sides(mechanism)
@@ -305,7 +305,7 @@ class _Pass:
             for name in passed
         )
 
-    def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> States:
+    def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:
         """Return the nodes of integrals over time.
 
         The parts of an integral before and after a corner meet at a time that moves, which two nodes without weight
@@ -321,7 +321,7 @@ class _Pass:
 
     def _evaluated(
         self, history: Sequence[tuple[int, np.ndarray]], time: np.ndarray, *arrays: np.ndarray | None
-    ) -> States:
+    ) -> DifferentiatedStates:
         """Return states with what is computed from them, from some number of states on by the sides that were in use.
 
         The `arrays` are positions, velocities, weights and energies.

@@ -2,68 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.workspace import Workspace
-from mbdkit.events.event_expression import Quantity, RunExpression
+from mbdkit.events.event_expression import RunExpression
 from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
-from mbdkit.measures.measured_quantities import component_of
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import NONE, States
 
 
 @dataclass(frozen=True)
-class States:
+class DifferentiatedStates(States):
     """T states of a run with derivatives by K parameters, and what is computed from them.
 
     All arrays but `time` have a last axis of 1 + K: the value, then the derivatives.
 
     Parameters
     ----------
-    workspace
-        The mechanism.
-    time
-        (T,) times [s].
     weight
         (T, 1 + K) weights of an integral over time [s] with their derivatives; None for recorded states.
-    q, v
-        (T, 3 (B + 1), 1 + K) positions and velocities, ground last.
-    energy
-        (T, 2, 1 + K) work and dissipated energy [J]; None where they are not known.
-    observed
-        Accelerations, reactions, forces, markers and energies.
     power
         (T, 2, 1 + K) power of loads, drivers and active laws, and the dissipated power [W].
-    actuators
-        (T, 2, 1 + K) value and power of each actuator of inverse dynamics, by name.
+    actuator_names
+        Names of the actuators of inverse dynamics.
     """
 
-    workspace: Workspace
-    time: np.ndarray
-    weight: np.ndarray | None
-    q: np.ndarray
-    v: np.ndarray
-    energy: np.ndarray | None
-    observed: Observed
-    power: np.ndarray
-    actuators: Mapping[str, np.ndarray] = field(default_factory=dict)
+    weight: np.ndarray | None = None
+    power: np.ndarray = field(default_factory=lambda: NONE)
+    actuator_names: tuple[str, ...] = ()
 
-    @cached_property
-    def reactions(self) -> np.ndarray:
-        """(T, J, 3, 1 + K) reaction force (x, y) [N] and torque [N m] of each joint."""
-        x = self.observed.reactions
-        flat = x.reshape(*x.shape[:2], 3 * x.shape[-1])
-        summed = JointSums(self.workspace.mechanism).sum(flat)
-        return summed.reshape(*summed.shape[:2], 3, x.shape[-1])
+    @staticmethod
+    def of(
+        mechanism: CompiledMechanism,
+        time: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        observed: Observed,
+        energy: np.ndarray | None,
+        **more: Any,
+    ) -> DifferentiatedStates:
+        """Return states from what is observed in them and their energies.
+
+        Parameters
+        ----------
+        energy
+            (T, 2, 1 + K) work and dissipated energy [J]; None where they are not known.
+        more
+            Further arguments of the class.
+        """
+        if energy is not None:
+            start = (observed.kinetic + observed.potential)[:1]
+            more |= {"work": energy[:, 0], "dissipated": energy[:, 1], "start_energy": start}
+        return DifferentiatedStates(mechanism, time, q, v, lambda: observed, **more)
 
 
-def quantity_of(states: States, quantity: Quantity) -> Value:
+def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
     """Return a quantity of states with derivatives: (T,), (2, T) of a vector, or (elements, T) along a beam.
 
     Raises
@@ -72,110 +72,24 @@ def quantity_of(states: States, quantity: Quantity) -> Value:
         If it has no derivative.
     """
     require_derivative(quantity)
-    column, component, has_components = component_of(quantity)
-    found = _columns(states, quantity)
-    if column not in found:
+    if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
         raise _refused(quantity, ", because redundant joints share their reactions")
-    x = found[column]()
-    if has_components:
-        return Value.joined(np.moveaxis(x, 1, 0))
-    return Value.joined(x if component is None else x[:, component])
+    names = replace(archive_names(states.mechanism), actuators=states.actuator_names)
+    found = quantity.taker(names)(states)
+    return Value.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
 
 
 def require_derivative(quantity: Quantity) -> None:
     """Raise SpecError if a quantity of runs has no derivative, whatever the mechanism."""
-    if quantity.kind != "events" and component_of(quantity)[0] in _MISALIGNMENTS:
-        raise _refused(quantity, ": a misalignment is an error of the method, and almost zero")
-
-
-_MISALIGNMENTS = ("misalignment", "velocity_misalignment", "angle_misalignment")
+    if quantity.is_over_time and (why := quantity.recorded.array.no_derivative):
+        raise _refused(quantity, f": {why}")
 
 
 def _refused(quantity: Quantity, why: str) -> SpecError:
-    what = ".".join(filter(None, (quantity.kind, quantity.name, quantity.attribute)))
-    return SpecError(f"{what} has no derivative by parameters{why}", key="measures")
+    return SpecError(f"{quantity} has no derivative by parameters{why}", key="measures")
 
 
-def _columns(states: States, quantity: Quantity) -> Mapping[str, Callable[[], np.ndarray]]:
-    """Return functions that give the columns of the element of a quantity, by name, (T, ..., 1 + K)."""
-    mechanism, observed = states.workspace.mechanism, states.observed
-    if quantity.kind == "bodies":
-        first = 3 * mechanism.bodies.index(quantity.name)
-        place, angle = slice(first, first + 2), first + 2
-        return {
-            "position": lambda: states.q[:, place],
-            "angle": lambda: states.q[:, angle],
-            "velocity": lambda: states.v[:, place],
-            "angular_velocity": lambda: states.v[:, angle],
-            "acceleration": lambda: observed.acc[:, place],
-            "angular_acceleration": lambda: observed.acc[:, angle],
-        }
-    if quantity.kind == "joints":
-        return _of_joint(states, mechanism.joints.index(quantity.name))
-    if quantity.kind == "forces":
-        f = [one.name for one in mechanism.forces].index(quantity.name)
-        return {name: partial(_part, observed.forces, f, i) for i, name in enumerate(_FORCE_COLUMNS)}
-    if quantity.kind == "markers":
-        k = [name for name, _ in mechanism.markers].index(quantity.name)
-        return {
-            "position": lambda: observed.markers[:, k, :2],
-            "velocity": lambda: observed.markers[:, k, 2:],
-        }
-    if quantity.kind == "beams":
-        beams = observed.beams[:, mechanism.beam_elements(quantity.name)]
-        return {
-            "axial": lambda: beams[:, :, 0],
-            "shear": lambda: beams[:, :, 1],
-            "moment": lambda: beams[:, :, 2],
-            "strain_energy": lambda: np.asarray(beams[:, :, 3].sum(axis=1)),
-        }
-    if quantity.kind == "actuators":
-        own = states.actuators[quantity.name]
-        return {"value": lambda: own[:, 0], "power": lambda: own[:, 1]}
-    return _energies(states)
-
-
-_FORCE_COLUMNS = ("length", "rate", "value", "power", "potential")
-
-
-def _part(x: np.ndarray, element: int, part: int | slice) -> np.ndarray:
-    return np.asarray(x[:, element, part])
-
-
-def _of_joint(states: States, j: int) -> Mapping[str, Callable[[], np.ndarray]]:
-    """Return the columns of joint `j`; only its coordinate if redundant joints share their reactions."""
-    joints = states.observed.joints
-    if states.workspace.mechanism.redundancy.rows:
-        return {"angle": partial(_part, joints, j, 0)}
-    return {
-        "angle": partial(_part, joints, j, 0),
-        "driver_power": partial(_part, joints, j, 1),
-        "reaction_force": lambda: _part(states.reactions, j, slice(0, 2)),
-        "reaction_torque": lambda: _part(states.reactions, j, 2),
-        "reaction_force_first": partial(_part, joints, j, slice(2, 4)),
-        "reaction_force_second": partial(_part, joints, j, slice(4, 6)),
-    }
-
-
-def _energies(states: States) -> Mapping[str, Callable[[], np.ndarray]]:
-    observed, energy = states.observed, states.energy
-
-    def total() -> np.ndarray:
-        return np.asarray(observed.kinetic + observed.potential)
-
-    found: dict[str, Callable[[], np.ndarray]] = {
-        "kinetic": lambda: observed.kinetic,
-        "potential": lambda: observed.potential,
-        "total": total,
-    }
-    if energy is not None:
-        found["work"] = lambda: energy[:, 0]
-        found["dissipated"] = lambda: energy[:, 1]
-        found["balance"] = lambda: total() + energy[:, 1] - energy[:, 0] - total()[:1]
-    return found
-
-
-def series_of(expression: RunExpression, states: States, constants: np.ndarray) -> Value:
+def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> Value:
     """Return the expression of an event in each of T states, (T,).
 
     Parameters
@@ -202,31 +116,30 @@ def series_of(expression: RunExpression, states: States, constants: np.ndarray) 
     return stack.pop()
 
 
-def one_after_another(parts: Sequence[States]) -> States:
+def one_after_another(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
     """Return states that follow each other."""
-
-    def together(arrays: Sequence[np.ndarray | None]) -> Any:
-        return None if arrays[0] is None else np.concatenate(arrays)  # type: ignore[arg-type]
-
-    def of(name: str) -> Any:
-        return together([getattr(one, name) for one in parts])
-
-    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
-    return States(parts[0].workspace, of("time"), of("weight"), of("q"), of("v"), of("energy"), observed, of("power"))
+    return _together(parts, np.concatenate, ("time", *_ARRAYS))
 
 
-def joined_states(parts: Sequence[States]) -> States:
+def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
     """Return the same states with the derivatives of several passes."""
 
-    def together(arrays: Sequence[Any]) -> Any:
-        return None if arrays[0] is None else np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)
+    def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        return np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)
 
-    def of(name: str) -> Any:
-        return together([getattr(one, name) for one in parts])
+    return _together(parts, joined, (*_ARRAYS, "start_energy"))
 
+
+_ARRAYS = ("q", "v", "work", "dissipated", "weight", "power", "actuators")
+"""Arrays with one row per state and derivatives."""
+
+
+def _together(
+    parts: Sequence[DifferentiatedStates], join: Callable[[Sequence[np.ndarray]], np.ndarray], names: Sequence[str]
+) -> DifferentiatedStates:
+    """Return states whose arrays of these `names` are joined from those of the parts."""
     first = parts[0]
-    observed = Observed(*(together(x) for x in zip(*(one.observed for one in parts), strict=True)))
-    actuators = {name: together([one.actuators[name] for one in parts]) for name in first.actuators}
-    return States(
-        first.workspace, first.time, of("weight"), of("q"), of("v"), of("energy"), observed, of("power"), actuators
-    )
+    observed = Observed(*(join(x) for x in zip(*(one.observed for one in parts), strict=True)))
+    known = [name for name in names if np.ndim(getattr(first, name)) > 1 or name == "time"]
+    arrays: dict[str, Any] = {name: join([getattr(one, name) for one in parts]) for name in known}
+    return replace(first, observe=lambda: observed, **arrays)

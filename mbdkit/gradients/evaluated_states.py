@@ -16,7 +16,7 @@ from mbdkit.engine.jit.dual_arrays import Duals
 from mbdkit.engine.kernels.dual_observe import observe_duals
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
-from mbdkit.gradients.differentiated_states import States
+from mbdkit.gradients.differentiated_states import DifferentiatedStates
 from mbdkit.gradients.parameter_differences import CENTRAL, weights
 from mbdkit.stepping.differentiated_stepper import DifferentiatedSteps
 from mbdkit.stepping.dual_run import constants, dual_states
@@ -43,8 +43,8 @@ class StateEvaluator:
         v: np.ndarray,
         weight: np.ndarray | None = None,
         energy: np.ndarray | None = None,
-    ) -> States:
-        """Return T states with what is computed from them; see `States` for the arguments.
+    ) -> DifferentiatedStates:
+        """Return T states with what is computed from them; see `DifferentiatedStates` for the arguments.
 
         Raises
         ------
@@ -69,12 +69,13 @@ class StateEvaluator:
                 renewed = done
         some = self._some
         observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
-        return States(
-            self.workspace, time, weight, np.asarray(q[..., some]), np.asarray(v[..., some]),
-            None if energy is None else np.asarray(energy[..., some]), observed, np.asarray(states.power[..., some]),
-        )  # fmt: skip
+        energy = None if energy is None else np.asarray(energy[..., some])
+        q, v, power = (np.asarray(x[..., some]) for x in (q, v, states.power))
+        return DifferentiatedStates.of(
+            self.workspace.mechanism, time, q, v, observed, energy, weight=weight, power=power
+        )
 
-    def around(self, here: States, unit: float) -> tuple[States, float]:
+    def around(self, here: DifferentiatedStates, unit: float) -> tuple[DifferentiatedStates, float]:
         """Return states (8,) on the motion through a state, without derivatives, and their distance in time.
 
         With `rate_of`, they give rates of quantities along the motion.

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.events.event_expression import Quantity
 from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
 from mbdkit.gradients.differentiated_run import DifferentiatedRun
 from mbdkit.gradients.differentiated_states import quantity_of
 from mbdkit.measures.measure_expression import ALONG, MeasureExpression
 from mbdkit.measures.reductions import OF_INTEGRAL, REDUCE
+from mbdkit.quantities.quantity import Quantity
 
 UNIQUE = 1e-9
 """Two extrema that differ by less than this share of the range of a quantity count as equal."""
@@ -95,7 +95,7 @@ class MeasureOfRun:
                 stack.append(_Operand(self._of_event(quantity), None))
                 return
             rows, nodes = quantity_of(self.run.rows, quantity), self.run.nodes
-            known = nodes is not None and quantity.attribute not in ("work", "dissipated", "balance")
+            known = nodes is not None and not quantity.recorded.array.accumulates
             stack.append(_Operand(rows, quantity_of(nodes, quantity) if known else None))  # type: ignore[arg-type]
         elif operation == REDUCE + "at":
             time, operand = stack.pop().rows, stack.pop().rows

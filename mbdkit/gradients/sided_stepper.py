@@ -19,7 +19,7 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.gradients.differentiated_states import States
+from mbdkit.gradients.differentiated_states import DifferentiatedStates
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import Condition
 from mbdkit.stepping.collocation import CompiledCollocation
@@ -69,8 +69,8 @@ class Corner:
         (K,) derivatives of its time.
     """
 
-    before: States
-    after: States
+    before: DifferentiatedStates
+    after: DifferentiatedStates
     slope: np.ndarray
 
 
@@ -217,12 +217,12 @@ class SidedStepper(DifferentiatedStepper):
 
     # --- corners
 
-    def _here(self) -> States:
+    def _here(self) -> DifferentiatedStates:
         assert self.steps is not None
         run = self.steps.run
         return self._evaluator.states(np.array([self.time]), np.asarray(run.q)[None], np.asarray(run.v)[None])
 
-    def _conditions(self, here: States) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _conditions(self, here: DifferentiatedStates) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the functions (C,) of the conditions in a state, their derivatives (C, K), and their rates (C,)."""
         assert self.steps is not None
         around, distance = self._evaluator.around(here, float(self.timetable.step or 1.0))
@@ -237,7 +237,7 @@ class SidedStepper(DifferentiatedStepper):
             rates.append(by_length * rate[0] + by_rate * rate_of(moved[:, one.element], rate[0], distance))
         return np.array(values), np.array(slopes), np.array(rates)
 
-    def _ahead(self, here: States) -> np.ndarray:
+    def _ahead(self, here: DifferentiatedStates) -> np.ndarray:
         """Return the sides (C,) a little later."""
         value, _, rate = self._conditions(here)
         later = value + AHEAD * float(self.timetable.step or 1.0) * rate

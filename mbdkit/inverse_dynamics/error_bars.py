@@ -23,7 +23,6 @@ from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series
 from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
-from mbdkit.runs.recorded_columns import COLUMNS
 from mbdkit.spec.inverse_sections import ErrorBars as Asked
 from mbdkit.spec.inverse_sections import Smoothing
 
@@ -88,10 +87,8 @@ class _Response:
 
 def _outcome(result: Inverse) -> _Outcome:
     states, count = recorded_states(result), len(result.motion.time)
-    force, torque = (COLUMNS[f"joints/reaction_{name}"](states) for name in ("force", "torque"))
-    reactions = np.concatenate([force, torque[..., None]], axis=2)
     q, v = (x.reshape(count, -1, 3) for x in (result.motion.q, result.motion.v))
-    return _Outcome(result.dynamics.value, reactions, q, v)
+    return _Outcome(result.dynamics.value, states.reactions, q, v)
 
 
 def error_bars(result: Inverse) -> ErrorBars | None:

@@ -31,7 +31,7 @@ from mbdkit.gradients.differentiated_expressions import (
     numbers_of,
 )
 from mbdkit.gradients.differentiated_run import DifferentiatedRun
-from mbdkit.gradients.differentiated_states import States, joined_states
+from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states
 from mbdkit.gradients.gradient import Gradient, gradient_of_run, require_derivatives
 from mbdkit.gradients.gradient_check import Settings
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
@@ -237,7 +237,7 @@ class _Frames:
         self.workspace.clamp_motions(-np.inf, np.inf)
         self._run = new_dual_run(self.workspace, seeds, dual_laws(self.workspace), 0, 0)
 
-    def states(self) -> States:
+    def states(self) -> DifferentiatedStates:
         """Return the states with everything that is computed from them."""
         motion, dynamics, manifold = self.result.motion, self.result.dynamics, self.result.problem.fitter.manifold
         lam = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam).lam
@@ -248,11 +248,20 @@ class _Frames:
         power = np.asarray(found.power[..., self.some])
         supplied = np.stack([power[:, 0] + actuators[:, :, 1].sum(axis=1) + self._load_power(), power[:, 1]], axis=1)
         energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
-        names = [one.name for one in self.result.problem.actuators]
+        names = tuple(one.name for one in self.result.problem.actuators)
         q, v = (np.asarray(x[..., self.some]) for x in (found.q, found.v))
         observed = Observed(*(np.asarray(x[..., self.some]) for x in found.observed))
-        by_name = {name: actuators[:, place] for place, name in enumerate(names)}
-        return States(self.workspace, motion.time, None, q, v, energy, observed, power, by_name)
+        return DifferentiatedStates.of(
+            self.workspace.mechanism,
+            motion.time,
+            q,
+            v,
+            observed,
+            energy,
+            power=power,
+            actuators=actuators,
+            actuator_names=names,
+        )
 
     def _slope(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         """Return the derivatives (..., K) of an array of the motion; zeros if it has none."""

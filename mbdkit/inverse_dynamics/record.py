@@ -12,16 +12,17 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import ArchiveNames, Ending
+from mbdkit.archive.run_writer import Ending
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
 from mbdkit.inverse_dynamics.raw_misalignment import raw_misalignment
 from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.measures.take import take_all
+from mbdkit.quantities.names import ArchiveNames, archive_names
+from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.provenance import model_provenance
-from mbdkit.runs.recorded_columns import COLUMNS
-from mbdkit.runs.recorder import archive_names, shared_forces
+from mbdkit.runs.recorder import shared_forces
 
 
 def archive_of(
@@ -59,7 +60,7 @@ def archive_of(
     )
     try:
         rows = _rows(result, bars)
-        writer.append(rows | {key: COLUMNS[key](states) for key in writer.row_keys if key not in rows})
+        writer.append(rows | {key: RECORDED[key].take(states) for key in writer.row_keys if key not in rows})
         writer.append_steps(_intervals(result.motion.time))
         counters = dict.fromkeys(layout.COUNTERS, 0)
         ending = Ending(
@@ -116,8 +117,6 @@ def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
         "motion/raw_misalignment": raw_misalignment(
             problem.fitter.manifold, mechanism, fitted.measured.target, fitted.q
         ),
-        "actuators/value": dynamics.value,
-        "actuators/power": dynamics.power,
         "actuators/value_error": np.full(dynamics.value.shape, np.nan) if bars is None else bars.actuators,
         "loads/force": loads.force,
         "loads/point": loads.point,

@@ -6,15 +6,13 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 
 from mbdkit.base.errors import RunError
-from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.inverse_dynamics.compute import Inverse
-from mbdkit.runs.recorded_columns import ConstraintRows, RecordedStates
-from mbdkit.stepping.interface import Stretch
+from mbdkit.quantities.states import States
 
 
-def recorded_states(result: Inverse) -> RecordedStates:
+def recorded_states(result: Inverse) -> States:
     """Return the states of the motion with accelerations, reactions, forces and energies."""
     motion, dynamics = result.motion, result.dynamics
     workspace, manifold = result.problem.prepared.workspace, result.problem.fitter.manifold
@@ -29,7 +27,16 @@ def recorded_states(result: Inverse) -> RecordedStates:
         raise RunError(f"no unique solution near {where} at t = {motion.time[singular.row]:.6g} s")
     supplied = found.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
     work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, found.powers[:, 1]))
-    stretch = Stretch(motion.time, q, v, work, dissipated, np.zeros((count, 6)))
     start = float(observed.kinetic[0] + observed.potential[0])
-    rows, joints = ConstraintRows(workspace.mechanism), JointSums(workspace.mechanism)
-    return RecordedStates(stretch, observed, np.zeros(count), start, rows, joints)
+    return States(
+        workspace.mechanism,
+        motion.time,
+        q,
+        v,
+        lambda: observed,
+        work=work,
+        dissipated=dissipated,
+        start_energy=start,
+        actuators=np.stack([dynamics.value, dynamics.power], axis=-1),
+        elapsed=np.zeros(count),
+    )

@@ -23,8 +23,8 @@ from mbdkit.archive.history import NotRecordedError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import Unit, read_unit
-from mbdkit.events.event_expression import Code, Quantity, RunCompiler
-from mbdkit.measures.measured_quantities import ATTRIBUTES, beam_along, is_over_time, is_vector, recorded, unit_of
+from mbdkit.events.event_expression import Code, RunCompiler
+from mbdkit.measures.measured_quantities import ATTRIBUTES, recorded, unit_of
 from mbdkit.measures.reductions import (
     OF_INTEGRAL,
     REDUCE,
@@ -36,6 +36,7 @@ from mbdkit.measures.reductions import (
     interpolated,
 )
 from mbdkit.mechanism.time_expression import FUNCTIONS, Program
+from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import QUANTITIES
 
@@ -47,8 +48,6 @@ _RADIAN = read_unit("rad")
 _SECOND = read_unit("s")
 
 
-_OF_HISTORY = ("work", "dissipated", "balance")
-"""Energies that are time integrals themselves and therefore known at the recorded states only."""
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions of a quantity along a beam that return its largest or smallest value at each time."""
 _OF_VECTORS = ("mean", "final", "integral", "at")
@@ -308,9 +307,9 @@ class _MeasureCompiler(RunCompiler):
             )
         value = _Value(
             unit_of(quantity, self.spec),
-            is_series=is_over_time(quantity),
-            is_vector=is_vector(quantity),
-            along=beam_along(quantity),
+            is_series=quantity.is_over_time,
+            is_vector=quantity.is_vector,
+            along=quantity.beam,
         )
         return _Code(super().get(quantity), value)
 
@@ -384,7 +383,7 @@ class _MeasureCompiler(RunCompiler):
         """Return the index of a quantity among the integrands, from 1; 0 if it is not known before the end of a run."""
         read = [self.quantities[int(number)] for operation, number in program if operation == "get"]
         of_rows = any(operation.startswith(REDUCE) and not place for operation, place in program)
-        if of_rows or any(one.kind == "events" or one.attribute in _OF_HISTORY for one in read):
+        if of_rows or any(not one.is_over_time or one.recorded.array.accumulates for one in read):
             return 0
         text = ast.unparse(node)
         entry = (f"({text})**2", (*program, ("powi", 2.0))) if squared else (text, tuple(program))

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.events.event_expression import Quantity
 from mbdkit.mechanism.time_expression import Program
+from mbdkit.quantities.quantity import Quantity
 
 REDUCE = "over time: "
 """Begin of the operations of a program that reduce over time."""

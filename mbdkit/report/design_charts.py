@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mbdkit.designs.landscape import Cut
-from mbdkit.events.event_expression import Quantity
 from mbdkit.figures.curves import band_over_time, bands, errors_at
 from mbdkit.figures.page_model import Axis, Figure, Line, Mark
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.measured_quantities import is_over_time, is_vector, recorded, unit_of
+from mbdkit.measures.measured_quantities import recorded, unit_of
+from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.design_spec import GOAL, variable_path
 from mbdkit.spec.key_words import key_unit, key_words
@@ -68,13 +68,13 @@ def _quantities(design: Design, spec: RunSpec | InverseSpec) -> Sequence[Quantit
     found: dict[Quantity, None] = {}
     for one in design.spec.defined_measures():
         parsed = MeasureExpression.parse(one.expression, spec, one.unit)
-        found |= dict.fromkeys(quantity for quantity in parsed.quantities if is_over_time(quantity))
+        found |= dict.fromkeys(quantity for quantity in parsed.quantities if quantity.is_over_time)
     return list(found)
 
 
 def _line(which: str, quantity: Quantity, run: Run) -> Line:
     values = recorded(quantity, run)
-    if is_vector(quantity):
+    if quantity.is_vector:
         values = np.hypot(*values)
     curve = bands(np.asarray(run.time), values[:, None], points=_POINTS)
     error = _error(quantity, run, curve.time)

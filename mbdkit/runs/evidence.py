@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.interface import StepEvidence
 from mbdkit.trust.criteria import EstimatedErrors, Evidence

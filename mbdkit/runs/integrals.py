@@ -14,21 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive import layout
-from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents, Heading
-from mbdkit.archive.run_writer import UNJUDGED
-from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.events.event_expression import Quantity
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.measured_quantities import beam_along, is_vector, recorded
 from mbdkit.measures.reductions import Integrand, Series
-from mbdkit.runs.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
-from mbdkit.runs.recorder import archive_names
-from mbdkit.stepping.interface import Nodes, Stretch
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import States
+from mbdkit.stepping.interface import Nodes
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -75,9 +68,7 @@ class RunIntegrals:
         self._workspace = workspace.with_own_pivots()
         self._observer = StateObserver(self._workspace)
         mechanism = workspace.mechanism
-        self._rows, self._joints = ConstraintRows(mechanism), JointSums(mechanism)
         self._names = archive_names(mechanism)
-        self._layout = layout.recorded(self._names.present(spec.output.recorded))
         self._waiting = [Nodes.none(mechanism.size)]
         self._direct = [one for one in integrands if not one.is_nested]
         self._nested = [one for one in integrands if one.is_nested]
@@ -151,17 +142,17 @@ class RunIntegrals:
 
     def _unknown(self, quantity: Quantity, count: int) -> np.ndarray:
         """Return nan as the values of a quantity at nodes, in their shape."""
-        if beam := beam_along(quantity):
-            elements = self._workspace.mechanism.beam_elements(beam)
+        if quantity.beam:
+            elements = self._workspace.mechanism.beam_elements(quantity.beam)
             return np.full((elements.stop - elements.start, count), np.nan)
-        return np.full((2, count) if is_vector(quantity) else count, np.nan)
+        return np.full((2, count) if quantity.is_vector else count, np.nan)
 
     def _add_block(self, nodes: Nodes) -> None:
-        run, count = self._run_at(nodes), len(nodes.time)
+        states, count = self._states_at(nodes), len(nodes.time)
         values = [np.full(count, np.nan)] * len(self._direct)
         kept = [self._unknown(one, count) for one in self._read]
-        if run is not None:
-            series = Series(run.time, lambda one: recorded(one, run))
+        if states is not None:
+            series = Series(nodes.time, lambda one: one.taker(self._names)(states).T)
             values = [np.broadcast_to(x, (*x.shape[:-1], count)) for x in self._values(series)]
             kept = [series.of(one) for one in self._read]
         if self._nested:
@@ -177,31 +168,13 @@ class RunIntegrals:
     def _values(self, series: Series) -> list[np.ndarray]:
         return [one.values(series, {}, 0.0) for one in self._direct]
 
-    def _run_at(self, nodes: Nodes) -> Run | None:
-        """Return a run whose rows are nodes; None if a node has no unique accelerations."""
-        count = len(nodes.time)
-        observed = self._observer.arrays(count)
+    def _states_at(self, nodes: Nodes) -> States | None:
+        """Return the states at nodes; None if one of them has no unique accelerations."""
+        observed = self._observer.arrays(len(nodes.time))
         q, v = np.ascontiguousarray(nodes.q), np.ascontiguousarray(nodes.v)
         if self._observer.observe(nodes.time, q, v, observed) is not None:
             return None
-        none = np.zeros(count)
-        stretch = Stretch(nodes.time, q, v, none, none, np.zeros((count, 6)))
-        states = RecordedStates(stretch, observed, none, 0.0, self._rows, self._joints)
-        columns = _Columns(states)
-        finished = FinishedRun(self._names, self._layout, columns, None, "running", "", {}, none, UNJUDGED, (), "")
-        return Run(ArrayContents(finished, Heading(self.spec)))
-
-
-class _Columns(dict[str, np.ndarray]):
-    """Columns of the archive at given states, each computed when it is first asked for."""
-
-    def __init__(self, states: RecordedStates):
-        super().__init__()
-        self._states = states
-
-    def __missing__(self, key: str) -> np.ndarray:
-        self[key] = found = COLUMNS[key](self._states)
-        return found
+        return States(self._workspace.mechanism, nodes.time, q, v, lambda: observed)
 
 
 def _plain(total: np.ndarray) -> float | tuple[float, float]:

@@ -12,22 +12,24 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
-from mbdkit.archive.run_writer import ArchiveNames
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts
 from mbdkit.engine.jit.lane_width import WIDTH
-from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
+from mbdkit.quantities.array import FLOAT
+from mbdkit.quantities.names import ArchiveNames, archive_names
+from mbdkit.quantities.states import States
+from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.integrals import integrands_of
 from mbdkit.runs.preparation import caution, guards, make_method, optional_arrays, timetable
-from mbdkit.runs.recorded_columns import COLUMNS, ConstraintRows, RecordedStates
-from mbdkit.runs.recorder import archive_names
+from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.controlled_lanes import ControlledLaneStepper
@@ -295,10 +297,10 @@ class _Group:
         start = first.start
         workspace = Workspace(mechanism, first.table.start, start.q0, start.v0)
         self.stepper = _stepper(first, workspace)
-        self.constraint_rows, self.joints = ConstraintRows(mechanism), JointSums(mechanism)
+        self.mechanism, self.joints = mechanism, joint_sums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)
         extra = frozenset(optional_arrays(spec, first.method, mechanism))
-        self.layout = layout.recorded(self.names.present(spec.output.recorded), extra)
+        self.layout = layout.recorded_by(self.names, spec.output.recorded, extra)
         self.row_keys = tuple(dict.fromkeys(one.key for one in self.layout if one.grows and one.dims[0] == "time"))
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)
@@ -315,7 +317,7 @@ class _Group:
         if np.all(lost):
             return [None] * len(members)
         with np.errstate(all="ignore"):  # in lost lanes
-            arrays = {key: self._by_run(COLUMNS[key](states), key, len(members)) for key in self.row_keys}
+            arrays = {key: self._by_run(RECORDED[key].take(states), key, len(members)) for key in self.row_keys}
             recorded = self._recorded(members, results, states)
             coordinates = results.observed.joints[..., 0]
             reached = np.stack([coordinates.min(axis=1), coordinates.max(axis=1)], axis=1)
@@ -334,7 +336,7 @@ class _Group:
             finished.append(replace(made, stats={**counters, **timings, **made.stats}))
         return finished
 
-    def _states(self, results: LaneResults) -> RecordedStates:
+    def _states(self, results: LaneResults) -> States:
         """Return the states of all runs, one run after another."""
         count, rows = results.time.shape
 
@@ -346,8 +348,7 @@ class _Group:
         none = np.zeros((len(q), 6))
         stretch = Stretch(flat(results.time), q, v, energy[:, 0], energy[:, 1], none)
         start = results.observed.kinetic[:, 0] + results.observed.potential[:, 0]
-        elapsed = np.zeros(len(q))
-        return RecordedStates(stretch, observed, elapsed, np.repeat(start, rows), self.constraint_rows, self.joints)
+        return recorded_states(self.mechanism, stretch, observed, np.repeat(start, rows), np.zeros(len(q)))
 
     def _by_run(self, values: np.ndarray, key: str, count: int) -> np.ndarray:
         """Return the rows of all runs as (W, T, ...), contiguous and of the type of the layout."""
@@ -361,7 +362,7 @@ class _Group:
         return np.asarray(~(largest <= smallest / 4))  # a joint has at most three rows
 
     def _recorded(
-        self, members: Sequence[LaneMember], results: LaneResults, states: RecordedStates
+        self, members: Sequence[LaneMember], results: LaneResults, states: States
     ) -> list[tuple[np.ndarray, _RecordedRun]]:
         """Return the largest misalignments (J,) of each run over all steps, and what its recorded states show."""
         shape = results.time.shape
@@ -431,5 +432,5 @@ class _Group:
         data_sha256 = self.hash.of(arrays, self._known_digests)
         return FinishedRun(
             self.names, self.layout, arrays, None, *ending, {"finish_s": time.perf_counter() - begin},
-            np.asarray(worst, layout.FLOAT), judgement, warnings, data_sha256, member.start.assembled.describe(),
+            np.asarray(worst, FLOAT), judgement, warnings, data_sha256, member.start.assembled.describe(),
         )  # fmt: skip

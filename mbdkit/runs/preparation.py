@@ -18,8 +18,8 @@ from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import corner_warnings, stops_of
-from mbdkit.runs.recorder import archive_names
 from mbdkit.runs.warnings import spec_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Failure, Guards, Timetable
@@ -96,8 +96,7 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     rows = rows_expected(spec)
     if rows is None or spec.limits.wall_time is not None:
         return
-    names = archive_names(mechanism)
-    row = row_bytes(names.sizes, names.present(spec.output.recorded))
+    row = row_bytes(archive_names(mechanism), spec.output.recorded)
     try:
         check_room(path, rows, row, spec.output.every)
     except SpecError as error:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.run_writer import ArchiveNames, RunWriter, SharedForces
+from mbdkit.archive.run_writer import RunWriter, SharedForces
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import SingularState, StateObserver
 from mbdkit.engine.redundant_gaps import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.runs.recorded_columns import COLUMNS, ConstraintRows, ObservedRows, RecordedStates
+from mbdkit.quantities.table import RECORDED
+from mbdkit.runs.recorded_states import ObservedRows, recorded_states
 from mbdkit.stepping.interface import Failure, Guards, Stretch
 from mbdkit.trust.energy_record import EnergyRecord
 
@@ -39,26 +39,6 @@ below 0.1 of the uncertainty, near singular positions below 0.3; of drivers that
 
 
 NO_GUARDS = Guards()
-
-
-@lru_cache(maxsize=16)
-def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
-    """Return the names of bodies, joints, constraint rows, force elements, markers and elements of beams."""
-    return ArchiveNames(
-        bodies=tuple(mechanism.bodies),
-        joints=tuple(mechanism.joints),
-        constraints=tuple(row.label for row in mechanism.rows),
-        constraint_units=tuple(row.unit for row in mechanism.rows),
-        joint_bodies=tuple(mechanism.joint_bodies),
-        joint_units=tuple(mechanism.joint_units),
-        forces=tuple(force.name for force in mechanism.forces),
-        force_bodies=tuple(force.bodies for force in mechanism.forces),
-        force_units=tuple(force.unit for force in mechanism.forces),
-        markers=tuple(name for name, _ in mechanism.markers),
-        marker_bodies=tuple(body for _, body in mechanism.markers),
-        elements=tuple(f"{beam}[{i}]" for beam, count in mechanism.beams for i in range(count)),
-        element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
-    )
 
 
 def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
@@ -102,7 +82,7 @@ class Recorder:
         self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards
         mechanism = workspace.mechanism
         self._observer = StateObserver(self.workspace)
-        self._rows, self._joints = ConstraintRows(mechanism), JointSums(mechanism)
+        self._joints = joint_sums(mechanism)
         self._start_energy: float | None = None
         self._refused = False
         self.largest, self.largest_angle = np.zeros((2, len(mechanism.joints)))
@@ -237,7 +217,7 @@ class Recorder:
     def _write_states(self, stretch: Stretch, observed: Observed, elapsed: np.ndarray) -> None:
         if self._start_energy is None:
             self._start_energy = float(observed.kinetic[0] + observed.potential[0])
-        states = RecordedStates(stretch, observed, elapsed, self._start_energy, self._rows, self._joints)
+        states = recorded_states(self.mechanism, stretch, observed, self._start_energy, elapsed)
         self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
         peaks = np.abs(observed.phi).max(axis=0, keepdims=True)  # of each pair, and a joint has one pair with an angle
         self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
@@ -248,9 +228,9 @@ class Recorder:
         others = np.array([observed.potential, stretch.work, stretch.dissipated])
         self.last_time = float(stretch.time[-1])
         self.energies.add(observed.kinetic, others, states.balance)
-        self.writer.append({key: COLUMNS[key](states) for key in self.writer.row_keys})
+        self.writer.append({key: RECORDED[key].take(states) for key in self.writer.row_keys})
         if self.kept is not None:
-            self.kept.append(states.essence)
+            self.kept.append(ObservedRows.of(states))
 
     def _write_intervals(self, stretch: Stretch) -> None:
         time, steps, size, iterations, iterations_max, rejected = stretch.intervals.T

@@ -32,10 +32,11 @@ from mbdkit.base.text import listed, shown
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
+from mbdkit.quantities.names import archive_names
 from mbdkit.runs.preparation import make_method, optional_arrays
 from mbdkit.runs.provenance import provenance
-from mbdkit.runs.recorded_columns import ObservedRows
-from mbdkit.runs.recorder import archive_names, shared_forces
+from mbdkit.runs.recorded_states import ObservedRows
+from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import INTERVAL, Continuation, why_without
 from mbdkit.runs.simulated_run import Progress
 from mbdkit.runs.simulation import simulate_on

@@ -19,7 +19,7 @@ from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, s
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.methods.step_method import StepMethod
 from mbdkit.runs.integrals import RunIntegrals
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.collocation_stages import new_systems

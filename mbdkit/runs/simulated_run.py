@@ -41,7 +41,7 @@ from mbdkit.runs.preparation import (
     size_at_start,
     timetable,
 )
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
 from mbdkit.runs.warnings import center_warnings, doubts, step_advice

@@ -27,6 +27,7 @@ from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
+from mbdkit.quantities.names import archive_names
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.integrals import RunIntegrals, integrands_of
@@ -38,7 +39,7 @@ from mbdkit.runs.preparation import (
     optional_arrays,
 )
 from mbdkit.runs.provenance import provenance
-from mbdkit.runs.recorder import archive_names, shared_forces
+from mbdkit.runs.recorder import shared_forces
 from mbdkit.runs.run_checkpoint import Continuation
 from mbdkit.runs.simulated_run import Progress, SimulatedRun
 from mbdkit.runs.warnings import start_warnings

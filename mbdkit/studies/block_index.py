@@ -16,12 +16,13 @@ from mbdkit.archive.columns import read_column, write_column, write_hashes
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
+from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, TIMINGS
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.measures import MEASURES
 from mbdkit.studies.planned_points import PlannedPoints

@@ -12,11 +12,11 @@ from mbdkit.archive.columns import read_column, write_column
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import FLOAT, INTEGER, TEXT, Array
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.spec.study_spec import StudySpec
 
 FILE = "members.h5"

@@ -10,8 +10,8 @@ import numpy as np
 
 from mbdkit.archive.export import check_format, write_tables
 from mbdkit.archive.group_table import BLOCK_VALUES, TableColumn
-from mbdkit.archive.layout import FLOAT, INTEGER, TEXT, Array
 from mbdkit.base.errors import SpecError
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.studies.study import Study
 
 

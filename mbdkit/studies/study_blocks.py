@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.archive import layout
 from mbdkit.archive.block_format import HISTORIES, Store
 from mbdkit.archive.blocks import Block
+from mbdkit.archive.disk_space import row_bytes
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.quantities.names import archive_names
 from mbdkit.runs.preparation import rows_expected
-from mbdkit.runs.recorder import archive_names
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import LARGEST_TABLE, StudySpec
@@ -140,8 +140,5 @@ def _bytes(spec: RunSpec, store: Store) -> int:
     if store in ("hashes", "summary"):
         return 0
     names = archive_names(compile_mechanism(spec.mechanism()))
-    sizes = names.sizes
-    arrays = [array for array in layout.recorded(names.present(spec.output.recorded)) if array.grows]
-    kept = arrays if store == "all" else [array for array in arrays if array.path in HISTORIES]
-    row = sum(8 * math.prod(sizes[dim] for dim in array.dims[1:]) for array in kept)
+    row = row_bytes(names, spec.output.recorded, None if store == "all" else HISTORIES)
     return row * (rows_expected(spec) or ROWS)

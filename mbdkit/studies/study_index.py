@@ -14,12 +14,13 @@ import numpy as np
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import COUNTERS, FLOAT, INTEGER, TEXT, TIMINGS, Array
+from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.run_writer import ArchiveNames, Ending
+from mbdkit.archive.run_writer import Ending
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.quantities.names import ArchiveNames
 
 SPEC = {
     "mbdkit": 1,

@@ -16,11 +16,10 @@ from scipy.io import loadmat
 
 import mbdkit
 from mbdkit.archive.export import export
-from mbdkit.archive.group_table import COMPONENTS, group_names, group_table
+from mbdkit.archive.group_table import group_names, group_table
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.archive.table_formats import FORMATS
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
-from mbdkit.events.event_expression import BODY, BODY_FRAMES, MARKER
 from tests.synthetic_runs import make_run as make_run
 
 # A rod hangs on a pin and on a spring, has a name that spreadsheets would take for a formula, and passes its lowest
@@ -87,14 +86,6 @@ def test_a_data_frame_has_the_units_of_its_columns(run):
     units = run.to_frame("joints").attrs["units"]
     assert (units["pin A.angle"], units["pin A.torque"]) == ("rad", "N m")
     assert run.to_frame("forces").attrs["units"]["damper.value"] == "N m"
-
-
-def test_columns_are_named_as_quantities_of_events():
-    named = [COMPONENTS[f"trajectory/{name}"] for name in ("position", "velocity", "acceleration")]
-    assert sum(named, ()) == BODY
-    assert COMPONENTS["markers/position"] + COMPONENTS["markers/velocity"] == MARKER
-    both = COMPONENTS["joints/reaction_force_first"] + COMPONENTS["joints/reaction_force_second"]
-    assert both == BODY_FRAMES
 
 
 def test_events_and_intervals_are_tables_as_well(run):

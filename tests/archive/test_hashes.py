@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from mbdkit.archive.fingerprint import data_sha256
-from mbdkit.archive.layout import LAYOUT, TEXT, is_timing
+from mbdkit.archive.layout import LAYOUT, is_timing
 from mbdkit.archive.run_writer import Ending
+from mbdkit.quantities.array import TEXT
 
 from .making import fill, largest, make, names, rows, steps, writer
 from .test_layout import DOCUMENT

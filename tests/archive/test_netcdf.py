@@ -15,9 +15,10 @@ import pytest
 import xarray
 
 from mbdkit.archive import writer
-from mbdkit.archive.layout import LAYOUT, TEXT
+from mbdkit.archive.layout import LAYOUT
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.quantities.array import TEXT
 
 from .making import largest, make, names, rows
 

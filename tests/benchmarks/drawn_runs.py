@@ -24,6 +24,7 @@ import numpy as np
 import mbdkit
 from mbdkit.archive import layout
 from mbdkit.base.errors import SpecError
+from mbdkit.quantities.array import TEXT
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.study_loading import load_study_spec
@@ -127,7 +128,7 @@ def _different_arrays(study: mbdkit.Study, place: int, alone: mbdkit.Run) -> Ite
     for array in layout.LAYOUT:
         if array.grows and not layout.is_timing(array.path) and alone.records(array.path):
             mine, theirs = stored.array(array.path), alone.array(array.path)
-            if array.dtype == layout.TEXT:
+            if array.dtype == TEXT:
                 same = mine.tolist() == theirs.tolist()
             else:
                 same = mine.shape == theirs.shape and mine.tobytes() == theirs.astype(mine.dtype).tobytes()

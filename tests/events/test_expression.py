@@ -8,7 +8,8 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.events.event_expression import Quantity, RunExpression
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.quantities.quantity import Quantity
 
 
 def mechanism() -> mbdkit.Mechanism:

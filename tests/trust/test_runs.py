@@ -61,8 +61,8 @@ class Exploding(StepMethod):
 def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: int) -> None:
     # a state between rows is recorded when a run stops there: it is refused too if its joints are apart
     from mbdkit.archive.writer import ArchiveWriter
+    from mbdkit.quantities.names import archive_names
     from mbdkit.runs.preparation import build
-    from mbdkit.runs.recorder import archive_names
     from mbdkit.runs.simulated_run import SimulatedRun
 
     given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())

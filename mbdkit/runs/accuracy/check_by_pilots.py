@@ -17,7 +17,7 @@ from mbdkit.runs.accuracy.coarser_estimate import estimate_from_coarser
 from mbdkit.runs.accuracy.error_estimate import ErrorEstimate
 from mbdkit.runs.accuracy.recorded_pilot import RecordedPilot
 from mbdkit.runs.accuracy.resolved_loads import resolved_until
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
 
 FIRST_STEPS = 5

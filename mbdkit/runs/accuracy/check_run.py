@@ -14,7 +14,7 @@ from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.companion import Budget, Companion, CompanionRows, run_companion
 from mbdkit.runs.accuracy.companion_choice import Chosen, choose_companions
 from mbdkit.runs.accuracy.error_estimate import ErrorEstimate, Units, estimate_errors
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
 
 

@@ -28,7 +28,7 @@ from mbdkit.runs.accuracy.error_estimate import (
     assemble,
     running_norms,
 )
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 
 LEAST, ASSUMED = 0.25, 0.8
 """Least exponent of the error in the tolerance, below which differences do not fall; and the exponent where it is not

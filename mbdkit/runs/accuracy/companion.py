@@ -16,7 +16,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.stepping.interface import SAME_TIME, Stepper, Timetable
 from mbdkit.stepping.start import start_method
 

@@ -24,7 +24,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 
 LARGEST_RATIO = 0.6
 """Largest d12 / d01 of differences that count as falling: a little above those of a method of order 1, 0.5."""

@@ -17,7 +17,7 @@ from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.runs.accuracy.pilot_run import work_of
 from mbdkit.runs.accuracy.step_interpolation import StepStates
 from mbdkit.runs.preparation import guards, make_method, size_at_start, timetable
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
 from mbdkit.stepping.start import start_method

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mbdkit.runs.accuracy.error_estimate import LARGEST_ERROR, ErrorEstimate, Units, estimate_errors
-from mbdkit.runs.recorded_columns import ObservedRows
+from mbdkit.runs.recorded_states import ObservedRows
 
 TIME = np.linspace(0.0, 10.0, 201)
 UNITS = Units(length=1.0, speed=0.1, force=0.01)

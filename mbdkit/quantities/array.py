@@ -1,0 +1,268 @@
+"""Entries of the table of quantities: arrays of the archive, and those taken from the states of a mechanism."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.quantities.names import ArchiveNames
+    from mbdkit.quantities.states import States
+
+FLOAT = "<f8"
+INTEGER = "<i8"
+TEXT = "utf-8"
+MIXED = "mixed"
+
+COORDINATE_UNITS: Mapping[str, tuple[str, ...]] = {
+    "row_units": ("m", "m", "rad"),
+    "velocity_row_units": ("m/s", "m/s", "rad/s"),
+    "acceleration_row_units": ("m/s^2", "m/s^2", "rad/s^2"),
+}
+"""Units along the axis ``coordinate``, by the name of the array that holds them."""
+
+#: Axes that grow during a run: recorded rows, intervals between them, and events.
+GROWING = ("time", "interval", "event")
+
+_XY = slice(0, 2)
+
+
+@dataclass(frozen=True)
+class Array:
+    """One array of the archive.
+
+    Parameters
+    ----------
+    path
+        ``group/name`` in the file.
+    dims
+        Dimension scales of the axes: names of arrays in the same group.
+    units
+        SI units; ``mixed`` if they vary along an axis, ``1`` for names and counts.
+    long_name
+        Description, stored as the attribute ``long_name``.
+    dtype
+        ``<f8``, ``<i8`` or ``utf-8`` (variable-length strings).
+    row_units
+        If `units` is ``mixed``, the array in the same group that holds the units of each row.
+    optional
+        Whether an archive may lack the array.
+    since
+        Version of the format that introduced the array.
+    components
+        Names of the numbers along the axis ``axis`` or ``coordinate`` in tables and expressions; a single name takes
+        the place of that of the array. By default, the name of the array and those along the axis.
+    about
+        Descriptions of the first two components and of the third, where `long_name` describes all three.
+    texts
+        Returns the values of an array of names or units.
+    """
+
+    path: str
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    dtype: str = FLOAT
+    row_units: str = ""
+    optional: bool = False
+    since: str = "1.0"
+    components: tuple[str, ...] = ()
+    about: tuple[str, ...] = ()
+    texts: Callable[[ArchiveNames], Sequence[str]] | None = None
+
+    @cached_property
+    def group(self) -> str:
+        """Name of the array's group."""
+        return self.path.partition("/")[0]
+
+    @cached_property
+    def name(self) -> str:
+        """Name of the array within its group."""
+        return self.path.partition("/")[2]
+
+    @cached_property
+    def is_scale(self) -> bool:
+        """Whether the array is a dimension scale."""
+        return self.dims == (self.name,)
+
+    @cached_property
+    def grows(self) -> bool:
+        """Whether rows are appended during the run."""
+        return self.dims[0] in GROWING
+
+    @cached_property
+    def key(self) -> str:
+        """Key of the rows to append: the path of the array, or ``time`` for the times of all groups."""
+        return "time" if self.dims == ("time",) and self.is_scale else self.path
+
+
+@dataclass(frozen=True)
+class Recorded(Array):
+    """An array with a value for each recorded state, taken from the states of the mechanism.
+
+    Parameters
+    ----------
+    take
+        Returns the values of T states, with the axes of the array. Arrays of states may have a further axis with
+        derivatives at the end, which the result has then, too.
+    vector
+        Name of the first two components together in expressions; empty for scalars.
+    has_norm
+        Whether events know the vector as well, as its norm; measures have vectors themselves.
+    is_not_negative
+        Whether it is never negative, so that it cannot cross zero; a norm never is.
+    accumulates
+        Whether it is an integral over time, which is known in the recorded rows only.
+    no_derivative
+        Why it has no derivatives by parameters; empty if it has, unless redundant joints share it.
+    of_whole
+        Whether expressions have the sum over the elements of a beam; otherwise, a value in each of them.
+    is_shared
+        Whether it is not unique in redundant joints, which the attribute ``not_unique`` then lists.
+    is_history
+        Whether studies with ``store: histories`` keep it.
+    charts
+        How reports draw it.
+    """
+
+    take: Callable[[States], np.ndarray] = lambda states: states.time
+    vector: str = ""
+    has_norm: bool = False
+    is_not_negative: bool = False
+    accumulates: bool = False
+    no_derivative: str = ""
+    of_whole: bool = False
+    is_shared: bool = False
+    is_history: bool = False
+    charts: tuple[Chart, ...] = ()
+
+    @cached_property
+    def attributes(self) -> tuple[Attribute, ...]:
+        """The quantities of expressions that the array holds."""
+        if len(self.components) < 2:
+            name = self.components[0] if self.components else self.name
+            return (Attribute(self, name, None, "" if self.units == MIXED else self.units),)
+        units = COORDINATE_UNITS[self.row_units] if self.row_units else (self.units,) * 2
+        parts = (Attribute(self, *one) for one in zip(self.components, range(3), units, strict=False))
+        return (Attribute(self, self.vector, _XY, units[0]), *parts)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart of a report with the values of an array for each element of its kind.
+
+    Parameters
+    ----------
+    name, title, caption
+        Of the chart.
+    axis
+        Label of the values.
+    unit
+        Unit of the elements that it shows.
+    """
+
+    name: str
+    title: str
+    caption: str
+    axis: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """A quantity of expressions, such as ``force_x``: an array, or a part of its last axis.
+
+    Parameters
+    ----------
+    array
+        The array.
+    name
+        Name in expressions.
+    part
+        Part of the last axis; None for the whole array.
+    units
+        SI unit; empty if that of the element.
+    """
+
+    array: Recorded
+    name: str
+    part: int | slice | None
+    units: str
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it has an x and a y component."""
+        return isinstance(self.part, slice)
+
+    @property
+    def in_events(self) -> bool:
+        """Whether events may have it: it is known in every state, and a number."""
+        return not self.array.accumulates and (not self.is_vector or self.array.has_norm)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of objects that have quantities; its arrays are a group of the archive.
+
+    Parameters
+    ----------
+    arrays
+        The arrays in their order.
+    word
+        Attribute of `Run` with the objects by name, and their word in expressions; empty if they have neither.
+    one
+        What one of them is called.
+    example
+        Quantity that error messages name; empty if expressions do not have the kind.
+    axis
+        Axis of the arrays along which the objects are.
+    owner
+        Array with the name of the object of each element along this axis, if an object has several.
+    is_bare
+        Whether expressions may leave the word out.
+    is_chosen
+        Whether `output.quantities` chooses the group.
+    is_optional
+        Whether mechanisms may have none of them; the group is missing then.
+    may_be_unknown
+        Whether numbers may be nan.
+    unit_of
+        Returns the unit of the length or angle of an object, from which those of its quantities follow.
+    """
+
+    arrays: tuple[Array, ...]
+    word: str = ""
+    one: str = ""
+    example: str = ""
+    axis: str = ""
+    owner: str = ""
+    is_bare: bool = False
+    is_chosen: bool = False
+    is_optional: bool = False
+    may_be_unknown: bool = False
+    unit_of: Callable[[Mechanism, str], str] | None = None
+
+    @property
+    def group(self) -> str:
+        """Name of the group."""
+        return self.arrays[0].group
+
+    def index(self, name: str, names: ArchiveNames) -> int | slice:
+        """Return the index of an object along the axis, or the indices of its elements."""
+        texts = next(one.texts for one in self.arrays if one.name == (self.owner or self.axis))
+        assert texts is not None
+        found = list(texts(names))
+        first = found.index(name)
+        return slice(first, first + found.count(name)) if self.owner else first
+
+    @cached_property
+    def attributes(self) -> Mapping[str, Attribute]:
+        """Quantities of expressions by name; empty if expressions do not have the kind."""
+        axes = ("time", self.axis) if self.axis else ("time",)
+        of_one = [one for one in self.arrays if isinstance(one, Recorded) and one.dims[:2] == axes and not one.is_scale]
+        return {found.name: found for one in of_one for found in one.attributes if self.example}

@@ -1,0 +1,104 @@
+"""Names of the elements of a mechanism along the axes of an archive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+
+COORDINATES = ("x", "y", "theta")
+AXES = ("x", "y")
+
+
+@dataclass(frozen=True)
+class ArchiveNames:
+    """Names along the axes of an archive.
+
+    Parameters
+    ----------
+    bodies, joints
+        Names, in the order of the engine.
+    constraints
+        ``joint.row`` for every constraint row, such as ``J1.x``.
+    constraint_units
+        Unit of the constraint function of every constraint row, ``m`` or ``rad``.
+    joint_bodies
+        First and second body of every joint.
+    joint_units
+        Unit of the coordinate of every joint, ``rad`` or ``m``; by default, ``rad``.
+    forces, force_bodies
+        Names of the force elements, and first and second body of each.
+    force_units
+        Unit of the length of every force element, ``m`` or ``rad``.
+    markers, marker_bodies
+        Names of the markers, and the body of each.
+    elements, element_beams
+        Names of the elements of beams, and the beam of each.
+    observed, observed_units
+        Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
+    actuators, actuator_units
+        Names of the actuators, and the unit of the value of each, ``N`` or ``N m``.
+    loads, load_bodies
+        Names of the measured loads, and the body of each.
+    """
+
+    bodies: Sequence[str]
+    joints: Sequence[str]
+    constraints: Sequence[str]
+    constraint_units: Sequence[str]
+    joint_bodies: Sequence[tuple[str, str]]
+    joint_units: Sequence[str] = ()
+    forces: Sequence[str] = ()
+    force_bodies: Sequence[tuple[str, str]] = ()
+    force_units: Sequence[str] = ()
+    markers: Sequence[str] = ()
+    marker_bodies: Sequence[str] = ()
+    elements: Sequence[str] = ()
+    element_beams: Sequence[str] = ()
+    observed: Sequence[str] = ()
+    observed_units: Sequence[str] = ()
+    actuators: Sequence[str] = ()
+    actuator_units: Sequence[str] = ()
+    loads: Sequence[str] = ()
+    load_bodies: Sequence[str] = ()
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Lengths of the axes that do not grow, by name."""
+        return {
+            "body": len(self.bodies),
+            "coordinate": len(COORDINATES),
+            "joint": len(self.joints),
+            "axis": len(AXES),
+            "constraint": len(self.constraints),
+            "force": len(self.forces),
+            "marker": len(self.markers),
+            "element": len(self.elements),
+            "observed": len(self.observed),
+            "actuator": len(self.actuators),
+            "load": len(self.loads),
+        }
+
+
+@lru_cache(maxsize=16)
+def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
+    """Return the names of the elements of a mechanism."""
+    return ArchiveNames(
+        bodies=tuple(mechanism.bodies),
+        joints=tuple(mechanism.joints),
+        constraints=tuple(row.label for row in mechanism.rows),
+        constraint_units=tuple(row.unit for row in mechanism.rows),
+        joint_bodies=tuple(mechanism.joint_bodies),
+        joint_units=tuple(mechanism.joint_units),
+        forces=tuple(force.name for force in mechanism.forces),
+        force_bodies=tuple(force.bodies for force in mechanism.forces),
+        force_units=tuple(force.unit for force in mechanism.forces),
+        markers=tuple(name for name, _ in mechanism.markers),
+        marker_bodies=tuple(body for _, body in mechanism.markers),
+        elements=tuple(f"{beam}[{i}]" for beam, count in mechanism.beams for i in range(count)),
+        element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
+    )

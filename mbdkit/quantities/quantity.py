@@ -1,0 +1,86 @@
+"""Quantities as expressions name them, and their values in states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.quantities.array import Attribute, Kind
+from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.states import States
+from mbdkit.quantities.table import BY_WORD
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity of a run, such as ``joints.knee.force_x``.
+
+    Parameters
+    ----------
+    kind
+        Word of its kind in the table of quantities.
+    name
+        Name of the body, joint, ...; empty for ``energy``.
+    attribute
+        Name of the quantity in expressions.
+    element
+        Element of a beam, from 0; None for all elements together.
+    """
+
+    kind: str
+    name: str
+    attribute: str
+    element: int | None = None
+
+    def __str__(self) -> str:
+        return ".".join(filter(None, (self.kind, self.name, self.attribute)))
+
+    @property
+    def of(self) -> Kind:
+        """Its kind."""
+        return BY_WORD[self.kind]
+
+    @property
+    def is_over_time(self) -> bool:
+        """Whether it has a value in each recorded row; those of events have a single one."""
+        return self.attribute in self.of.attributes
+
+    @property
+    def recorded(self) -> Attribute:
+        """Its entry in the table; not of events."""
+        return self.of.attributes[self.attribute]
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it has an x and a y component."""
+        return self.is_over_time and self.recorded.is_vector
+
+    @property
+    def is_sum(self) -> bool:
+        """Whether it is the sum over all elements of its object."""
+        return bool(self.of.owner) and self.recorded.array.of_whole and self.element is None
+
+    @property
+    def beam(self) -> str:
+        """Name of the beam in each of whose elements it has a value; empty for other quantities."""
+        return self.name if self.of.owner and self.element is None and not self.is_sum else ""
+
+    def select(self, own: np.ndarray) -> np.ndarray:
+        """Return the quantity from the values (T, ...) of its object in its array.
+
+        It is (T,), (T, 2) for a vector, and (T, elements) along a beam.
+        """
+        if self.is_sum:
+            return np.asarray(np.sum(own, axis=1))
+        part = self.recorded.part if self.element is None else self.element
+        return own if part is None else own[:, part]
+
+    def taker(self, names: ArchiveNames) -> Callable[[States], np.ndarray]:
+        """Return a function that takes the quantity from T states; see `select` for the shape of its values."""
+        take = self.recorded.array.take
+        if not self.of.axis:
+            return take
+        index = self.of.index(self.name, names)
+        return lambda states: self.select(take(states)[:, index])

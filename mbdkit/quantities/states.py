@@ -1,0 +1,118 @@
+"""States of a mechanism, and what quantities are taken from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.joint_sums import joint_sums
+from mbdkit.engine.kernels.observe import Observed
+
+NONE = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class States:
+    """T states of a mechanism.
+
+    All arrays but `time` may have a further last axis: the value, then its derivatives by parameters.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism.
+    time
+        (T,) times [s].
+    q, v
+        (T, 3 (B + 1)) positions and velocities, ground last.
+    observe
+        Returns the accelerations, residuals, reactions, forces and energies of the states; called once, and only if
+        they are needed.
+    work, dissipated
+        (T,) work of loads and drivers, and dissipated energy, since the start [J]; empty where not known.
+    start_energy
+        Total energy at the start of the run [J]; (T,) for states of several runs.
+    actuators
+        (T, A, 2) value and power of each actuator of inverse dynamics.
+    elapsed
+        (T,) wall time since the first step [s]; empty where not known.
+    multipliers
+        (T, m) multipliers computed by the method; None where it has none, as at the start.
+    """
+
+    mechanism: CompiledMechanism
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    observe: Callable[[], Observed]
+    work: np.ndarray = field(default_factory=lambda: NONE)
+    dissipated: np.ndarray = field(default_factory=lambda: NONE)
+    start_energy: float | np.ndarray = 0.0
+    actuators: np.ndarray = field(default_factory=lambda: NONE)
+    elapsed: np.ndarray = field(default_factory=lambda: NONE)
+    multipliers: np.ndarray | None = None
+
+    @cached_property
+    def observed(self) -> Observed:
+        """Accelerations, residuals, reactions, forces and energies of the states."""
+        return self.observe()
+
+    def by_body(self, x: np.ndarray) -> np.ndarray:
+        """Reshape coordinates (T, 3 (B + 1)) to (T, B, 3), without ground."""
+        return x[:, :-3].reshape(len(x), x.shape[1] // 3 - 1, 3, *x.shape[2:])
+
+    @property
+    def coordinate(self) -> np.ndarray:
+        """(T, J) angle or travel of each joint [rad or m]."""
+        return self.observed.joints[:, :, 0]
+
+    @cached_property
+    def misalignment(self) -> np.ndarray:
+        """(T, J) misalignment [m]."""
+        return joint_sums(self.mechanism).misalignment(self.observed.phi)
+
+    @property
+    def velocity_misalignment(self) -> np.ndarray:
+        """(T, J) misalignment of velocities [m/s]."""
+        return joint_sums(self.mechanism).misalignment(self.observed.phi_rate)
+
+    @property
+    def angle_misalignment(self) -> np.ndarray:
+        """(T, J) misalignment of angles [rad]."""
+        return joint_sums(self.mechanism).angle_misalignment(self.observed.phi)
+
+    @cached_property
+    def reactions(self) -> np.ndarray:
+        """(T, J, 3) reaction force (x, y) [N] and torque [N m] of each joint."""
+        x = self.observed.reactions
+        summed = joint_sums(self.mechanism).sum(x.reshape(*x.shape[:2], math.prod(x.shape[2:])))
+        return summed.reshape(*summed.shape[:2], *x.shape[2:])
+
+    def by_row(self, values: np.ndarray) -> np.ndarray:
+        """Return the values (T, m) of the constraint rows, in the order of the archive, from those of pairs."""
+        return joint_sums(self.mechanism).by_row(values)
+
+    @cached_property
+    def multiplier(self) -> np.ndarray:
+        """(T, m) index-1 multipliers."""
+        return self.by_row(self.observed.lam)
+
+    @property
+    def method_multiplier(self) -> np.ndarray:
+        """(T, m) multipliers computed by the method; index-1 multipliers at the start, where it has none."""
+        return self.multiplier if self.multipliers is None else self.multipliers
+
+    @cached_property
+    def total_energy(self) -> np.ndarray:
+        """(T,) kinetic and potential energy [J]."""
+        return np.asarray(self.observed.kinetic + self.observed.potential)
+
+    @cached_property
+    def balance(self) -> np.ndarray:
+        """(T,) change of total energy since the start, plus dissipated energy, minus work [J]."""
+        return np.asarray(self.total_energy + self.dissipated - self.work - self.start_energy)
