@@ -18,7 +18,7 @@ def edges(time: np.ndarray, number: int = BLOCKS) -> np.ndarray:
     time
         (T,) increasing times [s].
     number
-        Maximum number of blocks; reduced so that each has four rows on average.
+        Maximum number of blocks; reduced so that each has at least four rows on average.
     """
     count = max(1, min(number, len(time) // 4))
     borders = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1], side="left")

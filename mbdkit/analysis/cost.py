@@ -70,7 +70,7 @@ def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float)
 
 
 def work_for(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
-    """Return the least cost from which on the result is at most `wanted`.
+    """Return the smallest cost above which the result is always at most `wanted`.
 
     Parameters
     ----------

@@ -17,7 +17,8 @@ Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"
 FEWEST = 6
 """Minimum number of blocks needed to determine a law."""
 CLEAR = 4.0
-"""Difference in AICc from which a law counts as worse; Burnham and Anderson call 4 to 7 considerably less support."""
+"""Difference in AICc above which a law counts as worse; Burnham and Anderson call 4 to 7 "considerably less
+support"."""
 LOOSE = math.log(2.0)
 """Scatter of the logarithms of the block maxima about the best law above which the law is unclear."""
 STEADY = 1.5

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 RESAMPLES = 1000
-"""Number of bootstrap samples; with 1000, the ends of a 95 % interval are quantiles with 25 values outside."""
+"""Number of bootstrap samples; with 1000, 25 values lie beyond each end of a 95 % interval."""
 
 ROUND_OFF = 1e-13
 """Largest range of values, relative to their magnitude, that counts as rounding errors."""
@@ -39,14 +39,14 @@ def sobol_indices(
     """Return the Sobol indices of values from a Saltelli design.
 
     The estimator of first-order indices is (b) in table 2 of [1]_, that of total indices is (f) there, from [2]_; they
-    are those of `scipy.stats.sobol_indices`. Intervals are quantiles of the bootstrap over the rows, as if these were
-    independent; rows of a Sobol or Halton sequence give smaller errors than that.
+    are those of `scipy.stats.sobol_indices`. Intervals are bootstrap quantiles over the rows, which are treated as
+    independent; for a Sobol or Halton sequence, the actual errors are smaller.
 
     Parameters
     ----------
     values
-        (n, d + 2) finite values. Each row is from the point of matrix A, that of B, and the d points of A in which one
-        coordinate is that of B.
+        (n, d + 2) finite values. Each row contains the values at a point of matrix A, at one of matrix B, and at the d
+        points of A in which one coordinate is replaced by that of B.
     confidence
         Probability of the intervals.
     resamples

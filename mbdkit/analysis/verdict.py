@@ -36,10 +36,10 @@ __all__ = [
     "together",
     "told",
 ]
-# A verdict of a study imports all that it consists of from here.
+# Re-exported, so that a study imports all parts of its verdict from here.
 
 MARGIN = 1.05
-"""Within this factor of a limit the answer is open; differences between machines are smaller."""
+"""Within this factor of a limit the answer is open; the factor is larger than differences between machines."""
 
 
 class Answer(StrEnum):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Load:
-    """How a force or torque loads what carries it, over a stretch of time.
+    """Load by a force or torque over an interval of time.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Work:
-    """Power over a stretch of time.
+    """Power over an interval of time.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class ElementWorkload:
     torque
         Reaction torque of a joint that carries one; None otherwise.
     work
-        Work of an actuator; None for joints, which do none.
+        Work of an actuator; None for joints, which do no work.
     """
 
     name: str
@@ -192,7 +192,7 @@ def workload(
 ) -> Workload:
     """Compute the workload of the joints and actuators of a run.
 
-    Between rows, quantities are straight lines; loading rates are the slopes of these lines.
+    Quantities are interpolated linearly between rows; loading rates are the slopes of these lines.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def workload(
     """
     time = run.time
     if len(time) < 2:
-        raise SpecError("a workload needs a run with at least two rows")
+        raise SpecError("a workload needs a run with at least two recorded times")
     every = _series_of(run)
     start, end = float(time[0]), float(time[-1])
 
@@ -264,7 +264,7 @@ def _parts(
 
 
 def _series_of(run: Run) -> list[_Series]:
-    """Return the joints that carry something, and the actuators or drivers of a run."""
+    """Return the joints that transmit a force or torque, and the actuators or drivers of a run."""
     drivers = () if run.kind == "inverse" else run.drivers
     found = []
     bars = run.accuracy if run.kind == "inverse" else None
@@ -322,7 +322,7 @@ def _phase_text(phase: Phase) -> str:
 
 
 def _rows(one: ElementWorkload) -> list[tuple[str, ...]]:
-    """Return the rows of one element in the table: its force, or value, and its torque."""
+    """Return the table rows of one element: its force, or value, and its torque."""
     work = one.work
     powers = ("", "", "")
     if work is not None:

@@ -1,1 +1,1 @@
-"""What every room may use and what knows no mechanics: errors, text, files, units, plain data, strict models, logs."""
+"""General tools without mechanics, for all rooms: errors, text, files, units, plain data, strict models, logs."""

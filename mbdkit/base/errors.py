@@ -53,14 +53,14 @@ class SpecError(MbdkitError, ValueError):
 
 
 class ResourceError(MbdkitError):
-    """The computer refused a resource: disk space, memory, a permission, or a file that another process uses.
+    """A resource is not available: disk space, memory, a permission, or a file that another process uses.
 
-    The input is not the cause, so that the same call may succeed later.
+    The input is not the cause, and the same call may succeed later.
 
     Parameters
     ----------
     message
-        What was refused and why.
+        Which resource is not available, and why.
     file
         The file or folder concerned, if any.
     """
@@ -97,7 +97,7 @@ class PluginError(MbdkitError):
 
 @contextmanager
 def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
-    """Convert whatever a plugin raises in this block, an exit included, to a PluginError that begins with `what`.
+    """Convert any exception of a plugin in this block, including SystemExit, to a PluginError that begins with `what`.
 
     Ctrl-C, errors of mbdkit about the input or a plugin, and the `expected` exceptions pass unchanged.
     """
@@ -111,13 +111,13 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
 
 
 _NO_PLUGINS = frozenset({"mbdkit", "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"})
-"""Packages that call plugins, and those that plugins call."""
+"""Packages that call plugins, and packages that plugins call."""
 
 
 def with_place(error: BaseException) -> str:
     """Return an exception of a plugin on one line, with the file and line of the plugin where it was raised, if any.
 
-    The line is the last one of the package that was called first, so that an exception raised in a library is told
+    The line is the last one of the package that was called first, so that an exception raised in a library is reported
     with the line of the plugin that called the library.
     """
     place = _place_of(error)

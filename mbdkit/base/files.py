@@ -1,4 +1,6 @@
-"""Writes files: checks where, writes beside, and renames at the end, so that no failure harms what was there before."""
+"""Safe writing of files: to a temporary file that is renamed at the end, so that no failure damages an existing
+file.
+"""
 
 from __future__ import annotations
 
@@ -36,10 +38,10 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     Parameters
     ----------
     overwrite
-        Whether an existing regular file may be replaced. Nothing else is ever replaced: no folder, device, pipe, socket
-        or symbolic link.
+        Whether an existing regular file may be replaced. Folders, devices, pipes, sockets and symbolic links are never
+        replaced.
     source
-        The input, which is never replaced; None or ``-`` if it is no file.
+        The input, which is never replaced; None or ``-`` if it is not a file.
     suffix
         Suffix of the name that is suggested if `path` is a folder; by default that of `path`.
 
@@ -71,7 +73,7 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
 
 
 def check_folder(folder: Path, path: Path) -> None:
-    """Raise SpecError about `path`, which is to be created in `folder`, if that is no folder."""
+    """Raise SpecError about `path`, which is to be created in `folder`, if `folder` is not a folder."""
     if not os.path.isdir(folder):
         what = "is not a folder" if os.path.exists(folder) else "does not exist; create it first"
         raise SpecError(f"the folder {folder} {what}", file=path)
@@ -84,7 +86,7 @@ def check_writable(folder: Path, path: Path) -> None:
 
 
 def check_not_input(path: Path, source: str | Path | None) -> None:
-    """Raise SpecError if `path` is the file `source`, the input of a command; None or ``-`` if that is no file."""
+    """Raise SpecError if `path` is the file `source`, the input of a command; None or ``-`` if that is not a file."""
     if source in (None, "-") or not os.path.isfile(path) or not os.path.isfile(str(source)):
         return
     if os.path.samefile(path, str(source)):
@@ -95,8 +97,8 @@ def check_not_input(path: Path, source: str | Path | None) -> None:
 def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None = None) -> Iterator[Path]:
     """Yield a temporary file in the folder of `target`; it becomes `target` if the block succeeds.
 
-    The temporary file, ``.NAME-xxxxxxxx.mbdkit.SUFFIX``, is locked while it is being written. One that a killed process
-    left is removed when `target` is written the next time.
+    The temporary file, ``.NAME-xxxxxxxx.mbdkit.SUFFIX``, is locked while it is being written. A temporary file left by
+    a killed process is removed when `target` is written the next time.
 
     Parameters
     ----------
@@ -118,7 +120,7 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
         yield temporary
         os.fsync(lock)
         if os.path.lexists(target) and not stat.S_ISREG(os.lstat(target).st_mode):
-            check_output(target, overwrite=overwrite)  # it appeared meanwhile
+            check_output(target, overwrite=overwrite)  # another process has created it since the check
         if overwrite:
             temporary.replace(target)
         else:
@@ -166,7 +168,7 @@ def rename_new(source: Path, target: Path) -> None:
 
 def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
     """Remove temporary files of killed processes; those of running ones are locked."""
-    if sys.platform == "win32":  # locks are not visible there
+    if sys.platform == "win32":  # whether a file is locked cannot be determined there
         return
     with os.scandir(folder) as entries:
         left = [entry.name for entry in entries if pattern.fullmatch(entry.name)]
@@ -181,7 +183,7 @@ def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
 
 
 def _locked(handle: int, *, wait: bool = False) -> bool:
-    """Lock an open file, and return whether that was possible; `wait` until another process unlocks it."""
+    """Lock an open file, and return whether that was possible; with `wait`, wait until another process unlocks it."""
     if sys.platform == "win32":
         return True
     import fcntl

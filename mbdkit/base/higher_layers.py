@@ -1,7 +1,7 @@
 """Functions of higher rooms that lower rooms call; ``mbdkit/__init__.py`` assigns them.
 
-Imports point down: a room cannot import the rooms that are built on it. Where an object of a lower room offers what a
-higher room computes, such as `Mechanism.to_sympy`, it calls one of these functions.
+Imports point down: a room cannot import the rooms that are built on it. A method of a lower room that needs a higher
+one, such as `Mechanism.to_sympy`, calls one of these functions.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What stops a run or a command: Ctrl-C, and the signals SIGTERM and SIGHUP, which have the same effect."""
+"""Interruption of runs and commands by Ctrl-C and by the signals SIGTERM and SIGHUP, which have the same effect."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def interrupts_noted(note: Callable[[], None]) -> Iterator[None]:
     """Call `note` on Ctrl-C, SIGTERM and SIGHUP instead of ending the block; has no effect outside the main thread.
 
     After the block, SIGTERM and SIGHUP are delivered again if the program that called mbdkit does not treat them as
-    Ctrl-C: it ends then, or does what it has chosen to do.
+    Ctrl-C: their default action, or the program's own handler, then takes effect.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -98,7 +98,7 @@ def _watch_second_sigterm() -> Callable[[], None]:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    if before != -1:  # that of a watch that runs already, or of the calling program
+    if before != -1:  # set by a thread that runs already, or by the calling program
         signal.set_wakeup_fd(before, warn_on_full_buffer=False)
         os.close(reading)
         os.close(writing)

@@ -1,6 +1,6 @@
 """The loggers of modules, such as `mbdkit.runs.simulation`; they are silent unless a program configures `logging`.
 
-Level INFO tells the start and the end of runs and studies, WARNING their warnings and runs that stop early, DEBUG
+Level INFO reports the start and the end of runs and studies, WARNING their warnings and runs that stop early, DEBUG
 details. Warnings about plugins and the cache go to the logger `mbdkit` itself, which prints them on stderr by default.
 """
 
@@ -12,7 +12,7 @@ import logging
 def logger_of(module: str) -> logging.Logger:
     """Return the logger of a module, such as ``mbdkit.runs.simulation``.
 
-    Its own handler does nothing: without one, logging would print warnings that are on stderr already.
+    Its own handler does nothing: without a handler, logging would print warnings that are on stderr already.
     """
     logger = logging.getLogger(module)
     logger.addHandler(logging.NullHandler())

@@ -1,7 +1,7 @@
-"""Linear algebra on one thread, so that the bits of results do not depend on how many threads a computer has.
+"""Linear algebra on one thread, so that results are bitwise identical for any number of threads.
 
 The libraries behind NumPy and SciPy split sums among threads. A study of many runs computes several of them at once and
-gives each run one thread; a run alone must have the same bits.
+gives each run one thread; a single run must give the same bits.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ def one_thread_of_linear_algebra() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _controller() -> Any:
-    """Return what controls the threads of the libraries that are loaded; looking for them takes some 10 ms."""
+    """Return the controller of the thread pools of the loaded libraries; it is cached, because creating it takes about
+    10 ms.
+    """
     import scipy.linalg  # noqa: F401  loads the library of SciPy
     from threadpoolctl import ThreadpoolController
 

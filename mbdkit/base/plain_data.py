@@ -20,10 +20,10 @@ from mbdkit.base.text import listed, shown
 Path = tuple[str | int, ...]
 
 DEEPEST = 100
-"""Levels of mappings and lists in a spec."""
+"""Largest number of nested mappings and lists in a spec."""
 
 LONGEST_TITLE = 10_000
-"""Characters of a title; pictures with longer ones take minutes."""
+"""Largest number of characters of a title; drawing longer ones takes minutes."""
 
 LARGEST_NUMBER = int(sys.float_info.max)
 """Largest magnitude of a whole number in a spec: that of a number in double precision."""
@@ -31,7 +31,7 @@ LARGEST_NUMBER = int(sys.float_info.max)
 
 @contextmanager
 def without_collection() -> Iterator[None]:
-    """Pause the cyclic garbage collector, which would take half of the time in which large plain data are built."""
+    """Pause the cyclic garbage collector, which would take half of the time for building large plain data."""
     before = gc.isenabled()
     gc.disable()
     try:
@@ -45,7 +45,7 @@ def without_collection() -> Iterator[None]:
 def collecting_new_objects_only() -> Iterator[None]:
     """Hide the objects that exist from the cyclic garbage collector.
 
-    Otherwise it would go through all modules again and again, which takes a sixth of the time of a block of runs.
+    Otherwise it would traverse all modules repeatedly, which takes a sixth of the time of a block of runs.
     """
     gc.freeze()
     try:
@@ -65,7 +65,7 @@ def path_text(path: Path) -> str:
 def parse_path(text: str) -> Path:
     """Return the parts of a key path such as ``model.joints.A.bodies[1]``; the inverse of `path_text`.
 
-    No spec is deeper than `DEEPEST` levels, so that at most one part more is returned.
+    Since specs have at most `DEEPEST` levels, at most one part more is returned.
     """
     parts: list[str | int] = []
     for word in text.split(".", DEEPEST) if text else ():

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from mbdkit.base.text import counted, shown
 
 PATIENCE = 0.5
-"""Time before the bar of a run appears [s]."""
+"""Duration of a run after which its bar appears [s]."""
 _PAUSE = 0.1
 """Least time between two changes of a bar in a notebook [s]."""
 
@@ -26,9 +26,9 @@ class _Bar(Protocol):
 
 @contextmanager
 def _drawing(what: str, quiet: bool, patience: float = 0.0) -> Iterator[Callable[[float | None, str], None] | None]:
-    """Yield a function that draws a bar from a share, None if that is not known, and a note.
+    """Yield a function that draws a bar from a fraction (None if it is unknown) and a note.
 
-    Yields None if `quiet` is set, or if this is no notebook and stderr is not a terminal.
+    Yields None if `quiet` is set, or if stderr is not a terminal outside of a notebook.
     """
     make = None if quiet else _kind_of_bar()
     if make is None:
@@ -81,7 +81,7 @@ def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, in
 
 @contextmanager
 def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield a function of (runs done, failed runs) that draws a bar of work whose end is not known; see `_drawing`."""
+    """Yield a function of (runs done, failed runs) that draws a bar for work of unknown length; see `_drawing`."""
     with _drawing(what, quiet) as draw:
 
         def advance(done: int, failed: int) -> None:
@@ -96,7 +96,7 @@ def _failed(count: int) -> str:
 
 
 def in_notebook() -> bool:
-    """Return whether this process is the kernel of a notebook; IPython is not imported to find out."""
+    """Return whether this process is the kernel of a notebook, without importing IPython."""
     get_shell = getattr(sys.modules.get("IPython"), "get_ipython", None)
     return get_shell is not None and getattr(get_shell(), "kernel", None) is not None
 

@@ -20,8 +20,8 @@ STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=Fals
 class StrictModel(BaseModel):
     """Base class of elements, options and sections of a spec; attribute docstrings are descriptions in the schema.
 
-    They are read from the source when they are needed. Pydantic's ``use_attribute_docstrings`` reads them whenever a
-    class is defined, which took 0.2 s at every start of the program.
+    They are read from the source on demand. Pydantic's ``use_attribute_docstrings`` would read them whenever a class is
+    defined, which took 0.2 s at every start of the program.
     """
 
     model_config = ConfigDict(**STRICT)
@@ -39,7 +39,9 @@ class StrictModel(BaseModel):
 
 
 def description(model: type[BaseModel], name: str) -> str:
-    """Return the description of a field: that given to pydantic, or the docstring below it; empty without both."""
+    """Return the description of a field: that given to pydantic, or else the docstring below it, or else an empty
+    string.
+    """
     given = model.model_fields[name].description
     return given if given is not None else _docstrings(model).get(name, "")
 
@@ -58,7 +60,7 @@ def _docstrings(model: type[BaseModel]) -> Mapping[str, str]:
 
 
 def _definition(model: type) -> ast.ClassDef | None:
-    """Return the source of a class; None if it has none, like classes that are made at run time."""
+    """Return the source of a class; None for classes that are created at run time."""
     try:
         file = inspect.getsourcefile(model)
     except TypeError:

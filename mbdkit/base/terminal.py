@@ -28,7 +28,8 @@ DEBUG, JSON = "mbdkit.debug", "mbdkit.json"
 
 
 class PlainStream:
-    """A text stream that escapes control characters: titles, names and messages from outside must not steer a terminal.
+    """A text stream that escapes control characters: titles, names and messages from files must not control the
+    terminal.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ class Commands(TyperGroup):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments, and note whether JSON is asked for."""
+        """Parse the arguments, and note whether JSON is requested."""
         ctx.meta[JSON] = "--json" in args
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
@@ -106,7 +107,7 @@ class _Results:
         try:
             print(text, file=self.stream, flush=True)
         except OSError:
-            with suppress(OSError, ValueError):  # Python would try again at the exit, and print a warning
+            with suppress(OSError, ValueError):  # otherwise, Python would try again at exit and print a warning
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
             raise
         self.shown = True
@@ -168,13 +169,13 @@ def _json_error(message: str, status: int, error: BaseException | None = None) -
 def open_streams() -> None:
     """Open the null device in place of standard streams that are closed, as after ``2>&-``.
 
-    Otherwise the next file that is opened would receive what is written to these streams.
+    Otherwise the next file opened would get the descriptor of such a stream, and output would be written into it.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # becomes the lowest free number, which is this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor, which is this one
         if getattr(sys, name) is None:
             stream = os.fdopen(number, "w" if number else "r", encoding="utf-8")
             setattr(sys, name, stream)

@@ -6,7 +6,7 @@ import difflib
 import unicodedata
 from collections.abc import Iterable, Sequence
 
-#: Marks that reverse or hide text, beside the control characters.
+#: Unicode characters that reverse or hide text, in addition to control characters.
 _DECEPTIVE = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff")
 
 
@@ -53,7 +53,7 @@ def shortened(text: str) -> str:
 
 
 def shown(text: object, *, lines: bool = False) -> str:
-    r"""Return text from outside as it may be printed: control characters, such as those of a terminal, as ``\u001b``.
+    r"""Return text from files with control characters, such as those of a terminal, escaped as ``\u001b``.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ _MARKED = str.maketrans({char: f"\\{char}" for char in "\\`*_[]|#~$"} | {"<": "&
 
 
 def markdown(text: str) -> str:
-    """Return text from outside as plain text of one line in Markdown, which shows its characters and obeys none."""
+    """Return text from files as one line of Markdown in which all special characters are escaped."""
     words = " ".join(shown(part) for part in text.split())
     start = "\\" if words[:1] in ("-", "+", "=") and not _is_number(words) else ""
     return start + words.translate(_MARKED)
@@ -92,7 +92,9 @@ def _is_number(word: str) -> bool:
 
 
 def csv_cell(text: str) -> str:
-    """Return text from outside as a cell that spreadsheets do not take for a formula: preceded by an apostrophe."""
+    """Return text from files as a cell of a table, preceded by an apostrophe if a spreadsheet would evaluate it as a
+    formula.
+    """
     text = shown(text)
     return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text
 

@@ -125,7 +125,7 @@ def _power(name: str, exponent: Fraction) -> str:
 
 
 def read_unit(text: str) -> Unit:
-    """Return the unit that a text names: symbols with integer powers, multiplied by blanks or ``*``, divided by ``/``.
+    """Parse the text of a unit: symbols with integer powers, multiplied by blanks or ``*``, divided by ``/``.
 
     Raises
     ------

@@ -29,7 +29,7 @@ from mbdkit.spec.named_actuators import NamedActuator, actuators_of
 
 @dataclass(frozen=True)
 class InverseProblem:
-    """A spec with its mechanism and all that it names: nothing is computed yet.
+    """A spec with its mechanism, data and actuators; the results are not computed yet.
 
     Attributes
     ----------
@@ -125,19 +125,21 @@ class Inverse:
         if len(motion.coordinates) > 1:
             when = listed([f"{motion.time[begin]:.6g} s" for begin, _ in motion.coordinates[1:]], "and")
             told.append(
-                f"no independent coordinates determine the motion well all the time, so they change at t = {when}; "
-                "smoothing may leave small jumps there."
+                f"no set of independent coordinates determines the motion well at all times, so that the set changes "
+                f"at t = {when}; the smoothed motion may have small discontinuities there."
             )
         if dynamics.surplus:
             told.append(
                 f"{counted(len(problem.actuators), 'actuator')} drive "
                 f"{counted(len(problem.actuators) - dynamics.surplus, 'degree')} of freedom, so their values are not "
-                "unique: the sum of (weight * value)^2 is least, torques divided by the characteristic length "
+                "unique: the sum of (weight * value)^2 is minimised, with torques divided by the characteristic length "
                 f"({problem.fitter.manifold.length:.4g} m)."
             )
         if problem.spec.unbalanced == "report" and np.any(dynamics.unbalanced):
             worst = largest_unbalanced(dynamics, problem.fitter.bodies)
-            told.append(f"the actuators cannot produce the motion: {worst} stay unbalanced, by least squares.")
+            told.append(
+                f"the actuators cannot produce the motion: in the least-squares solution, {worst} remain unbalanced."
+            )
         return tuple(told)
 
 
@@ -147,7 +149,7 @@ def fit(problem: InverseProblem) -> Fitted:
     Raises
     ------
     SpecError
-        If the columns do not determine the motion; the message names the bodies that nothing observes.
+        If the columns do not determine the motion; the message names the bodies that are not observed.
     RunError
         If no pose is found.
     """

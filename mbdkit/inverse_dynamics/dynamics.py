@@ -3,8 +3,8 @@
     M a + Phi_q^T lambda = Q + Q_loads + B u
 
 with the values u of the actuators and the multipliers lambda as unknowns. The projection on the free directions N of
-the mechanism gives ``N^T B u = N^T (M a - Q - Q_loads)``; then lambda balances what is left. No mass is divided by, so
-that light bodies do no harm.
+the mechanism gives ``N^T B u = N^T (M a - Q - Q_loads)``; then lambda balances the remaining forces. There is no
+division by masses, so that bodies with little mass cause no large errors.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.spec.named_actuators import NamedActuator
 
 WEAK = 1e-8
-"""Effect of the actuators on a free direction below which, relative to the largest effect, they do not drive it."""
+"""A free direction counts as not driven if the effect of the actuators on it is below this share of the largest
+effect."""
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """What produces a motion in T frames.
+    """The forces that produce a motion in T frames.
 
     Attributes
     ----------
@@ -58,12 +59,12 @@ def solve_dynamics(
     Parameters
     ----------
     report
-        Whether actuators that cannot produce the motion are accepted; the unbalanced forces are then least.
+        Whether actuators that cannot produce the motion are accepted; the unbalanced forces are then minimised.
 
     Raises
     ------
     SpecError
-        If the actuators cannot produce the motion; the message names bodies that nothing drives.
+        If the actuators cannot produce the motion; the message names bodies that are not driven.
     RunError
         If the mechanism passes a singular position, where reactions are not determined.
     """
@@ -164,7 +165,7 @@ def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, motion: Mo
         raise SpecError(
             f"no actuator drives {fitter.names_of(np.abs(undriven).max(axis=1))}{where}: "
             f"{counted(effect.shape[2], 'actuator')} for {counted(freedoms, 'degree')} of freedom; add "
-            f"{counted(missing, 'actuator')}, or use `unbalanced: report` to see what stays unbalanced",
+            f"{counted(missing, 'actuator')}, or use `unbalanced: report` to report the unbalanced forces",
             key="actuators",
         )
     return rank

@@ -1,10 +1,10 @@
 """Error bars of the results of inverse dynamics: from the noise of the data, and from the choice of the cutoff.
 
-Noise is Gaussian and independent from row to row. Samples of it, passed through the linearised fit and the smoothing,
-give the covariance of coordinates, rates and accelerations in each frame; central differences of the dynamics turn it
-into that of forces. Loads are not smoothed, so that their noise adds to this covariance as it is. To all this, the
-change of the result with the cutoff is added by root sum of squares: the mean of the squared changes with a lower and a
-higher cutoff, less the mean square that noise alone makes of them.
+Noise is Gaussian and independent from sample to sample. Samples of it, passed through the linearised fit and the
+smoothing, give the covariance of coordinates, rates and accelerations in each frame; derivatives of the dynamics by
+central differences give the covariance of the forces. Loads are not smoothed, so that their noise is added to this
+covariance unchanged. The effect of the cutoff is added by root sum of squares: the mean of the squared changes of the
+result with a lower and a higher cutoff, minus the mean square change caused by noise alone.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class ErrorBars:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Quantities with error bars: actuators (T, U), reactions (T, J, 3), positions and velocities (T, B, 3)."""
+    """Results that have error bars: actuators (T, U), reactions (T, J, 3), positions and velocities (T, B, 3)."""
 
     actuators: np.ndarray
     reactions: np.ndarray
@@ -97,8 +97,8 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     Returns
     -------
     ErrorBars or None
-        None if none are asked for, if the motion came with derivatives, or if the noise of a column is neither stated
-        nor seen in the residuals.
+        None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
+        stated nor can be estimated from the residuals.
     """
     begin = time.perf_counter()
     problem, fitted, independent = result.problem, result.fitted, result.independent
@@ -138,7 +138,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
 def _covariances(
     path: NoisePath, deviation: np.ndarray, asked: Asked, how: list[list[Smoothing]], random: np.random.Generator
 ) -> list[np.ndarray]:
-    """Return covariances (T, 3 U, 3 U) of the coordinates, their rates and accelerations in each frame by noise.
+    """Return covariances (T, 3 U, 3 U), due to noise, of the coordinates, their rates and accelerations in each frame.
 
     The first is that of the first smoothing; the others are those of the differences from it.
     """
@@ -173,7 +173,7 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
 def _with_loads(
     result: Inverse, sensitivity: list[np.ndarray], covariance: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the derivatives of each part of the outcome, and the covariance, with the noise of the loads added.
+    """Return the derivatives of each part of the outcome, and the covariance, both including the noise of the loads.
 
     Each of their C noisy components is one more variable in each frame, as independent of the others as of the motion.
     """
@@ -196,7 +196,7 @@ def _with_loads(
 
 
 def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
-    """Return the bounds of actuators, reaction forces, torques, positions and velocities by noise."""
+    """Return the bounds, due to noise, of actuators, reaction forces, torques, positions and velocities."""
     reactions, factor = sensitivity[1], np.sqrt(chi2.ppf(LEVEL, 1))
     x, y = reactions[..., 0], reactions[..., 1]
     found = [factor * np.sqrt(one) for one in _squares(sensitivity, covariance)]
@@ -205,7 +205,7 @@ def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.nd
 
 
 def _squares(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
-    """Return the mean squares of actuators, norms of forces, torques, positions and velocities by noise."""
+    """Return the mean squares, due to noise, of actuators, norms of forces, torques, positions and velocities."""
     actuators, reactions, position, velocity = sensitivity
     x, y, torque = (_product(one, one, covariance) for one in np.moveaxis(reactions, -1, 0))
     own, place, rate = (_product(one, one, covariance) for one in (actuators, position, velocity))
@@ -241,7 +241,7 @@ class _OtherCutoff:
 
 
 def _other_cutoffs(response: _Response, coordinates: np.ndarray, how: list[Smoothing]) -> list[_OtherCutoff]:
-    """Return the other cutoffs that the rows allow."""
+    """Return the other cutoffs that the sampling rate allows."""
     times, base = response.result.motion.time, _outcome(response.result)
     found = []
     for factor in CUTOFFS:
@@ -250,7 +250,7 @@ def _other_cutoffs(response: _Response, coordinates: np.ndarray, how: list[Smoot
             continue
         try:
             series = smoothed_each(times, coordinates, moved)
-        except SpecError:  # the cutoff is too high for the rows
+        except SpecError:  # the cutoff is too high for the sampling rate
             continue
         one = response(series).minus(base)
         force, torque = np.linalg.norm(one.reactions[..., :2], axis=2), one.reactions[..., 2]
@@ -276,12 +276,12 @@ def _method(result: Inverse, deviation: np.ndarray, factors: list[float]) -> str
     of_loads = f"; noise of loads with the standard deviations {listed(loads, 'and')}" if loads else ""
     cutoff = (
         f", and the mean square change of the result with {listed([f'{one:g}' for one in factors], 'and')} times the "
-        "cutoff beyond that which noise makes, by root sum of squares"
+        f"cutoff, minus that caused by noise, by root sum of squares"
         if factors
         else "; no cutoff was varied"
     )
     return (
-        f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from row to "
-        f"row, with the standard deviations {shown}, passed through the linearised fit, smoothing and dynamics"
+        f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
+        f"to sample, with the standard deviations {shown}, passed through the linearised fit, smoothing and dynamics"
         f"{of_loads}{cutoff}."
     )

@@ -16,27 +16,28 @@ ROUND_OFF = 1e-13
 """Scaled step below which an iteration has converged."""
 
 STAGNANT = 1e-8
-"""Scaled step below which an iteration may end because its steps no longer shrink."""
+"""Scaled step below which an iteration may end if its steps no longer decrease."""
 
 SETTLED = 0.03
-"""Scaled step below which the pose of a key frame is good enough to start from."""
+"""Scaled step below which the pose of a key frame is accurate enough as a start for other frames."""
 
 LONGEST = 0.5
 """Longest scaled step of an iteration, and longest change of the pose between key frames."""
 
 KEYS = 50
-"""Least number of key frames, which are fitted one after the other; there are more if poses change much."""
+"""Smallest number of key frames, which are fitted one after the other; more are used if the pose changes much."""
 
 UNSEEN = 1e-7
-"""Share of the best observed free direction below which a direction counts as not observed."""
+"""A direction counts as not observed if its effect on the data is below this share of that of the best observed
+direction."""
 
 MOVES = 1e-3
-"""Share of the largest component of a direction from which on a coordinate is named."""
+"""A coordinate is named in messages if its component is at least this share of the largest one."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """What a mechanism is fitted to in T frames.
+    """The measured values to which a mechanism is fitted in T frames.
 
     Attributes
     ----------
@@ -75,7 +76,8 @@ class Fitter:
         self.manifold, self.bodies = manifold, bodies
 
     def first_pose(self, target: Target, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose (n,) of the first frame, and the values (K,) of angles there, continued to its turn.
+        """Return the pose (n,) of the first frame, and the values (K,) there, with angles shifted to the same number of
+        turns.
 
         Parameters
         ----------
@@ -96,8 +98,8 @@ class Fitter:
     def poses(self, target: Target, first: np.ndarray) -> np.ndarray:
         """Return the poses (T, n) that fit a target best, beginning with the pose `first` (n,).
 
-        Key frames are fitted one after the other, each from the one before, and the frames between them at once, from
-        poses between those of the key frames.
+        Key frames are fitted one after the other, each starting from the pose of the previous one. The frames between
+        them are fitted together, starting from interpolated poses.
 
         Raises
         ------
@@ -127,7 +129,7 @@ class Fitter:
         return self._converged(target, start)
 
     def _following(self, target: Target, frame: int, start: np.ndarray) -> tuple[np.ndarray, float]:
-        """Return the pose of a key frame, and how far it is from `start`, the pose of the one before."""
+        """Return the pose of a key frame, and its distance from `start`, the pose of the previous key frame."""
         one, q = target.rows(slice(frame, frame + 1)), start[None]
         for _ in range(MOST_ITERATIONS):
             step = self._step(one, q)
@@ -179,7 +181,7 @@ class Fitter:
     def require_observed(self, target: Target, q: np.ndarray, key: str) -> None:
         """Raise SpecError if the quantities do not determine the poses `q` (T, n) of all frames.
 
-        The message names the bodies that move in a free direction that no quantity sees.
+        The message names the bodies that move in a free direction without any change of the quantities.
         """
         jacobian = self.manifold.frames(target.time, q).jacobian
         free = self.manifold.directions(jacobian).free
@@ -199,7 +201,7 @@ class Fitter:
         named = self.names_of(moves)
         where = "" if blind.size == len(q) else f" at t = {target.time[frame]:.6g} s"
         raise SpecError(
-            f"nothing observes {named}{where}: {int(unseen.sum())} of {free.shape[2]} degrees of freedom "
+            f"the columns do not observe {named}{where}: {int(unseen.sum())} of {free.shape[2]} degrees of freedom "
             f"{'is' if unseen.sum() == 1 else 'are'} not determined by the columns; add columns, or drivers to the "
             "model",
             key=key,

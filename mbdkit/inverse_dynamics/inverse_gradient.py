@@ -1,8 +1,9 @@
 """`inverse_gradient`: measures of inverse dynamics and their derivatives by parameters, without integration.
 
-The motion is part of the preparation (`mbdkit.gradients.parameter_differences`): it is fitted again for other values of
-those parameters on which it depends, such as lengths. The derivatives of the forces that produce it are exact. With the
-motion, the loads and the actuators u, differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` gives
+The motion is part of the preparation (`mbdkit.gradients.parameter_differences`): if it depends on a parameter, such as
+a length, it is fitted again for other values of this parameter. The derivatives of the forces that produce it are
+exact. With the motion, the loads and the actuators u, differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u``
+gives
 
     B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
 
@@ -85,7 +86,7 @@ def inverse_gradient(
 
     Examples
     --------
-    How much the torque that swings a pendulum grows with its mass:
+    Sensitivity of the torque that swings a pendulum to its mass:
 
     >>> import mbdkit, numpy as np
     >>> m = mbdkit.Mechanism()
@@ -212,9 +213,9 @@ def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], pre
     for k, one in enumerate(parameters):
         if any(np.any(x[..., k]) for x in moved):
             raise SpecError(
-                f"the motion depends on '{one.name}', by which there are no derivatives here, because the motion does "
-                "not determine the values of the actuators; parameters that leave it as it is, such as masses and "
-                "stiffnesses, have them",
+                f"the motion depends on '{one.name}'. There is no derivative by this parameter, because the motion "
+                f"does not determine the values of the actuators; use parameters that do not affect the motion, such "
+                f"as masses and stiffnesses",
                 key="gradients",
             )
 
@@ -238,7 +239,7 @@ class _Frames:
         self._run = new_dual_run(self.workspace, seeds, dual_laws(self.workspace), 0, 0)
 
     def states(self) -> DifferentiatedStates:
-        """Return the states with everything that is computed from them."""
+        """Return the states with all quantities computed from them."""
         motion, dynamics, manifold = self.result.motion, self.result.dynamics, self.result.problem.fitter.manifold
         lam = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam).lam
         value, change = self._changes(np.asarray(self._described(lam, None).lack))

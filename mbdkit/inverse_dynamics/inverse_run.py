@@ -24,15 +24,15 @@ def inverse(
 ) -> Run:
     """Compute the forces of actuators and joints that produce a measured motion.
 
-    The mechanism is fitted to the measured columns at each time, with its constraints satisfied to rounding; the fitted
-    motion is smoothed as the spec says; and the equations of motion are solved for the values of the actuators and the
-    reactions of the joints.
+    The mechanism is fitted to the measured columns at each time, with its constraints satisfied to round-off; the
+    fitted motion is smoothed as the spec says; and the equations of motion are solved for the values of the actuators
+    and the reactions of the joints.
 
     Parameters
     ----------
     source
-        A file, a mapping, or an InverseSpec. Relative names of data files count from the folder of the spec, or from
-        the current folder.
+        A file, a mapping, or an InverseSpec. Names of data files are relative to the folder of the spec, or to the
+        current folder.
     archive
         File to which the result is written; by default, it is kept in memory.
     overwrite
@@ -86,7 +86,7 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     if path is not None:
         check_target(path, overwrite=overwrite)
     problem = InverseProblem.of(spec)
-    check_measures(spec)  # which need the actuators, whose errors come first
+    check_measures(spec)  # error bars of joints are written after those of the actuators, on which they depend
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     result = compute(problem)
     for warning in result.warnings:

@@ -66,7 +66,7 @@ class LoadSeries:
 
     @property
     def acts(self) -> np.ndarray:
-        """(R,) whether the load acts; it does not where its force and torque are zero, as when a foot is in the air."""
+        """(R,) whether the load acts, that is, its force or torque is not zero, unlike for a foot in the air."""
         return np.asarray(np.any(self.force != 0, axis=1) | (self.torque != 0))
 
     def at(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None)
     Parameters
     ----------
     of_motion
-        The table of the motion, which loads without a file or data are read from.
+        The table of the motion, from which loads without their own `file` or `data` are read.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
     table = source_table(load, spec.folder, key) or of_motion
     if table is None:
         raise SpecError(
-            "is missing: the motion is no table, so that the load needs a `file` or `data`", key=f"{key}.file"
+            "is missing: the motion is not a table, so that the load needs a `file` or `data`", key=f"{key}.file"
         )
     time = table.times(load.time, f"{key}.time")
     force, torque, point = np.zeros((len(time), 2)), np.zeros(len(time)), None
@@ -164,7 +164,7 @@ def _required(
     Parameters
     ----------
     needed
-        (R,) rows in which the value matters; others may be missing, as the point of application of no force.
+        (R,) rows in which the value matters; others may be missing, such as the point of application of a zero force.
     """
     if isinstance(column, float):
         return np.full(len(table), column)

@@ -11,7 +11,7 @@ from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, rea
 from mbdkit.mechanics.source import AssembledMechanism
 
 SAFE = 1000.0
-"""Factor by which pivots must exceed what counts as zero for a matrix to count as one of full rank."""
+"""A matrix counts as one of full rank if its pivots exceed the threshold for zero by this factor."""
 
 DEPENDENT = 1e-9
 """Constraint rows whose independent part is below this share of the largest count as dependent: a singular position."""
@@ -30,8 +30,8 @@ class Manifold:
     n, m
         Number of coordinates and of independent constraint rows.
     scale : (n,) array
-        Size of a change of each coordinate that counts as one: the characteristic length [m], or 1 rad. Angles of
-        point masses, which have no meaning, are 0.
+        Scale of each coordinate: the characteristic length [m], or 1 rad; 0 for the angles of point masses, which have
+        no meaning.
     """
 
     def __init__(self, prepared: AssembledMechanism):
@@ -71,7 +71,7 @@ class Manifold:
         if not self.held:
             q, r = np.linalg.qr(scaled, mode="complete")
             return Directions(self.scale, q[:, :, : self.m], q[:, :, self.m :], r[:, : self.m])
-        own = self.scale > 0  # angles of point masses are no directions at all
+        own = self.scale > 0  # excludes the angles of point masses
         q, r = np.linalg.qr(scaled[:, own], mode="complete")
         whole = np.zeros((len(jacobian), self.n, q.shape[2]))
         whole[:, own] = q
@@ -87,7 +87,7 @@ class Directions:
     scale
         (n,) sizes of the coordinates, see `Manifold`.
     held, free
-        (T, n, m) directions that the constraints hold, and (T, n, f) directions that they leave free.
+        (T, n, m) constrained directions, and (T, n, f) free directions.
     triangle
         (T, m, m) upper triangular matrix R with ``(Phi_q scale)^T = held R``.
     """
@@ -128,7 +128,8 @@ class Directions:
         rows
             (T, m) right side of the constraints.
         observed, values
-            (T, k, n) and (T, k); the free directions that `observed` does not see do not move.
+            (T, k, n) and (T, k); the the displacement has no component along free directions that do not affect
+            `observed`.
         """
         x = self.displacement(rows)
         if self.free.shape[2]:
@@ -142,8 +143,8 @@ class Directions:
 def least_norm(matrix: np.ndarray, values: np.ndarray, negligible: float) -> np.ndarray:
     """Return the x (T, f) of least norm for which the norm of ``matrix x - values`` is least.
 
-    Where all matrices have full rank, by a QR decomposition, which is several times as fast as the singular values that
-    are needed otherwise.
+    If all matrices have full rank, a QR decomposition is used, which is several times as fast as the singular value
+    decomposition that is needed otherwise.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class Measured:
     quantities
         The quantities.
     raw
-        (T, K) values as measured, angles continued over turns; gaps are nan.
+        (T, K) values as measured, with angles unwrapped over turns; gaps are nan.
     values
         (T, K) the same, with gaps bridged.
     weight
@@ -74,7 +74,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     Raises
     ------
     SpecError
-        If the table lacks a column, holds something else than numbers, has gaps that may not be bridged, or no rows.
+        If the table lacks a column, contains anything but numbers, has gaps that may not be bridged, or has no rows.
     """
     motion = spec.motion
     if motion.file is not None and Path(motion.file).suffix.lower() == ".h5":
@@ -130,7 +130,7 @@ def _columns(motion: MeasuredMotion, table: Table, names: QuantityNames) -> Mapp
 def _require_all_or_none(
     motion: MeasuredMotion, columns: Mapping[str, ObservedColumn], has_derivatives: list[bool]
 ) -> None:
-    """Raise SpecError if only some columns have derivatives, or if they are to be smoothed."""
+    """Raise SpecError if only some columns have derivatives, or if columns with derivatives are to be smoothed."""
     if not any(has_derivatives):
         return
     if motion.smooth.name != "none":

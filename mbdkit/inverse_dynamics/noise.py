@@ -1,4 +1,4 @@
-"""Noise of measured data: its path through fit and smoothing to first order, and its size as the residuals tell it.
+"""Noise of measured data: its propagation through fit and smoothing to first order, and its estimation from residuals.
 
 The fit is linearised at the fitted poses; a smoothing with given parameters is linear in the data.
 """
@@ -16,20 +16,20 @@ from mbdkit.inverse_dynamics.smoothing import Smoothed, smoothed_each
 from mbdkit.spec.inverse_sections import Smoothing
 
 DRAWS = 20
-"""Samples of the noise of each column from which the share of it that stays in the residuals is found."""
+"""Number of noise samples per column, from which the share of the noise that remains in the residuals is estimated."""
 
 ITERATIONS = 500
-"""Steps of the iteration that divides the residuals among the columns."""
+"""Number of iterations that attribute the residuals to the noise of the columns."""
 
 LEAST_SHARE = 0.01
-"""Share of the noise of a column that the residuals must hold for its deviation to be estimated from them."""
+"""The noise of a column can be estimated if at least this share of it remains in the residuals."""
 
 NUMBERS_AT_ONCE = 4_000_000
-"""Largest number of values of noise that are smoothed at once."""
+"""Largest number of noise values that are smoothed together."""
 
 
 class NoisePath:
-    """The changes of the smoothed coordinates, and of the residuals, by small changes of the data.
+    """The effect of small changes of the data on the smoothed coordinates and on the residuals.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class NoisePath:
         return int(self._fitted.shape[2])
 
     def smoothed(self, noise: np.ndarray, how: Sequence[Smoothing] | None = None) -> Smoothed:
-        """Return the changes (T, U, S) of the coordinates and their derivatives by noise (T, K, S) of the data.
+        """Return the changes (T, U, S) of the coordinates and their derivatives due to noise (T, K, S) of the data.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class NoisePath:
         return left
 
     def samples(self, deviation: np.ndarray, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
-        """Yield blocks (T, K, S) of Gaussian noise, independent from row to row, with `count` samples in all.
+        """Yield blocks (T, K, S) of Gaussian noise, independent at each time, with `count` samples in total.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ def _parts(directions: Directions) -> tuple[np.ndarray, ...]:
 
 
 def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the displacements (T, n, K) along the manifold by which `observed` (T, k, n) follows `values` (k, K)."""
+    """Return the displacements (T, n, K) along the manifold that change `observed` (T, k, n) by `values` (k, K)."""
     rows = np.zeros((len(observed), directions.triangle.shape[1]))
     columns = [
         directions.least_squares(rows, observed, np.broadcast_to(one, (len(observed), len(one)))) for one in values.T
@@ -105,12 +105,13 @@ def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) ->
 def noise_deviation(
     path: NoisePath, residual: np.ndarray, stated: np.ndarray, random: np.random.Generator
 ) -> np.ndarray:
-    """Return the standard deviations (K,) of the noise; nan where they are neither stated nor seen in the residuals.
+    """Return the standard deviations (K,) of the noise; nan where they are neither stated nor can be estimated from the
+    residuals.
 
-    A share of the noise is in the motion, and the rest in the residuals; how much of each column's noise is in the
-    residuals of each column is found from samples. Expected and actual mean squares of all residuals are then brought
-    to agree by the iteration of Richardson and Lucy, which keeps variances positive and divides evenly what the
-    residuals cannot tell apart.
+    One part of the noise is in the smoothed motion, and the rest in the residuals. Samples show how much noise of each
+    column appears in the residuals of each column. The variances for which the expected mean squares of all residuals
+    equal the actual ones are then computed by Richardson-Lucy iteration, which keeps variances positive and distributes
+    them evenly over columns that the residuals cannot distinguish.
 
     Parameters
     ----------
@@ -119,7 +120,9 @@ def noise_deviation(
     stated
         (K,) deviations that are known; nan for the others.
     """
-    share = np.empty((path.columns, path.columns))  # mean square of the residuals of a row by noise of a column
+    share = np.empty(
+        (path.columns, path.columns)
+    )  # [row, column]: mean square of the residuals of one quantity due to the noise of another
     for place in range(path.columns):
         one = np.zeros(path.columns)
         one[place] = 1.0

@@ -1,4 +1,4 @@
-"""Misalignment of measured data: how far the bodies miss their joints where the data alone place them."""
+"""Misalignment of measured data: that of the joints if the bodies are placed by the data alone."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from mbdkit.inverse_dynamics.fit import Target
 from mbdkit.inverse_dynamics.manifold import Manifold, least_norm
 
 ITERATIONS = 4
-"""Gauss-Newton steps from the fitted pose, which is near, so that they converge."""
+"""Number of Gauss-Newton steps from the fitted pose; it is so close that few are needed."""
 
 SETTLED = 1e-14
-"""Scaled step below which positions are found to rounding."""
+"""Scaled step below which positions are exact to round-off."""
 
 NEGLIGIBLE = 1e-9
-"""Share of the largest singular value of the Jacobian of the data below which they do not see a direction."""
+"""A direction counts as not observed by the data below this share of the largest singular value of their Jacobian."""
 
 BLIND = 1e-6
-"""Share of a constraint row that the data do not see, above which its gap counts as undetermined."""
+"""The residual of a constraint row counts as undetermined if more than this share of the row is not observed by the
+data."""
 
 
 def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: Target, q: np.ndarray) -> np.ndarray:
-    """Return the misalignment of each joint (T, J) [m] of bodies placed by the data alone.
+    """Return the misalignment of each joint (T, J) [m] for bodies placed by the data alone.
 
-    All bodies are moved freely from the fitted poses, by the smallest displacement that makes the sum of the weighted
-    squared residuals least. Where the data do not determine the gap of a joint, the result is nan.
+    All bodies are moved freely from the fitted poses, by the smallest displacement that minimises the sum of the
+    weighted squared residuals. Where the data do not determine the misalignment of a joint, the result is nan.
 
     Parameters
     ----------

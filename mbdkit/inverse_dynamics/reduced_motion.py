@@ -1,9 +1,9 @@
-"""The smoothed motion of a mechanism, in independent coordinates, consistent with its constraints to rounding.
+"""The smoothed motion of a mechanism, in independent coordinates, consistent with its constraints to round-off.
 
 As many quantities as there are degrees of freedom are chosen as independent coordinates, such that they determine the
 motion well in all frames. Their fitted values are smoothed and differentiated; positions, velocities and accelerations
-of all bodies follow from them and the constraints. Where no choice is good in all frames, as on the closed curve of a
-linkage without a turning link, the coordinates change between intervals of the motion.
+of all bodies follow from them and the constraints. If no choice is good in all frames, as for the cyclic motion of a
+linkage in which no link rotates fully, different coordinates are used in different intervals of the motion.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from mbdkit.inverse_dynamics.smoothing import Smoothed
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 
 PREFERRED = 0.2
-"""Independence from which on an observed quantity is taken before others that are more independent."""
+"""Independence above which an observed quantity is preferred to others that are more independent."""
 
 ENOUGH = 0.05
-"""Least independence of the coordinates of an interval, in all of its frames."""
+"""Smallest independence of the coordinates of an interval, over all of its frames."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Motion:
 
 
 def motion_of_derivatives(manifold: Manifold, measured: Measured, q: np.ndarray) -> Motion:
-    """Return the motion with given positions whose velocities and accelerations fit the measured derivatives best."""
+    """Return the motion with given positions whose velocities and accelerations best fit the measured derivatives."""
     assert measured.derivatives is not None
     return _derived(manifold, measured.target, q, *measured.derivatives)
 
@@ -64,7 +64,7 @@ class Independent:
     quantities
         The coordinates.
     intervals
-        First frame, frame after the last, and places of the coordinates of each interval.
+        First frame, frame after the last, and indices of the coordinates of each interval.
     """
 
     names: tuple[str, ...]
@@ -147,7 +147,7 @@ def _derived(manifold: Manifold, target: Target, q: np.ndarray, rate: np.ndarray
 def _chosen(
     manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quantities, preferred: int
 ) -> Sequence[tuple[int, list[int]]]:
-    """Return the first frame and the places of the independent coordinates of each interval of the motion."""
+    """Return the first frame and the indices of the independent coordinates of each interval of the motion."""
     directions: Directions = manifold.directions(manifold.frames(time, q).jacobian)
     size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
     rows = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
@@ -165,14 +165,15 @@ def _chosen(
 
 
 def _greedy(rows: np.ndarray, preferred: int) -> tuple[list[int], np.ndarray]:
-    """Return places of as many quantities as there are free directions, and their independence in each frame, (T,).
+    """Return the indices of as many quantities as there are free directions, and their independence in each frame,
+    (T,).
 
     Parameters
     ----------
     rows
         (T, K, f) rates of the quantities along the free directions.
     preferred
-        Number of quantities, the first ones, that are taken before others if they are independent enough.
+        The first `preferred` quantities are preferred to others if they are independent enough.
     """
     left, chosen = rows.copy(), []
     independence = np.full(len(rows), np.inf)
@@ -196,7 +197,9 @@ def _independence(rows: np.ndarray) -> np.ndarray:
 
 
 def _without(rows: np.ndarray, place: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the parts of all rows perpendicular to one of them, and the norm of this one in each frame, (T,)."""
+    """Return the components of all rows perpendicular to one of them, and the norm of the latter in each frame,
+    (T,).
+    """
     own = rows[:, place]
     pivot = np.linalg.norm(own, axis=1)
     unit = own / np.where(pivot > 0, pivot, 1.0)[:, None]

@@ -21,12 +21,12 @@ from mbdkit.spec.inverse_sections import (
 )
 
 UNEVEN = 1e-3
-"""Largest deviation of the intervals of evenly spaced rows, relative to their mean."""
+"""Largest relative deviation of intervals from their mean for times that count as evenly spaced."""
 
 KEY = "motion.smooth"
 
 FEWEST = 6
-"""Rows that a quintic spline needs."""
+"""Smallest number of samples for a quintic spline."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +53,11 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
     Raises
     ------
     SpecError
-        If there are too few rows, the rows are not evenly spaced where they have to be, or the cutoff is too high.
+        If there are too few samples, they are not evenly spaced although the filter needs that, or the cutoff is too
+        high.
     """
     if len(time) < FEWEST:
-        raise SpecError(f"derivatives need at least {FEWEST} rows, and the motion has {len(time)}", key="motion")
+        raise SpecError(f"derivatives need at least {FEWEST} samples, but the motion has {len(time)}", key="motion")
     if isinstance(how, NoSmoothing):
         return Smoothed(series, *local_derivatives(time, series))
     if isinstance(how, QuinticSpline):
@@ -72,9 +73,9 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
 
 
 def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothing]:
-    """Return the smoothing of each series, with the parameters that cross-validation chooses for it.
+    """Return the smoothing of each series, with the parameters chosen for it by cross-validation.
 
-    A smoothing with these parameters is linear in the data.
+    With these parameters, the smoothing is linear in the data.
     """
     if not isinstance(how, SmoothingSpline) or how.parameter is not None:
         return [how] * series.shape[1]
@@ -91,7 +92,7 @@ def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothin
 def with_cutoff(how: Smoothing, factor: float) -> Smoothing | None:
     """Return a smoothing with its cutoff multiplied by a factor; None if it has none.
 
-    A spline has its cutoff, where it halves the amplitude, at a frequency that is proportional to parameter^(-1/4).
+    The cutoff of a smoothing spline, where it halves the amplitude, is proportional to parameter^(-1/4).
     """
     if isinstance(how, Butterworth | OpenSimFilter):
         return how.model_copy(update={"cutoff": how.cutoff * factor})
@@ -101,7 +102,7 @@ def with_cutoff(how: Smoothing, factor: float) -> Smoothing | None:
 
 
 def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]) -> Smoothed:
-    """Smooth each of the series (T, U, ...) as told for it; see `smoothed`."""
+    """Smooth each of the series (T, U, ...) by its own smoothing; see `smoothed`."""
     if not how:
         return Smoothed(series, series, series)
     shape = series[:, 0].shape
@@ -114,7 +115,7 @@ def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]
 
 
 def quintic_spline(time: np.ndarray, series: np.ndarray) -> BSpline:
-    """Return the natural quintic spline through all rows: its third and fourth derivatives vanish at both ends."""
+    """Return the natural quintic spline through all samples: its third and fourth derivatives vanish at both ends."""
     zeros = np.zeros(series.shape[1:])
     ends = [(3, zeros), (4, zeros)]
     return make_interp_spline(time, series, k=5, bc_type=(ends, ends))
@@ -125,9 +126,9 @@ def _of_spline(spline: BSpline, time: np.ndarray) -> Smoothed:
 
 
 def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return both derivatives of the polynomial of degree four through each row and its four nearest neighbours.
+    """Return both derivatives of the polynomial of degree four through each sample and its four nearest neighbours.
 
-    For evenly spaced rows, these are the central differences of fourth order, and one-sided ones at the ends.
+    For evenly spaced samples, these are the central differences of fourth order, and one-sided ones at the ends.
     """
     count = len(time)
     begin = np.clip(np.arange(count) - 2, 0, count - 5)
@@ -146,9 +147,9 @@ def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray,
 def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float) -> Smoothed:
     """Return the smoothing splines of all series (T, K), by one factorization of a banded matrix.
 
-    The second derivatives c at the inner rows, between which they are straight lines, satisfy
-    ``(R + parameter Q^T Q) c = Q^T x``, and the smoothed series is ``x - parameter Q c`` (Reinsch, Smoothing by spline
-    functions, Numerische Mathematik 10, 1967, 177-183).
+    The second derivatives c at the inner samples, interpolated linearly in between, satisfy ``(R + parameter Q^T Q) c =
+    Q^T x``, and the smoothed series is ``x - parameter Q c`` (Reinsch, Smoothing by spline functions, Numerische
+    Mathematik 10, 1967, 177-183).
     """
     unit = float((time[-1] - time[0]) / (len(time) - 1))  # intervals of about 1 keep the matrix well scaled
     step, weight = np.diff(time) / unit, parameter / unit**3
@@ -196,7 +197,7 @@ def _interval(time: np.ndarray) -> float:
     worst = int(np.argmax(np.abs(steps - mean)))
     if abs(steps[worst] - mean) > UNEVEN * mean:
         raise SpecError(
-            f"this filter needs evenly spaced rows, but the interval after t = {time[worst]:.6g} s is "
+            f"this filter needs evenly spaced samples, but the interval after t = {time[worst]:.6g} s is "
             f"{steps[worst]:.6g} s, and {mean:.6g} s on average; use `spline`, `quintic` or "
             "`opensim`, which resamples",
             key=KEY,
@@ -205,11 +206,14 @@ def _interval(time: np.ndarray) -> float:
 
 
 def _check_cutoff(given: float, once: float, interval: float) -> None:
-    """Raise SpecError if the cutoff `once` of a single pass, for the cutoff `given`, is too high for the rows."""
+    """Raise SpecError if the cutoff `once` of a single pass, for the cutoff `given`, is too high for the sampling
+    rate.
+    """
     highest = 0.5 / interval * given / once
     if given >= highest:
         raise SpecError(
-            f"{given:g} Hz is too high: with {1 / interval:.6g} rows a second, it should be below {highest:.4g} Hz",
+            f"{given:g} Hz is too high: with {1 / interval:.6g} samples per second, it should be below {highest:.4g} "
+            f"Hz",
             key=f"{KEY}.cutoff",
         )
 

@@ -16,7 +16,7 @@ from mbdkit.base.errors import MbdkitError, SpecError, file_error
 from mbdkit.base.text import did_you_mean, listed, shown
 
 GAPS = ("", "nan", "na", "n/a", "null")
-"""Cells, in lower case, that hold no value."""
+"""Texts, in lower case, of cells without a value."""
 
 HEADINGS_SHOWN = 30
 
@@ -60,7 +60,7 @@ class Table:
 
     @property
     def name(self) -> str:
-        """The table as it is called in messages."""
+        """Name of the table in messages."""
         return Path(self.file).name if self.file else "the data"
 
     def error(self, message: str, *, row: int | None = None, key: str = "") -> SpecError:
@@ -90,7 +90,7 @@ class Table:
             raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}", key=key)
         try:
             values = np.array([float(cells[place]) for cells in self.cells])
-        except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are no numbers
+        except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are not numbers
             values = np.array([math.inf])
         if np.any(np.isinf(values)):
             cells = (cells[place] if place < len(cells) else None for cells in self.cells)
@@ -120,7 +120,7 @@ class Table:
         SpecError
             If there is no such column, a time is missing, or times do not increase.
         """
-        if heading == "time" and heading not in self._place:  # .trc files and others write it with a capital
+        if heading == "time" and heading not in self._place:  # some formats, such as .trc, write `Time`
             heading = next((name for name in self.headings if name.lower() == heading), heading)
         values = self.column(heading, key)
         if not len(values):
@@ -140,7 +140,7 @@ class Table:
 
 
 def read_table(path: Path, key: str) -> Table:
-    """Read a table from a file, whose format its suffix tells: .csv, .txt, .mot, .sto, .trc or .c3d.
+    """Read a table from a file in the format given by its suffix: .csv, .txt, .mot, .sto, .trc or .c3d.
 
     Raises
     ------
@@ -158,7 +158,8 @@ def read_table(path: Path, key: str) -> Table:
     readers = {".csv": _read_csv, ".txt": _read_csv, ".mot": _read_storage, ".sto": _read_storage, ".trc": _read_trc}
     if suffix not in readers:
         raise SpecError(
-            f"'{shown(path.name)}' has no suffix of a table; known: .csv, .mot, .sto, .trc, .c3d, and .h5 of a run",
+            f"'{shown(path.name)}' does not have the suffix of a table; known suffixes: .csv, .mot, .sto, .trc, "
+            f".c3d, and .h5 of a run",
             key=key,
         )
     try:
@@ -207,7 +208,9 @@ def _read_storage(file: str, lines: list[str]) -> Table:
 
 
 def _cells_of(headings: str) -> Any:
-    """Return the function that splits the lines of a table with these headings: at tabs, or else at blanks."""
+    """Return the function that splits the lines of a table with these headings: at tabs if there are any, otherwise at
+    blanks.
+    """
     if "\t" in headings:
         return lambda line: [cell.strip() for cell in line.rstrip("\n").rstrip("\t").split("\t")]
     return str.split

@@ -1,4 +1,4 @@
-"""Quantities of a run in expressions of measures: their units, and their values in the recorded rows."""
+"""Quantities of a run in expressions of measures: their units, and their values at the recorded times."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit:
 def recorded(quantity: Quantity, run: Run) -> np.ndarray:
     """Return the values of a quantity in T recorded rows, (T,).
 
-    Those of a vector are (2, T), those along a beam (elements, T), and that of an event is (1,).
+    The shape is (2, T) for a vector, (elements, T) along a beam, and (1,) for an event.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Functions over time in expressions of measures, and what they integrate."""
+"""Functions over time in expressions of measures, and their integrands."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from mbdkit.mechanism.time_expression import Program
 from mbdkit.quantities.quantity import Quantity
 
 REDUCE = "over time: "
-"""Begin of the operations of a program that reduce over time."""
+"""Prefix of the operations of a program that reduce over time."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """Quantities of a run over time: in its rows, or at the nodes of integrals.
+    """Quantities of a run over time: at the recorded times, or at the quadrature nodes of integrals.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Series:
 
 
 def _mean(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the mean over time by the trapezoidal rule; the value itself if there is one row only."""
+    """Return the mean over time by the trapezoidal rule; the value itself if there is only one row."""
     duration = time[-1] - time[0]
     return np.trapezoid(values, time, axis=-1) / duration if duration > 0 else values[..., 0]
 
@@ -75,7 +75,7 @@ class Integrand:
     program, quantities
         See `mbdkit.measures.measure_expression.MeasureExpression`.
     inner
-        Integrands to whose places, counted from 1, reductions of the program refer, as those of ``x - mean(x)`` do.
+        Inner integrands, as in ``x - mean(x)``, to which reductions of the program refer by their index, from 1.
     """
 
     text: str
@@ -85,7 +85,7 @@ class Integrand:
 
     @cached_property
     def is_nested(self) -> bool:
-        """Whether it contains other integrals, so that its values are known at the end of a run only."""
+        """Whether it contains other integrals, so that its values are known only at the end of a run."""
         return any(operation.startswith(REDUCE) for operation, _ in self.program)
 
     @property
@@ -94,7 +94,7 @@ class Integrand:
         return [self.quantities[int(number)] for operation, number in self.program if operation == "get"]
 
     def values(self, series: Series, integrals: Integrals, duration: float) -> np.ndarray:
-        """Return the values at T times: (T,), or (2, T) of a vector.
+        """Return the values at T times: (T,), or (2, T) for a vector.
 
         Parameters
         ----------

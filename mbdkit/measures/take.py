@@ -1,4 +1,4 @@
-"""Takes measures from runs, after checking them against the spec."""
+"""Computation of measures from runs, and their check against the spec."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def describe(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> Descriptio
 
 
 def is_taken(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
-    """Return whether a measure is taken of the runs of a spec."""
+    """Return whether a measure is computed for the runs of a spec."""
     return not measure.of_base or measure.name in spec.measures
 
 
@@ -58,7 +58,7 @@ def check_measures(spec: RunSpec | InverseSpec) -> None:
 
 
 def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> float:
-    """Return the value of a measure for a run; nan if it is that of another base of a study.
+    """Return the value of a measure for a run; nan if it belongs to another base of a study.
 
     Parameters
     ----------

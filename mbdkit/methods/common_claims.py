@@ -58,7 +58,7 @@ def lobatto_pair_claims(stages: int) -> Claims:
         symmetric=True,
         symplectic=True,
         stages=stages,
-        drift="positions and velocities meet the joints to round-off at the end of every step",
+        drift="positions and velocities satisfy the joints to round-off at the end of every step",
         constraints_hold=("position", "velocity"),
         needs=("accelerations",),
         formulations=("index-3",),

@@ -19,8 +19,8 @@ def integrators() -> list[IntegratorPlugin]:
     Returns
     -------
     list of IntegratorPlugin
-        Sorted by family, then by the order of convergence with default options, then by name. Integrators of one
-        module keep their order; the first one determines the place of the module.
+        Sorted by family, then by the order of convergence with default options, then by name. Integrators of one module
+        keep their order; the first one determines the position of the module in the list.
     """
     names = sorted(module.name for module in pkgutil.iter_modules(methods.__path__, f"{methods.__name__}."))
     modules = [importlib.import_module(name) for name in names]

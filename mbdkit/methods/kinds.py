@@ -75,8 +75,8 @@ class ImplicitRungeKutta:
         Change of the stage accelerations, relative to their size, at which the iteration ends; None: at stagnation, or
         with `tolerances` at a small fraction of these.
     max_iterations
-        Iterations in one step after which the stage equations count as unsolved; None: 50, but more in fixed steps that
-        would fail otherwise and converge slowly.
+        Largest number of iterations in one step, after which the step fails; None: 50, or more for fixed steps that
+        converge slowly and would fail otherwise.
     tolerances
         For a controlled step size, which requires a collocation method; None: fixed steps.
     """
@@ -108,7 +108,7 @@ class LobattoPair:
     tolerance
         Expected change of positions, relative to their size, at which the iteration ends; None: at stagnation.
     max_iterations
-        Iterations in one step after which the equations count as unsolved; None: see `ImplicitRungeKutta`.
+        Largest number of iterations in one step, after which the step fails; None: see `ImplicitRungeKutta`.
     """
 
     stages: int
@@ -126,7 +126,7 @@ class SciPySolver:
     solver
         Name of the `OdeSolver` subclass in ``scipy.integrate``, or the class itself.
     needs_jacobian
-        Whether the solver uses the Jacobian of the right side; it is then given the exact one.
+        Whether the solver uses the Jacobian of the right-hand side; it then receives the exact one.
     max_step
         Largest step [s], passed to the solver unless it is None.
     by_size

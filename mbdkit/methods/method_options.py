@@ -27,22 +27,22 @@ class ExplicitOptions(Options):
 
 
 class ControlledOptions(Options):
-    """A method that goes in fixed steps, or chooses its own."""
+    """A method with fixed or adaptive steps."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("adaptive", "rtol", "atol", "max_step")
 
     adaptive: bool = False
-    """Choose steps by an estimate of their error; `time.step`, which may be left out, is then the first one."""
+    """Choose step sizes by an error estimate; `time.step` is then the first step and may be omitted."""
     rtol: Annotated[float, Field(ge=1e-14, lt=1, allow_inf_nan=False)] | None = None
-    """Relative error tolerance of adaptive steps: the error of a regular motion follows it in proportion; 1e-6 if left
-    out."""
+    """Relative error tolerance of adaptive steps; the error of a smooth motion is proportional to it. 1e-6 by
+    default."""
     atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    """Absolute error tolerance of adaptive steps [m, rad, m/s, rad/s]; left out: the number that `rtol` is, for lengths
-    and velocities times the mechanism's characteristic length if that is below 1 m."""
+    """Absolute error tolerance of adaptive steps [m, rad, m/s, rad/s]; by default equal to `rtol`, multiplied for
+    lengths and velocities by the mechanism's characteristic length if that is below 1 m."""
     max_step: MaxStep = None
-    """Largest adaptive step [s], so that no short, smooth pulse is missed; unlimited if left out.
+    """Largest adaptive step [s], so that short, smooth pulses are not missed; unlimited by default.
 
-    Steps end at knots and corners of motions and loads in any case.
+    Steps end at the points of tables and at discontinuities of motions and loads in any case.
     """
 
     @model_validator(mode="after")
@@ -69,10 +69,10 @@ class ImplicitOptions(ControlledOptions):
     stage_solver: Literal["newton", "fixed-point"] = "newton"
     """Simplified Newton with exact tangents, or fixed-point iteration on the stage accelerations."""
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
-    """Stop when the stage accelerations change by less than this, relative to their size; left out: at stagnation."""
+    """Stop when the relative change of the stage accelerations is below this value; by default, at stagnation."""
     max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
-    """Iterations in one step after which the stage equations count as unsolved; left out: 50, and up to 500 in a fixed
-    step that would fail otherwise, while they contract steadily."""
+    """Largest number of iterations in one step, after which the step fails; by default 50, or up to 500 for a fixed
+    step that would fail otherwise, as long as the iteration contracts steadily."""
 
     def method(self, tableau: ButcherTableau) -> ImplicitRungeKutta:
         """Return the method with this tableau and these options."""

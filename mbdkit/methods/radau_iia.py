@@ -58,9 +58,9 @@ class RadauOptions(ImplicitOptions):
 
 
 _DRIFT_BY_FORMULATION = (
-    "index-1 drifts with the method's order, growing with time; index-3 meets the joints in positions to round-off, "
-    "index-2 in velocities, ggl in both; what index-2 misses in positions grows with time, "
-    "what index-3 misses in velocities does not"
+    "index-1 drifts with the method's order, growing with time; joints hold to round-off in positions with index-3, "
+    "in velocities with index-2, in both with ggl; the misalignment of positions with index-2 grows with time, that "
+    "of velocities with index-3 does not"
 )
 
 

@@ -19,15 +19,15 @@ ANDERSEN = """@article{andersen1983,
 
 
 class RattleOptions(Options):
-    """How the positions of a step are found that meet the constraints."""
+    """Options of the iteration that solves for positions on the constraints."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("max_iterations",)
 
     tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
-    """Stop when positions are expected to change by less than this, relative to their size; left out: at stagnation."""
+    """Stop when the expected relative change of positions is below this value; by default, at stagnation."""
     max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
-    """Iterations in one step after which its equations count as unsolved; left out: 50, and up to 500 in a fixed
-    step that would fail otherwise, while they contract steadily."""
+    """Largest number of iterations in one step, after which the step fails; by default 50, or up to 500 for a fixed
+    step that would fail otherwise, as long as the iteration contracts steadily."""
 
 
 FAMILY = "partitioned"

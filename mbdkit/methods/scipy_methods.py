@@ -24,17 +24,17 @@ PETZOLD = """@article{petzold1983,
 
 
 class AdaptiveOptions(Options):
-    """A method of SciPy that controls its own error."""
+    """An adaptive method of SciPy."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("atol", "max_step")
 
     rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
-    """Relative error tolerance of a step; SciPy takes none below 100 roundings, 2.3e-14."""
+    """Relative error tolerance of a step; SciPy does not accept values below 100 eps, 2.3e-14."""
     atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    """Absolute error tolerance of a step [m, rad, m/s, rad/s]; left out: 1e-10, for lengths and velocities times the
-    mechanism's characteristic length if that is below 1 m."""
+    """Absolute error tolerance of a step [m, rad, m/s, rad/s]; by default 1e-10, multiplied for lengths and velocities
+    by the mechanism's characteristic length if that is below 1 m."""
     max_step: MaxStep = None
-    """Largest step [s]; unlimited if left out."""
+    """Largest step [s]; unlimited by default."""
 
 
 ATOL = 1e-10

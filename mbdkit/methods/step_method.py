@@ -22,10 +22,10 @@ class StepState:
         (n,) positions [m, rad] and velocities [m/s, rad/s], n = 3 B: x, y, theta of each body in turn.
     multipliers
         (m,) multipliers computed by the method itself, in the order of ``/constraints``; None before the first step,
-        before a step that begins at a corner of a motion or load, and for methods that compute none.
+        before a step that begins at a discontinuity of a motion or load, and for methods that compute none.
     memory
-        Anything else that the method needs in its next step; None before the first step, and before a step that begins
-        at a corner of a motion or load. Never changed in place.
+        Any other data that the method needs in its next step; None before the first step, and before a step that begins
+        at a discontinuity of a motion or load. Must not be modified in place.
     work, dissipated
         Work of loads and drivers, and dissipated energy, during the step that ends here, integrated with the weights
         of the method [J]; with None the framework integrates them.
@@ -69,10 +69,10 @@ class StepState:
 class StepMethod(ABC):
     """Base of a method with fixed steps that is written in Python, one step at a time.
 
-    A subclass has its options as attributes and no attribute that changes: data that one step passes to the next
-    belong in the state. The method is used for the formulations named in its claims. If a run asks for projection, the
-    framework changes positions and velocities between the steps and leaves the other fields of the state, `memory`
-    included, unchanged. A method for which this is wrong excludes projection from the `stabilizations` that it claims.
+    A subclass has its options as attributes and no attribute that changes: data that one step passes to the next belong
+    in the state. The method is used for the formulations named in its claims. If a run uses projection, the framework
+    changes positions and velocities between the steps and leaves the other fields of the state, including `memory`,
+    unchanged. If a method cannot work in this way, it does not claim projection among its `stabilizations`.
 
     Attributes
     ----------
@@ -106,9 +106,8 @@ class StepMethod(ABC):
         state
             State at `t`. It may be used for another step, so it must not be changed.
         h
-            Size of the step [s]. The last step of a run may be shorter than the others, and so are steps that begin or
-            end at a corner of a motion or load, and those that locate an event; the latter begin at the beginning of
-            the last step.
+            Size of the step [s]. Shorter steps occur at the end of a run, at discontinuities of motions or loads, and
+            when an event is located; the latter start from the beginning of the last step.
 
         Returns
         -------

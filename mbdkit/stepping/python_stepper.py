@@ -326,7 +326,7 @@ class PythonStepper:
             new = self.method.step(equations, t, state, h)
         except (KeyboardInterrupt, StepError):
             raise
-        except BaseException as error:  # a plugin may raise anything, SystemExit included
+        except BaseException as error:  # a plugin may raise any exception, including SystemExit
             if isinstance(error, ValueError) and "read-only" in str(error):
                 raise ValueError(f"{name}.step changes an array in place that belongs to a state ({error})") from error
             if isinstance(error, Exception) and not isinstance(error, MbdkitError):

@@ -1,4 +1,4 @@
-"""A named check: a function whose docstring states the requirement, run so that no plugin can crash the kit."""
+"""A named check: a function whose docstring states the requirement. Exceptions of a plugin are caught."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Check(Generic[UnderTest]):
     function
         Takes the plugin under test and returns a `Result` or raises `Skip`; any other exception is a failure.
     slow
-        Whether a quick verification leaves it out: it takes more than a second or two.
+        Whether a quick verification omits the check, because it takes more than a second or two.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Check(Generic[UnderTest]):
             result = failed(f"it did not finish within {TIME_LIMIT:g} s")
         except MbdkitError as error:
             result = failed(str(error).rstrip("."))
-        except BaseException as error:  # a plugin may raise anything, SystemExit included
+        except BaseException as error:  # a plugin may raise any exception, including SystemExit
             result = failed(f"it raised {with_place(error)}")
         return replace(result, name=self.name, what=self.what, seconds=time.perf_counter() - begin)
 

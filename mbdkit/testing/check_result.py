@@ -45,7 +45,7 @@ class Result:
     seconds
         Duration [s].
     limits
-        What measured values are compared with, by their names: a number that they may not exceed, or a phrase.
+        Limits of the measured values by name: a number that the value may not exceed, or a phrase.
     """
 
     outcome: Outcome
@@ -201,9 +201,10 @@ class Report:
 
 
 def _told(result: Result, first: str) -> str:
-    """Return cause and measured values of a result, or the check that told the same cause, and the criterion.
+    """Return cause and measured values of a result, or the earlier check with the same cause, and the criterion.
 
-    The criterion is told where nothing else says what the values mean: without limits, and of what is not claimed.
+    The criterion is included where the meaning of the values is otherwise unclear: if there are no limits, and for
+    properties that are not claimed.
     """
     if first:
         return f"for the same reason as {first}"

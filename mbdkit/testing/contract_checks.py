@@ -71,8 +71,8 @@ def inputs(integrator: IntegratorUnderTest) -> Result:
         return failed(f"its step modified {listed(sorted(watched.changed), 'and')} of the state passed to it")
     if isinstance(watched, _Watched) and watched.reused:
         return failed(
-            f"its step returns {listed(sorted(watched.reused), 'and')} in an array that its next step uses again; it "
-            "should return new arrays"
+            f"its next step overwrites {listed(sorted(watched.reused), 'and')} in an array that an earlier step "
+            f"returned; it should return new arrays"
         )
     return passed()
 
@@ -83,7 +83,7 @@ _PARTS = ("q", "v", "multipliers", "memory")
 class _Watched(StepMethod):
     """A method that records which parts of the passed state, and of the state returned before, a step modifies.
 
-    The arrays that it passes on are not read-only, so that every part that is modified is found.
+    The arrays passed to the method are writable, so that all modifications are detected.
     """
 
     def __init__(self, method: StepMethod):
@@ -122,7 +122,7 @@ def repeatable(integrator: IntegratorUnderTest) -> Result:
     made = integrator.method()
     ends = [drive(integrator.stepper(integrator.workspace(DRIVEN_PENDULUM), 0.7, STEPS, method=made)) for _ in range(2)]
     if not all(np.array_equal(x, y) for x, y in zip(*ends, strict=True)):
-        return failed("a method object gives different results when it is used again: it keeps state of the last run")
+        return failed("a method object gives different results when it is used again: it keeps data of the last run")
     return passed()
 
 

@@ -1,4 +1,4 @@
-"""Whether the counters of a run are correct."""
+"""Checks that the counters of a run are correct."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:
 
 
 def _must_hold(integrator: IntegratorUnderTest, level: str) -> str:
-    """Return why the constraints should hold at a level to round-off; empty if nothing says so."""
+    """Return the reason why the constraints should hold to round-off at a level; empty if there is none."""
     claims = integrator.claims
     if level in HELD.get(integrator.formulation, ()):
         return f"{integrator.formulation} enforces them"

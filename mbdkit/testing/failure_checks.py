@@ -23,7 +23,7 @@ TYPED = tuple(code for code in REASONS if code not in ("event", "plugin-error"))
 
 
 def _fault(run: Run, *, allowed: tuple[str, ...] = TYPED) -> str:
-    """Return an error in the end of a run; empty if there is none."""
+    """Return what is wrong with the way in which a run ended; empty if nothing is wrong."""
     code = run.status_reason.partition(":")[0]
     if run.status == "failed" and code not in allowed:
         return f"it ended with {run.status_reason.rstrip('.')}"
@@ -51,7 +51,7 @@ def not_a_number(integrator: IntegratorUnderTest) -> Result:
 
 
 def _refuse_to_step(integrator: IntegratorUnderTest) -> None:
-    """Call a method with `step` where accelerations are undefined; raises `_NoStepError` if it returns."""
+    """Call `step` of a method where accelerations are undefined; raise `_NoStepError` if it returns."""
     method = integrator.method()
     if not isinstance(method, StepMethod):
         return
@@ -151,7 +151,9 @@ def interrupt(integrator: IntegratorUnderTest) -> Result:
             signal.raise_signal(signal.SIGINT)
 
     time = {"end": 1e6, "step": 0.01}
-    endless = {"misalignment": 1e300}  # a method of low order may let the joints fall apart before the interrupt
+    endless = {
+        "misalignment": 1e300
+    }  # with a method of low order, a run may stop because of misalignment before the interrupt
     with integrator.run(SWINGING, time, progress=ring, output={"every": 1000}, limits=endless) as run:
         if run.status != "interrupted":
             return failed(f"after Ctrl-C its status is {run.status}: {run.status_reason}")

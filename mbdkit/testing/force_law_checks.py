@@ -27,9 +27,9 @@ LENGTHS = tuple(np.linspace(0.15, 2.05, 39))
 RATES = (-3.0, -1.0, -0.1, 0.0, 0.1, 1.0, 3.0)
 TIMES = (0.0, 0.3, 1.7)
 AGREE = 1e-5
-"""Share of its size by which a derivative may differ from differences."""
+"""Largest relative difference between a derivative and finite differences."""
 SMALL = 1e-5
-"""Difference [m, m/s] by which derivatives are taken."""
+"""Step of the finite differences [m, m/s]."""
 
 
 @dataclass
@@ -118,7 +118,9 @@ def by_rate(law: ForceLawUnderTest) -> Result:
 
 
 def _derivative(law: ForceLawUnderTest, argument: int) -> Result:
-    """Compare with the nearest of one-sided and central differences: at a corner, either slope is right."""
+    """Compare with the closest of one-sided and central differences: where the slope is discontinuous, either one is
+    correct.
+    """
     worst, where = 0.0, (0.0, 0.0, 0.0)
     for at, value in law.samples.items():
         if not np.all(np.isfinite(value)):

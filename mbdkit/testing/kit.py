@@ -60,7 +60,7 @@ def checks_of(kind: Kind, *, quick: bool = False) -> Iterator[Check[Any]]:
 
 
 def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], installed: Registry | None = None) -> Any:
-    """Return a plugin with options, as the checks take it.
+    """Return a plugin with options, in the form that the checks use.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Checks of a measure: it returns numbers, repeatably, and changes nothing."""
+"""Checks of a measure: it returns numbers, is repeatable, and modifies nothing."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def options(measure: MeasureUnderTest) -> Result:
 
 @check("measure.value")
 def value(measure: MeasureUnderTest) -> Result:
-    """For a run of an example that has what it needs, it returns a number, and the same number twice."""
+    """For a run of a suitable packaged example, it returns a number, and the same number again."""
     values: dict[str, float] = {}
     refused = ""
     for name, run in measure.runs():
@@ -78,7 +78,9 @@ def value(measure: MeasureUnderTest) -> Result:
             return failed(f"for a run of {name} it returned {first!r} and then {second!r}")
         values[name] = float(first)
     if not values:
-        raise Skip(f"no example has what it needs ({refused}); give options that suit one with --set")
+        raise Skip(
+            f"it cannot be computed for any packaged example ({refused}); use --set to give options that match one"
+        )
     if all(np.isnan(list(values.values()))):
         return warned("it returned nan for every example that it was tried on")
     return passed(**values)

@@ -30,7 +30,7 @@ def options_result(options_type: type[BaseModel], given: Mapping[str, Any], word
     given
         Values of the options.
     words
-        What the options of this kind of plugin are called, in the plural.
+        Word for the options of this kind of plugin, in the plural.
     """
     if not options_type.model_fields:  # of BaseModel itself, which has no schema
         return passed(**{words: 0})
@@ -86,8 +86,8 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
 def variants(item: Registered, chosen: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield valid options of an item in which one option has another value, with a name such as ``damping = -1``.
 
-    The values are chosen by type and bounds only, the same ones in every call: numbers smaller and larger than the
-    chosen one, of both signs where the bounds allow it, the other truth value, and the other choices.
+    The values depend on type and bounds only and are the same in every call: numbers smaller and larger than the
+    present one, of both signs if the bounds allow it, the other truth value, and the other choices.
     """
     model: type[BaseModel] = item.plugin.options
     if not model.model_fields:
@@ -116,7 +116,9 @@ def _others(schema: Mapping[str, Any], now: Any) -> list[Any]:
         return []
     limits = kinds[0]
     size = abs(now) if isinstance(now, int | float) and now else 1
-    if limits["type"] == "number":  # without its bounds, such as a tolerance of 0, which may suit special cases only
+    if (
+        limits["type"] == "number"
+    ):  # excludes the bounds themselves, such as a tolerance of 0, which may be special cases
         found = [-size, size / 2, 2 * size]
     else:
         found = [-size, size - 1, size + 1, *(limits[key] for key in ("minimum", "maximum") if key in limits)]

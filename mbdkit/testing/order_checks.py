@@ -30,8 +30,8 @@ FIRST_STEPS = 5
 HIGH = 8
 """Order above which errors may reach rounding before they follow a power of the step."""
 BELOW_HIGH = 0.5
-"""Like `BELOW` for high orders, where few step sizes lie between too coarse ones and rounding. An observed
-order between both limits proves nothing."""
+"""Like `BELOW`, for high orders, for which few step sizes are neither too coarse nor dominated by round-off. An
+observed order between both limits is inconclusive."""
 POLYNOMIAL = 1e-13
 
 

@@ -22,7 +22,7 @@ STEPS, END = 60, 0.6
 
 @check("restart.stretches")
 def stretches(integrator: IntegratorUnderTest) -> Result:
-    """A run in one piece, in single steps, and with dense output in every step gives the same bits."""
+    """An uninterrupted run, one in single steps, and one with dense output in every step are bitwise identical."""
     if integrator.claims.adaptive:
         raise Skip("it has no fixed steps")
     whole = integrator.moved(integrator.workspace(DRIVEN_PENDULUM), END, STEPS)
