@@ -61,7 +61,7 @@ class AssembledState:
     def describe(self) -> str:
         """Return a sentence that lists the changes made by assembly, largest first."""
         if not self.changed:
-            return "The given initial state satisfies the constraints and is left untouched."
+            return "The given initial state satisfies the constraints and is not changed."
         parts = []
         for unit, moved in (
             ("m", self.moved_position),
@@ -165,7 +165,9 @@ class _Assembly:
         for name, force in self.mechanism.forces.items():
             value = getattr(force, "value", None)
             written += [(f"model.forces.{name}.value", x) for x in (value if isinstance(value, tuple) else [value])]
-        values = dict(zip(self.compiled.motions, scratch.u, strict=False))  # those of moving centers follow
+        values = dict(
+            zip(self.compiled.motions, scratch.u, strict=False)
+        )  # the programs of moving centers follow those of the motions
         for key, motion in written:
             if motion is not None and not np.all(np.isfinite(values[motion][: 3 if key.endswith("motion") else 1])):
                 if isinstance(motion, Table):

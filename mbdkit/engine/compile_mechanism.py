@@ -216,10 +216,10 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
 
 
 def compiled_content(mechanism: Mechanism) -> bytes | None:
-    """Return all that `compile_mechanism` and the choice of bodies to hold depend on; None if it has no such form.
+    """Return all input of `compile_mechanism` and of the choice of fixed bodies as a key; None if it cannot be a key.
 
-    Mechanisms with equal contents differ in their initial states only; these count as content if a joint depends on
-    them. All bits of a number count, so that 0.0 and -0.0 differ.
+    Mechanisms with equal keys differ in their initial states only; the initial state is part of the key if a joint
+    depends on it. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
     """
     posed = any(joint.point_moves_on_first or joint.angles() for joint in mechanism.joints.values())
     bodies = [
@@ -237,7 +237,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         return marshal.dumps(
             (bodies, beams, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2
         )
-    except ValueError:  # a table of a motion, or the options of a force law
+    except ValueError:  # hashing fails for a table of a motion, or for the options of a force law
         return None
 
 
@@ -394,7 +394,7 @@ def _is_well_scaled(mechanism: Mechanism) -> bool:
             if name in arms:
                 arms[name] = max(arms[name], x * x + y * y)
         a = joint.bodies[0]
-        if joint.point_moves_on_first and a in arms:  # the reaction on `a` acts at the point of the other body
+        if joint.point_moves_on_first and a in arms:  # the reaction on `a` acts at the point of `b`
             for _, name, point in joint.attachments()[-1:]:
                 x, y = mechanism.to_local(a, mechanism.to_global(name, point))
                 arms[a] = max(arms[a], x * x + y * y)

@@ -26,7 +26,7 @@ def with_ground(x: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Row:
-    """One constraint row: its pair, its place in the pair (0 or 1), its label ``joint.row`` and its unit."""
+    """One constraint row: its pair, its index in the pair (0 or 1), its label ``joint.row`` and its unit."""
 
     pair: int
     place: int
@@ -168,7 +168,7 @@ class CompiledMechanism:
 
     @property
     def names(self) -> tuple[object, ...]:
-        """Everything by which the elements are called in an archive."""
+        """All names and numbers of the elements that appear in an archive."""
         return (
             self.bodies,
             self.joints,

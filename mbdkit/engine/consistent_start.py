@@ -61,7 +61,7 @@ def workspace_at_start(
     formulation, stabilization
         Formulation and stabilization of the equations that are integrated.
     starts
-        Keeps compiled mechanisms for further starts, if given.
+        Cache of compiled mechanisms, if given.
 
     Returns
     -------
@@ -73,8 +73,8 @@ def workspace_at_start(
     Raises
     ------
     SpecError
-        If the constraints cannot be satisfied, the two ends of a spring coincide, redundant joints contradict each
-        other, or the initial position is singular.
+        If the constraints cannot be satisfied, the two ends of a spring coincide, redundant joints are inconsistent, or
+        the initial position is singular.
     """
     start = (starts or Starts()).at_start(mechanism, t0, end)
     workspace = Workspace(start.mechanism, t0, start.q0, start.v0, formulation=formulation, stabilization=stabilization)
@@ -113,12 +113,14 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
 
 
 MOST_MECHANISMS = 8
-"""Number of compiled mechanisms that are kept for further starts."""
+"""Number of compiled mechanisms in the cache."""
 
 
 @dataclass(frozen=True)
 class _Compiled:
-    """What mechanisms that differ in their initial states have in common: the solver of their assembly, for one."""
+    """The part of the preparation that mechanisms with different initial states share, such as the solver of
+    assembly.
+    """
 
     mechanism: CompiledMechanism
     search: LeastChange
@@ -131,7 +133,7 @@ class _Compiled:
 
 
 class Starts:
-    """Makes starts consistent; mechanisms that differ in their initial states only are compiled once."""
+    """Computes consistent initial states; mechanisms that differ only in their initial states are compiled once."""
 
     def __init__(self) -> None:
         self._compiled: dict[tuple[bytes, float], _Compiled] = {}

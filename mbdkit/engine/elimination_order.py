@@ -15,7 +15,7 @@ PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1),
 """SuperLU's column ordering and threshold for diagonal pivots relative to their column, in order of preference."""
 
 ACCURATE = 1e-11
-"""Largest residual of a trial solution, relative to its right side, for pivots to be accepted."""
+"""Largest residual of a trial solution, relative to the right-hand side, for pivots to be accepted."""
 
 LITTLE_FILL = 4
 """If the factors have at most this many times the entries of the matrix, no further strategy is tried."""
@@ -216,7 +216,7 @@ def _sparsest(matrix: Any) -> tuple[Any, float]:
         rmatvec=lambda x: best.solve(x.ravel(), "H"),
         dtype=matrix.dtype,
     )
-    with np.errstate(all="ignore"):  # a matrix that is singular to rounding has a condition that is not finite
+    with np.errstate(all="ignore"):  # a matrix that is singular to round-off has a condition number that is not finite
         return best, float(onenormest(inverse) * abs(matrix).sum(axis=0).max())
 
 

@@ -55,8 +55,9 @@ class EquationsOfMotion:
     rows. Every returned array is new. The computations are compiled; their cost is linear in the number of bodies.
 
     All methods raise `StepError` with the code ``singular`` if there is no unique solution, or ``not-finite`` on
-    overflow. Work is counted in `counters`: each evaluation of forces or accelerations as an evaluation of the right
-    side, each evaluation of tangents as a Jacobian, each solve with an iteration matrix as a Newton iteration.
+    overflow. Work is counted in `counters`: each evaluation of forces or accelerations as an evaluation of the
+    right-hand side, each evaluation of tangents as a Jacobian, each solve with an iteration matrix as a Newton
+    iteration.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ class EquationsOfMotion:
         self.bodies = mechanism.bodies
         self.constraint_names = tuple(row.label for row in mechanism.solved_rows)
         self.formulation, self.stabilization = workspace.formulation, workspace.stabilization
-        self.mass = mechanism.topology.mass[:-1].ravel()  # a view of what the kernels read
+        self.mass = mechanism.topology.mass[:-1].ravel()  # a view of the array that the kernels read
         self.t0, self.q0, self.v0 = workspace.t0, workspace.q0[: self.n].copy(), workspace.v0[: self.n].copy()
         for array in (self.mass, self.q0, self.v0):
             array.flags.writeable = False
@@ -134,7 +135,7 @@ class EquationsOfMotion:
         t, q
             Time [s] and position (n,).
         force, rows
-            (n,) and (m,) right sides.
+            (n,) and (m,) right-hand sides.
 
         Returns
         -------
@@ -165,7 +166,7 @@ class EquationsOfMotion:
         return self._rows(t, q, v)[1]
 
     def gamma(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the right side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
+        """Return the right-hand side of ``Phi_q a = gamma`` (m,) [m/s^2, rad/s^2], Baumgarte's terms included."""
         return self._rows(t, q, v)[2]
 
     def constraint_jacobian(self, t: float, q: np.ndarray) -> csr_array:
@@ -308,7 +309,7 @@ class EquationsOfMotion:
 
         def solve() -> int:
             self.counters.factorizations += 1
-            if self._pinned.bundle.solver is not workspace.solver:  # new pivots, chosen here or by the recorder
+            if self._pinned.bundle.solver is not workspace.solver:  # uses new pivots, chosen here or by the recorder
                 self._pinned.replace(self._pinned.bundle._replace(solver=workspace.solver))
                 self.address = self._pinned.address
             return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))

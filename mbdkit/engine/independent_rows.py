@@ -38,7 +38,7 @@ def choose_spare(
     stresses
         (m, r) orthonormal self-stresses at each of K positions.
     pair, place
-        (m,) pair of each row and its place in the pair, in the order of the joints.
+        (m,) pair of each row and its index in the pair, in the order of the joints.
     last_resort
         (m,) whether a row may be removed only if no other row is suitable.
 

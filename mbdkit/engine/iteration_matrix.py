@@ -107,9 +107,9 @@ class IterationMatrix:
         Parameters
         ----------
         force
-            (n,) upper right side, in the order of the coordinates.
+            (n,) upper right-hand side, in the order of the coordinates.
         rows
-            (m,) lower right side, in the order of the constraints.
+            (m,) lower right-hand side, in the order of the constraints.
 
         Returns
         -------
@@ -121,7 +121,7 @@ class IterationMatrix:
         Raises
         ------
         StepError
-            If the right side is not finite, or if the matrix is so close to singular that a residual remains.
+            If the right-hand side is not finite, or if the matrix is so close to singular that a residual remains.
         """
         dtype = COMPLEX if self._complex else REAL
         n, m = self._pivots.shape
@@ -131,7 +131,7 @@ class IterationMatrix:
         self._counters.newton_iterations += 1
         if not kernel(self._pinned.address, force, rows, x, mu) < KKT_TOLERANCE:
             if not (np.all(np.isfinite(force)) and np.all(np.isfinite(rows))):
-                raise StepError("not-finite", "the right side of an iteration is not finite")
+                raise StepError("not-finite", "the right-hand side of an iteration is not finite")
             raise StepError("singular", "the matrix of the iteration is too close to singular")
         return x, mu
 

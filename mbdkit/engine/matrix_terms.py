@@ -1,4 +1,4 @@
-"""Terms of the stage matrix: the index of each value in the working arrays, its place in the matrix and its factor.
+"""Terms of the stage matrix: the index of each value in the working arrays, its position in the matrix and its factor.
 
 The matrix of a stage with rate ``h mu`` is
 
@@ -34,7 +34,7 @@ class MatrixTerms:
     source : (N,) int array
         Index of the value in ``Scratch.source``.
     row, column : (N,) int arrays
-        Place in the matrix.
+        Position in the matrix.
     factor : (N,) int array
         Class of the factor: CONSTANT, RATE, MINUS_RATE or RATE_SQUARED.
     """
@@ -94,7 +94,9 @@ class _Table:
 def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
-    """Return the terms of all mechanisms with these integers: the runs of a study usually have the same."""
+    """Return the terms of a mechanism with these integers; cached, because the runs of a study usually have the
+    same.
+    """
     of_pairs, of_rows, spare, springs, couplings, loads, sections, row_index = (table.array for table in tables)
     offsets = dict(places)
     n3 = 3 * count
@@ -110,7 +112,7 @@ def _terms(
     def multiplier(members: np.ndarray, place: int) -> np.ndarray:
         return (
             row_index[members, place] + 3
-        )  # three places are reserved for the coordinates of ground and removed below
+        )  # three columns are reserved for the coordinates of ground and removed below
 
     diagonal = np.arange(n3)
     add(diagonal, diagonal, diagonal, CONSTANT)

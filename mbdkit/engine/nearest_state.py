@@ -14,7 +14,7 @@ ROUND_OFF = FEW_ROUNDINGS * EPS
 
 
 class ConstrainedSystem(Protocol):
-    """The part of `mbdkit.engine.equations_of_motion.EquationsOfMotion` that projections use."""
+    """The methods of `mbdkit.engine.equations_of_motion.EquationsOfMotion` that projections use."""
 
     n: int
     mass: np.ndarray

@@ -29,14 +29,15 @@ class SingularState:
 
 @dataclass(frozen=True)
 class GivenForces:
-    """Accelerations and constraint forces that more than the mechanism causes, as with actuators.
+    """Accelerations and constraint forces that are given, because they do not follow from the mechanism alone, as with
+    actuators.
 
     Attributes
     ----------
     acceleration
         (T, 3 (B + 1)), ground last.
     lam, reactions
-        (T, P, 2) and (T, P, 3), as in `Observed`; those of redundant joints are shared afterwards.
+        (T, P, 2) and (T, P, 3), as in `Observed`; those of redundant joints are distributed afterwards.
     """
 
     acceleration: np.ndarray
@@ -66,7 +67,7 @@ class StateObserver:
     Attributes
     ----------
     gaps, gap_uncertainty : (T, D) arrays
-        Of the states last observed: `unexplained_gaps` of the redundant directions.
+        Result of `unexplained_gaps` for the redundant directions of the states last observed.
     """
 
     def __init__(self, workspace: Workspace):
@@ -80,7 +81,7 @@ class StateObserver:
 
     @property
     def kept(self) -> np.ndarray:
-        """(P, 11) vectors that one state passes to the next, for the distance to singularity."""
+        """(P, 11) vectors that are kept from one state to the next, for the distance to singularity."""
         return self._near
 
     def arrays(self, states: int) -> Observed:

@@ -34,7 +34,7 @@ LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
 """Times after the start at which drivers are checked: the smaller of a time [s] and a fraction of the run."""
 
 FAR, FAR_MOVE = 40, 0.2
-"""Number of distant positions, and the displacement from one to the next. Together they cover a turn.
+"""Number of distant positions, and the displacement from one to the next. Together they cover a full rotation.
 
 Half of them lie on either side of the start.
 """
@@ -46,7 +46,7 @@ CLOSED = 1e-11
 """Largest residual of a consistent position, relative to the largest coordinate."""
 
 CONTRADICTION = 1e-7
-"""Rows contradict each other if the accelerations they require differ by more than this, relative to their terms."""
+"""Rows are inconsistent if the accelerations they require differ by more than this, relative to their terms."""
 
 INVOLVED = 1e-6
 """Component in a self-stress above which the reaction of a joint is not unique."""
@@ -84,7 +84,7 @@ def without_redundancy(
     Raises
     ------
     SpecError
-        If redundant joints contradict each other, or the start is a singular position. The message names the joints.
+        If redundant joints are inconsistent, or the start is a singular position. The message names the joints.
     """
     rows = looped_rows(compiled)
     if len(rows) == 0:
@@ -142,7 +142,7 @@ class _Analysis:
         return search.closed(q, 1e-14 * max(1.0, float(np.max(np.abs(q)))))
 
     def place_at(self, search: LeastChange, q: np.ndarray, spare: int = 0) -> _Place:
-        """Return the consistent position `q` with its self-stresses, of which `spare` are expected."""
+        """Return the consistent position `q` with its self-stresses, whose expected number is `spare`."""
         _, (row, column, value), _ = search.evaluate(q)
         local = np.full(len(self.compiled.rows), -1)
         local[self.rows] = np.arange(len(self.rows))
@@ -233,7 +233,7 @@ class _Analysis:
         return place if place.stresses.shape[1] == spare else None
 
     def later(self, start: _Place, v0: np.ndarray) -> list[_Place]:
-        """Return positions a short time after the start; raises SpecError if drivers contradict each other there."""
+        """Return positions a short time after the start; raises SpecError if drivers are inconsistent there."""
         spare = start.stresses.shape[1]
         places: list[_Place] = []
         if not self.compiled.drivers:
@@ -263,7 +263,7 @@ class _Analysis:
             raise self.contradiction(start, gamma, "they require different accelerations at the start")
 
     def contradiction(self, start: _Place, residual: np.ndarray, what: str) -> SpecError:
-        """Return the error that names the joints whose scaled residuals contradict each other."""
+        """Return the error that names the joints with inconsistent scaled residuals."""
         part = start.stresses @ (start.stresses.T @ residual)
         names = self.joints_of(np.abs(part) > 0.1 * np.max(np.abs(part)))
         driven = [name for name in names if name in self.compiled.drivers]
@@ -278,7 +278,7 @@ class _Analysis:
         names = self.joints_of(np.linalg.norm(start.stresses, axis=1) > 0.1 * np.max(np.abs(start.stresses)))
         return SpecError(
             "the mechanism is in a singular position at the start, where its accelerations have no unique "
-            f"solution: {_named(names)} block each other there, but not nearby; start from another position",
+            f"solution: {_named(names)} are dependent there, but not in nearby positions; start from another position",
             key="model.joints",
         )
 

@@ -1,9 +1,9 @@
-"""Gaps of redundant rows that the misalignment of the other rows does not explain.
+"""Residuals of redundant rows that the misalignment of the other rows does not explain.
 
 A self-stress is a combination of constraint rows whose gradient vanishes. Therefore the same combination of the
-residuals Phi vanishes too, to first order, however far numerical error has moved the mechanism off its constraints. It
-is the gap in the redundant direction that would remain if all other rows were closed. If it does not vanish, the rows
-contradict each other, as two drivers that part do.
+residuals Phi vanishes too, to first order, for any deviation of the mechanism from its constraints by numerical error.
+It is the residual in the redundant direction that would remain if all other rows were satisfied. If it does not vanish,
+the rows are inconsistent, like those of two drivers whose motions diverge.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 
 def units_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
-    """Return (P,) the unit in which residuals of each pair are of the order 1: the characteristic length, or 1 rad."""
+    """Return the scale (P,) of the residuals of each pair: the characteristic length, or 1 rad."""
     units = np.ones(len(mechanism.topology.pairs))
     units[[row.pair for row in mechanism.rows if row.unit == "m"]] = mechanism.length
     return units
@@ -23,7 +23,8 @@ def units_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
 def unexplained_gaps(
     mechanism: CompiledMechanism, q: np.ndarray, phi: np.ndarray, distance: np.ndarray, self_stress: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gaps in D redundant directions that remain if the other rows are closed, and their uncertainty.
+    """Return the residuals in D redundant directions that remain if the other rows are satisfied, and their
+    uncertainty.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def unexplained_gaps(
     -------
     gap, uncertainty : (T, D) arrays
         Relative to `units_of_pairs`. The uncertainty is of second order in the misalignment of the other rows: the sum
-        of the absolute multipliers times the square of the displacement that closes these rows.
+        of the absolute multipliers times the square of the displacement that satisfies these rows.
     """
     top, units = mechanism.topology, units_of_pairs(mechanism)
     relative = phi / units[:, None]

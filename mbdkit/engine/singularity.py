@@ -30,7 +30,9 @@ NEAR = 0.05
 
 
 def new_vectors(mechanism: CompiledMechanism) -> np.ndarray:
-    """Return (P, 11) zeros: the initial data that `singularity_distance` keeps between the rows of a run."""
+    """Return (P, 11) zeros: the initial data of `singularity_distance`, which are kept between the recorded states of a
+    run.
+    """
     return np.zeros((len(mechanism.topology.pairs), COLUMNS))
 
 

@@ -1,7 +1,7 @@
-"""Bundles, pivots and solvers as plain values, as a checkpoint stores them, and back.
+"""Conversion of bundles, pivots and solvers to the plain values of a checkpoint, and back.
 
-Kernels index arrays by what patterns and counts say, and do not check bounds. What is read from a file is therefore
-checked first: a pattern that does not fit raises ValueError.
+Kernels use patterns and counts as indices without checking bounds. Values read from a file are therefore checked first:
+an invalid pattern raises ValueError.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 _PIVOTED = ("pivoted", "pattern", "factors", "scatter")
-"""Parts of a solver that change during a run; the others belong to the mechanism, or are scratch."""
+"""Parts of a solver that change during a run; the others are constant, or scratch arrays."""
 
 
 def stored(bundle: Any, without: Collection[str] = ()) -> dict[str, Any]:
@@ -32,7 +32,7 @@ def stored(bundle: Any, without: Collection[str] = ()) -> dict[str, Any]:
 
 
 def restore(bundle: Any, state: Any, without: Collection[str] = ()) -> None:
-    """Copy stored values into the arrays of a bundle; raise ValueError if they do not fit."""
+    """Copy stored values into the arrays of a bundle; raise ValueError if shapes or types differ."""
     wanted = [name for name in bundle._fields if name not in without]
     if not isinstance(state, Mapping) or state.keys() != set(wanted):
         raise ValueError(f"{type(bundle).__name__} has other arrays")
@@ -54,7 +54,7 @@ def fill(array: np.ndarray, values: Any) -> None:
 
 
 def pattern_of(state: Any, unknowns: int) -> Pattern:
-    """Return a stored pattern of a matrix of `unknowns` rows, or the empty one; raise ValueError if it is none."""
+    """Return a stored pattern of a matrix of `unknowns` rows, or the empty one; raise ValueError if it is invalid."""
     pattern = Pattern(**{name: _vector(state, name) for name in Pattern._fields})
     if not len(pattern.row_of):
         unknowns = 0
@@ -64,19 +64,19 @@ def pattern_of(state: Any, unknowns: int) -> Pattern:
         (pattern.u_start, pattern.u_column),
     ):
         if len(start) != unknowns + 1 or start[0] != 0 or start[-1] != len(column) or np.any(np.diff(start) < 0):
-            raise ValueError("the rows of a pattern do not fit")
+            raise ValueError("the rows of a pattern are invalid")
         if np.any(column < 0) or np.any(column >= unknowns):
             raise ValueError("a pattern has columns that do not exist")
     for order in (pattern.row_of, pattern.column_of):
         if not np.array_equal(np.sort(order), np.arange(unknowns)):
-            raise ValueError("pivots are no permutation")
+            raise ValueError("pivots are not a permutation")
     for scale, count in (
         (pattern.row_scale, unknowns),
         (pattern.column_scale, unknowns),
         (pattern.weight, len(pattern.a_column)),
     ):
         if len(scale) != count:
-            raise ValueError("the scales of a pattern do not fit")
+            raise ValueError("the scales of a pattern are invalid")
     return pattern
 
 
@@ -87,17 +87,17 @@ def _vector(state: Any, name: str) -> np.ndarray:
     values = state.get(name) if isinstance(state, Mapping) else None
     kind = np.int64 if name in _INTEGERS else np.float64
     if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype != kind:
-        raise ValueError(f"{name} of a pattern is no vector")
+        raise ValueError(f"{name} of a pattern is not a vector")
     return values
 
 
 def scatter_of(state: Any, sources: int, places: int) -> Scatter:
-    """Return stored lists of where `sources` terms go among `places` entries; raise ValueError if they do not fit."""
+    """Return stored lists that map `sources` terms to `places` entries; raise ValueError if they are invalid."""
     if not isinstance(state, Mapping) or state.keys() != set(Scatter._fields):
         raise ValueError("a matrix has other terms")
     for pairs in state.values():
         if not isinstance(pairs, np.ndarray) or pairs.dtype != np.int64 or pairs.ndim != 2:
-            raise ValueError("the terms of a matrix are no pairs")
+            raise ValueError("the terms of a matrix are not pairs")
         if not pairs.size:
             continue
         if pairs.shape[1] != 2 or np.any(pairs < 0) or np.any(pairs >= [sources, places]):
@@ -106,12 +106,12 @@ def scatter_of(state: Any, sources: int, places: int) -> Scatter:
 
 
 def stored_solver(solver: Solver) -> dict[str, Any]:
-    """Return the parts of a solver that a run changes."""
+    """Return the parts of a solver that change during a run."""
     return {name: stored(solver)[name] for name in _PIVOTED}
 
 
 def solver_of(workspace: Workspace, state: Any) -> Solver:
-    """Return the solver of a workspace with stored pivots and factors; raise ValueError if they do not fit."""
+    """Return the solver of a workspace with stored pivots and factors; raise ValueError if they are invalid."""
     if not isinstance(state, Mapping) or state.keys() != set(_PIVOTED):
         raise ValueError("a solver has other parts")
     pattern = pattern_of(state["pattern"], workspace.unknowns)

@@ -80,7 +80,8 @@ class Workspace:
             failed=np.array([-1]),
         )
         self._engine = PinnedBundle(Engine(top, self.scratch, self.solver))
-        # bundles take most of the time of a small workspace, so there is only one if both engines are the same
+        # creating bundles takes most of the time of a small workspace, so that only one is created if both engines are
+        # equal
         self._stepping_engine = (
             PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver)) if stabilized else self._engine
         )
@@ -136,7 +137,7 @@ class Workspace:
         Pattern
             Patterns of the matrix and of its factors.
         position : int array
-            Place of each term among the values of the matrix.
+            Index of each term among the values of the matrix.
 
         Raises
         ------
@@ -175,7 +176,7 @@ class Workspace:
         ----------
         tangents
             Whether the derivatives of forces and constraints are checked as well. They are not part of the index-1
-            system, and may be left over from an earlier state.
+            system, and may belong to an earlier state.
         """
         w = self.scratch
         terms = w.source if tangents else w.source[self.terms.chosen(tangents=False).source]
@@ -184,8 +185,8 @@ class Workspace:
     def clamp_motions(self, begin: float, end: float) -> None:
         """From now on, evaluate motions and loads before `begin` as at `begin`, and after `end` as at `end` [s].
 
-        A step from one corner of a motion to the next must see the side of each corner that it is on, although the
-        times of its first and last stage are those of the corners but for rounding errors.
+        A step between two discontinuities must use the one-sided limits within the step, although its first and last
+        stage are at the discontinuities up to rounding errors.
         """
         self.scratch.sides[:] = begin, end
 
@@ -194,15 +195,17 @@ class Workspace:
         return finite_motions(self.mechanism.topology, self.scratch.u)
 
     def unusable(self) -> str:
-        """Return which force or motion was not finite when last evaluated, as a clause; empty if all were finite."""
+        """Return a clause that names the force or motion that was not finite in the last evaluation; empty if all were
+        finite.
+        """
         if not self.motions_are_finite():
             return "the value of a driver, a load or a moving center is not finite"
         if force := self.unusable_law():
-            return f"the law of force '{force}' gives no finite number"
+            return f"the law of force '{force}' does not give a finite number"
         return ""
 
     def unusable_law(self) -> str | None:
-        """Return the name of the last force whose law returned no finite number, if any."""
+        """Return the name of the last force whose law did not return a finite number, if any."""
         law = int(self.scratch.faulty[0])
         return self.mechanism.laws[law][0] if law >= 0 else None
 
@@ -250,7 +253,7 @@ class Workspace:
         return int(order[failed]) if 0 <= failed < len(order) else -1
 
     def retry_with_new_pivots(self, solve: Callable[[], int]) -> int:
-        """Call `solve`, a second time with newly chosen pivots if it fails for lack of good ones.
+        """Call `solve`; if it fails because of unsuitable pivots, choose new ones and call it again.
 
         Parameters
         ----------
@@ -357,6 +360,8 @@ def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scra
 
 
 def _scatter(terms: MatrixTerms, target: np.ndarray) -> Scatter:
-    """Sort terms by the class of their factor into the lists that `gather_values` reads; `target` (N,) is the place."""
+    """Sort terms by the class of their factor into the lists that `gather_values` reads; `target` (N,) is the index
+    among the values of the matrix.
+    """
     both = np.column_stack([terms.source, target]).astype(np.int64)
     return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(4)))

@@ -54,7 +54,7 @@ def with_row(number: int, row: str) -> list[str]:
         (ROWS, {"columns": {"hip.angle": {"column": "hip", "unit": "ell"}}}, "'ell' is not a known unit"),
         (ROWS, {"columns": {"tip.x": {"column": "hip", "unit": "deg"}}}, "'deg' is not a unit of a length (m, mm)"),
         (ROWS, {"columns": {"hip.angle": {"column": "hip", "rate": "hip"}}}, "hip.angle.acceleration: is"),
-        (ROWS, {"smooth": {"name": "butterworth", "cutoff": 60}}, "smooth.cutoff: 60 Hz is too high: with 100 rows"),
+        (ROWS, {"smooth": {"name": "butterworth", "cutoff": 60}}, "smooth.cutoff: 60 Hz is too high: with 100 samples"),
         (ROWS, {"smooth": "butterwort"}, "motion.smooth"),
         (with_row(5, "0.035,0.3,a"), {"smooth": {"name": "butterworth", "cutoff": 5}}, "needs evenly spaced rows"),
         (with_row(21, "0.19,,a"), {"gaps": {"longest": 1}}, "t.csv:21: column 'hip': a gap at an end of the motion"),
