@@ -27,8 +27,6 @@ from mbdkit.spec.run_source import RunSource, StudySource
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import Storing, StudySpec
 from mbdkit.studies import member_table
-from mbdkit.studies.block_execution import BlockExecution
-from mbdkit.studies.block_study import BlockStudy
 from mbdkit.studies.execute import Execution, Options, Progress
 from mbdkit.studies.executor_pool import Engine, checked_executor
 from mbdkit.studies.sampled_values import settled_sample
@@ -73,20 +71,7 @@ def load_study(folder: str | Path) -> Study:
     >>> len(mbdkit.load_study("steps").points)
     2
     """
-    return _opened(Path(folder))
-
-
-def _opened(
-    folder: Path,
-    *,
-    computed: int = 0,
-    unfinished: Sequence[str] = (),
-    keep: _TemporaryFolder | None = None,
-) -> Study:
-    """Open the folder of a study, whose study.yaml says how its runs are stored."""
-    path = StudyFolder(folder).spec
-    in_blocks = path.is_file() and load_study_spec(path).in_blocks
-    return (BlockStudy if in_blocks else Study)(folder, computed=computed, unfinished=unfinished, keep=keep)
+    return Study(folder)
 
 
 def study(
@@ -173,16 +158,15 @@ def study(
     try:
         is_shown = progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
-            kind = BlockExecution if spec.in_blocks else Execution
-            execution = kind(spec, folder, Options(shard, progress or bar, notify, overwrite))
-            _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.count, "run"))
+            execution = Execution(spec, folder, Options(shard, progress or bar, notify, overwrite))
+            _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
             execution.run(engine)
             _LOG.info(
                 "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
             )
     except SpecError as error:
         raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
-    return _opened(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)
+    return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)
 
 
 def ensemble(

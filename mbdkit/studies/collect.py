@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.measures.take import Description, take
+from mbdkit.measures.take import take
 from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
-from mbdkit.studies.planned_points import PlannedPoint
 from mbdkit.studies.run_group import RunGroup
 from mbdkit.studies.study_index import Index, Row, quartiles
+from mbdkit.studies.study_plan import StudyPlan
 from mbdkit.studies.tasks import Outcome
 
 if TYPE_CHECKING:
@@ -27,27 +26,25 @@ if TYPE_CHECKING:
 
 def collect(
     spec: StudySpec,
-    points: Sequence[PlannedPoint],
+    plan: StudyPlan,
     known_runs: KnownRuns,
     repeats: Mapping[str, Sequence[float]],
     second: Mapping[str, Outcome],
-    defined: Mapping[str, Description],
 ) -> Index:
     """Return the index of the current content of the folder.
 
     Parameters
     ----------
-    points
-        All of its points.
+    plan
+        All of its points, and what the measures are that it defines.
     known_runs
         State of the runs; rows of unchanged archives are taken from it.
     repeats
         New serial timings by run id, s.
     second
         Outcomes of new second runs by run id.
-    defined
-        Units and descriptions of the measures that the study defines.
     """
+    points = plan.points
     compared = any(point.grid.reference for point in points)
     wanted = tuple(MEASURES) if spec.built_in_measures is None else spec.built_in_measures
     collector = _Collector(
@@ -71,14 +68,7 @@ def collect(
             row = known[key]
         rows.append(replace(row, family=point.family, axes=point.axes))
     references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
-    return Index(
-        spec.canonical_json(),
-        spec.sha256(),
-        version("mbdkit"),
-        tuple(rows),
-        tuple(collector.row(run_id, "") for run_id in references),
-        defined,
-    )
+    return Index.of_rows(rows, [collector.row(run_id, "") for run_id in references], plan.defined)
 
 
 @dataclass(frozen=True)

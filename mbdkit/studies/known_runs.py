@@ -40,14 +40,16 @@ class KnownRuns:
         self._measures = expressions_of(spec.defined_measures())
         self._outcomes: dict[str, Outcome] = {}
         self._hashes: dict[str, str] = {}
-        rows: tuple[Row, ...] = ()
+        rows: list[Row] = []
         try:
             before = study_index.read(folder.index)
         except (SpecError, ResourceError):
             pass  # no index, or a damaged one: read the archives instead
         else:
             if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
-                rows = (*before.references, *before.runs)
+                count = len(before.references["status"])
+                rows = [before.row(place, of_references=True) for place in range(count)]
+                rows += [before.row(place) for place in range(len(before))]
         self._by_run: Mapping[str, Row] = {row.run_id: row for row in rows}
         self._measured: Mapping[tuple[str, str], Row] = {(row.run_id, row.reference_id): row for row in rows}
 
@@ -121,9 +123,9 @@ class KnownRuns:
         if self.folder.archive(run_id).exists():
             if row is None or not self.is_unchanged(run_id):
                 return self._read(run_id)
-        elif row is None or not row.reason.startswith("wrong-input"):  # invalid input leaves no archive
+        elif row is None or not row.status_reason.startswith("wrong-input"):  # invalid input leaves no archive
             return MISSING
-        return Outcome(row.status, row.reason)
+        return Outcome(row.status, row.status_reason)
 
     def _read(self, run_id: str) -> Outcome:
         """Return the outcome from an archive; ``missing`` if the file is damaged or the run was interrupted."""

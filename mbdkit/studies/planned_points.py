@@ -116,8 +116,7 @@ class Grid:
             for key, values in axis:
                 labels = [value.label for value in values]
                 is_text = any(isinstance(label, str) for label in labels)
-                column = np.array(list(map(str, labels)), object) if is_text else np.array(labels, float)
-                found[key] = column[choices]
+                found[key] = np.array(labels, object if is_text else None)[choices]
         return found | {key: np.tile(column, math.prod(self.shape)) for key, column in self.table.items()}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES
+from mbdkit.archive.block_format import KEEPING_TIMES
+from mbdkit.archive.blocks import Block
 from mbdkit.archive.data_frame import data_frame
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import NotStoredError
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
@@ -22,17 +26,22 @@ from mbdkit.runs.simulation import simulate
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
-from mbdkit.studies.planned_points import Grid, Label, plan_points
+from mbdkit.studies.planned_points import Grid, Label, PlannedPoints
 from mbdkit.studies.quantile_bands import QUANTILES, QuantileBands, quantiles
 from mbdkit.studies.selection import select_rows
 from mbdkit.studies.sensitivity import Sensitivity, sensitivity
+from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.study_index import Row
-from mbdkit.studies.study_point import StudyPoint
+from mbdkit.studies.study_index import TEXTS, describe_column
+from mbdkit.studies.study_point import Points, StudyPoint, archive_of
 
 if TYPE_CHECKING:
     import pandas
     import xarray
+
+
+_NOT_SHOWN = ("family", "data_sha256", "file_sha256")
+"""Columns of texts that tables of a study have elsewhere, or not at all."""
 
 
 class Study(HtmlView):
@@ -68,23 +77,18 @@ class Study(HtmlView):
         if not self._files.spec.is_file():
             raise SpecError("this folder contains no study: there is no study.yaml", file=folder)
         self.spec: StudySpec = load_study_spec(self._files.spec)
-        self._open()
-
-    def _open(self) -> None:
-        """Read the index."""
-        index = study_index.read(self._files.index)
-        planned = plan_points(self.spec)
-        if index.study_sha256 != self.spec.sha256() or len(index.runs) != len(planned):
+        self._index = index = study_index.read(self._files.index)
+        self._planned = planned = PlannedPoints(self.spec)
+        if index.study_sha256 != self.spec.sha256() or len(index) != len(planned):
             raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=self.folder)
-        self._index = index
-        self.points: Sequence[StudyPoint] = tuple(
-            StudyPoint(point.number, row, point, self._archive(row), point.axes)
-            for point, row in zip(planned, index.runs, strict=True)
-        )
-        compared = {row.reference_id: point for point, row in zip(planned, index.runs, strict=True)}
+        self._all = Points(planned, index, self._files)
+        # Points of small studies are made once, because their specs are asked for again and again.
+        self.points: Sequence[StudyPoint] = self._all if self.spec.in_blocks else tuple(self._all)
+        compared = {point.reference_id: point.planned for point in self.points} if len(index.references) else {}
+        rows = [index.row(place, of_references=True) for place in range(len(index.references.get("run_id", ())))]
         self.references: tuple[StudyPoint, ...] = tuple(
-            StudyPoint(number, row, compared[row.run_id], self._archive(row), {}, is_reference=True)
-            for number, row in enumerate(index.references, start=1)
+            StudyPoint(number, row, compared[row.run_id], archive_of(row, self._files), {}, is_reference=True)
+            for number, row in enumerate(rows, start=1)
         )
 
     def described(self, name: str) -> tuple[str, str]:
@@ -95,12 +99,8 @@ class Study(HtmlView):
         KeyError
             If there is no such column.
         """
-        found = self._index.described(name)
-        return found.units, found.long_name
-
-    def _archive(self, row: Row) -> Path | None:
-        path = self._files.archive(row.run_id)
-        return path if row.run_id and row.status != "missing" and path.exists() else None
+        told = self._index.described.get(name) or describe_column(name)
+        return told.units, told.long_name
 
     @property
     def folder(self) -> Path:
@@ -117,16 +117,20 @@ class Study(HtmlView):
 
     def statuses(self) -> Sequence[str]:
         """Return the status of each point."""
-        return [point.status for point in self.points]
+        return list(self._index.runs["status"])
 
     def verdicts(self) -> Sequence[str]:
         """Return the verdict on the run of each point; empty where there is none."""
-        return [point.verdict for point in self.points]
+        return list(self._index.runs["verdict"])
 
     @property
     def failures(self) -> Sequence[StudyPoint]:
         """The points and references whose runs failed."""
-        return tuple(point for point in (*self.points, *self.references) if point.status == "failed")
+        places = np.flatnonzero(self._index.runs["status"] == "failed").tolist()
+        if self.spec.in_blocks:
+            return self._all.at(places)
+        failed = [self.points[place] for place in places]
+        return (*failed, *(one for one in self.references if one.status == "failed"))
 
     @property
     def families(self) -> dict[str, str]:
@@ -141,10 +145,18 @@ class Study(HtmlView):
         MbdkitError
             If there is no family with this name.
         """
-        if name not in self.families:
-            hint = did_you_mean(name, self.families)
-            raise MbdkitError(f"the study has no family '{name}'{hint}; families: {listed(self.families)}")
+        name = self._family(name)
         return tuple(point for point in self.points if point.family == name)
+
+    def _family(self, name: str | None) -> str:
+        """Return the name of a family, by default that of the only one."""
+        if name is None and len(self.families) > 1:
+            raise MbdkitError(f"the study has several families; name one: {listed(self.families)}")
+        chosen = next(iter(self.families)) if name is None else name
+        if chosen not in self.families:
+            hint = did_you_mean(chosen, self.families)
+            raise MbdkitError(f"the study has no family '{chosen}'{hint}; families: {listed(self.families)}")
+        return chosen
 
     def axes(self, family: str | None = None) -> dict[str, list[Label]]:
         """Return the labels on each axis of a family by dotted key, in the order of the spec.
@@ -165,18 +177,34 @@ class Study(HtmlView):
         family
             Name of the family; optional if the study has only one.
         """
-        return self._one_family(family)[0].planned.grid
+        name = self._family(family)
+        return next(grid for grid in self._planned.grids if grid.name == name)
 
     def run(self, point: StudyPoint | int) -> Run | None:
-        """Return the run of a point, or None if it has no results. Close the run, or use it in a `with` block.
+        """Return the run of a point with the arrays that the study keeps, or None if it has no results.
+
+        Close the run, or use it in a `with` block.
 
         Parameters
         ----------
         point
             A point, or its place among the points, counted from 0 as in `points` and in the table of `to_frame`.
         """
-        path = self._point(point).path
-        return None if path is None else load(path)
+        chosen = self._point(point)
+        if not self.spec.in_blocks:
+            return None if chosen.path is None else load(chosen.path)
+        if not chosen.row.data_sha256:
+            return None
+        with self._block(chosen) as block:
+            return block.run(chosen.number)
+
+    def _block(self, point: StudyPoint) -> Block:
+        return Block(self._files.block(self._blocks.block_of(point.number - 1)))
+
+    @cached_property
+    def _blocks(self) -> StudyBlocks:
+        """The division of the runs into blocks, if they are stored in blocks."""
+        return StudyBlocks.of(self.spec, self._planned)
 
     def remake(self, point: StudyPoint | int) -> Run:
         """Integrate the run of a point again, and return it with all of its arrays, in memory.
@@ -206,6 +234,9 @@ class Study(HtmlView):
 
     def _written_by(self, point: StudyPoint) -> str:
         """Return the version of mbdkit that computed the run of a point."""
+        if self.spec.in_blocks:
+            with self._block(point) as block:
+                return block.version
         run = self.run(point)
         if run is None:
             return "unknown"
@@ -245,31 +276,18 @@ class Study(HtmlView):
         for point in self.points if family is None else self.family(family):
             yield point, self.run(point)
 
-    def _one_family(self, name: str | None) -> tuple[StudyPoint, ...]:
-        if name is None and len(self.families) > 1:
-            raise MbdkitError(f"the study has several families; name one: {listed(self.families)}")
-        return self.family(next(iter(self.families)) if name is None else name)
-
     @property
     def measures(self) -> dict[str, Description]:
         """Units and descriptions, by column, of the measures that the study defines by expressions or plugins."""
-        return {measure.name: self._index.described(measure.name) for measure in self.spec.defined_measures()}
+        return {measure.name: self._index.described[measure.name] for measure in self.spec.defined_measures()}
 
-    def _columns(self, points: Sequence[StudyPoint]) -> dict[str, list[Any]]:
-        """Return the columns of the index without those of the axes."""
-        names = dict.fromkeys((*self.measures, *(name for point in points for name in point.values)))
-        return {
-            "run_id": [point.run_id for point in points],
-            "reference_id": [point.reference_id for point in points],
-            "status": [point.status for point in points],
-            "status_reason": [point.reason for point in points],
-            "verdict": [point.verdict for point in points],
-            "verdict_reasons": [point.verdict_reasons for point in points],
-            "second_run": [point.row.second_run for point in points],
-            "worst_joint": [point.row.worst_joint for point in points],
-            **{name: [point.values.get(name, float("nan")) for point in points] for name in names},
-            "data_sha256": [point.row.data_sha256 for point in points],
-        }
+    def _columns(self, places: Sequence[int] | slice) -> dict[str, np.ndarray]:
+        """Return the columns of the index at some places, without families and axes."""
+        texts = [name for name in TEXTS if name in self._index.runs and name not in _NOT_SHOWN]
+        # An index with a file for each run has no order of the measures.
+        numbers = self._index.described if self.spec.in_blocks else (*self.measures, *self._index.described)
+        names = dict.fromkeys((*texts, *numbers, "data_sha256"))
+        return {name: self._index.runs[name][places] for name in names}
 
     def to_frame(self, family: str | None = None) -> pandas.DataFrame:
         """Return a table with one row per point: number, family, axes, run, status, verdict, measures, counters, times.
@@ -286,14 +304,13 @@ class Study(HtmlView):
         MbdkitError
             If pandas is not installed.
         """
-        points = self.points if family is None else self.family(family)
-        frame = data_frame(self._table(points))
-        frame.attrs["units"] = self._units()
+        frame = data_frame(self._table(family))
+        frame.attrs["units"] = {name: told.units for name, told in self._index.described.items()}
         return frame
 
     def columns(self) -> dict[str, Any]:
         """Return the columns of `to_frame` by name, each with one value for each point."""
-        return self._table(self.points)
+        return self._table()
 
     def sensitivity(
         self,
@@ -379,21 +396,31 @@ class Study(HtmlView):
 
         A run in which the rows of several are joined has their histories, but the spec and name of the first.
         """
-        for point, run in self.runs():
-            if run is not None:
-                with run:
-                    yield run, [point.number], np.array([len(run.time)])
+        if not self.spec.in_blocks:
+            for point, run in self.runs():
+                if run is not None:
+                    with run:
+                        yield run, [point.number], np.array([len(run.time)])
+            return
+        if self.spec.store not in KEEPING_TIMES:
+            raise NotStoredError("values over time", str(self.spec.store))
+        for path in filter(Path.exists, map(self._files.block, range(self._blocks.count))):
+            with Block(path) as block:
+                for run, numbers, counts in block.joined_runs() if block.study_sha256 == self.spec.sha256() else ():
+                    yield run, numbers.tolist(), counts
 
-    def _table(self, points: Sequence[StudyPoint]) -> dict[str, Any]:
-        """Return the columns of a table of some points."""
-        keys = dict.fromkeys(key for point in points for key in point.axes)
-        axes = {key: [point.axes.get(key) for point in points] for key in keys}
-        place = {"number": [point.number for point in points], "family": [point.family for point in points]}
-        return {**place, **axes, **self._columns(points)}
+    def _places(self, family: str) -> list[int]:
+        """Return the places of the points of a family."""
+        return np.flatnonzero(self._planned.families() == self._family(family)).tolist()
 
-    def _units(self) -> dict[str, str]:
-        """Return the unit of each numeric column."""
-        return {name: self._index.described(name).units for name in self.points[0].values}
+    def _table(self, family: str | None = None) -> dict[str, np.ndarray]:
+        """Return the columns of a table of the points of one family, or of all."""
+        where = {"number": np.arange(1, len(self.points) + 1), "family": self._planned.families()}
+        if family is None:
+            return where | self._planned.labels() | self._columns(slice(None))
+        places = self._places(family)
+        labels = self.grid(family).labels()
+        return {name: column[places] for name, column in where.items()} | labels | self._columns(places)
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
         """Return the grid of one family as a dataset with one dimension per axis, and `row` for those of a sample.
@@ -412,7 +439,7 @@ class Study(HtmlView):
             import xarray
         except ImportError as error:
             raise MbdkitError("to_xarray needs the package xarray: pip install xarray") from error
-        points = self._one_family(family)
+        places = self._places(self._family(family))
         grid = self.grid(family)
         axes = grid.axes
         dims = [axis[0][0] for axis in axes]
@@ -425,14 +452,12 @@ class Study(HtmlView):
         if grid.table:
             dims, shape = [*dims, "row"], [*shape, grid.rows]
             coordinates |= {key: ("row", column) for key, column in grid.table.items()}
-        columns = {"number": [point.number for point in points], **self._columns(points)}
+        columns = {"number": np.array(places) + 1, **self._columns(places)}
         variables = {}
         for name, values in columns.items():
-            dtype = object if isinstance(values[0], str) else None
-            attributes = {}
-            if name in points[0].values:
-                attributes = dict(zip(("units", "long_name"), self.described(name), strict=True))
-            variables[name] = (dims, np.array(values, dtype).reshape(shape), attributes)
+            told = self._index.described.get(name)
+            attributes = {} if told is None else {"units": told.units, "long_name": told.long_name}
+            variables[name] = (dims, values.reshape(shape), attributes)
         return xarray.Dataset(variables, coordinates, {"title": self.spec.title, "status": self.status})
 
     def __repr__(self) -> str:

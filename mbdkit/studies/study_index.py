@@ -1,31 +1,41 @@
-"""The index of a study: an HDF5 file with one row per run, readable as netCDF-4 and written atomically."""
+"""The index of a study: columns with one value per run in an HDF5 file, readable as netCDF-4 and written atomically.
+
+A study with an archive for each run has an index of format 1.x, with texts as they are. That of a study in blocks has
+format 2.x: texts are coded, hashes are bytes, and columns have their names and places as attributes, because there may
+be millions of runs.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from mbdkit.archive.fingerprint import data_sha256
+from mbdkit.archive.columns import read_column, write_column, write_hashes
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, TIMINGS
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.archive.stranger_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
+from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND
 from mbdkit.studies.planned_points import Label
 
 FORMAT = "mbdkit-study"
-FORMAT_VERSION = "1.4"
+FILES_VERSION, BLOCKS_VERSION = "1.4", "2.0"
+"""Versions of the format for a study with an archive for each run, and for one in blocks."""
+
 STATUSES = ("complete", "failed", "missing", "left-out")
 
 #: Value of the attribute `role` of the column of a measure that the study defines.
@@ -51,8 +61,13 @@ TEXTS = {
 #: Columns of numbers; each exists if a run of the study has a value.
 NUMBERS = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
 
+HASHES = ("run_id", "data_sha256")
+"""Columns of hashes in the index of a study in blocks."""
+
+REPEATS = "wall_repeats_s"
+
 #: All columns but those of the axes.
-COLUMNS = frozenset((*TEXTS, *NUMBERS, "run", "reference", "repeat", "wall_repeats_s"))
+COLUMNS = frozenset((*TEXTS, *NUMBERS, "run", "reference", "repeat", REPEATS))
 
 
 @dataclass(frozen=True)
@@ -63,7 +78,7 @@ class Row:
     ----------
     status
         ``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed.
-    reason
+    status_reason
         Reason why it is not complete: a code and a sentence.
     family, axes, reference_id
         Family, axis labels and reference run; empty for a reference.
@@ -83,7 +98,7 @@ class Row:
 
     run_id: str
     status: str
-    reason: str = ""
+    status_reason: str = ""
     family: str = ""
     axes: Mapping[str, Label] = field(default_factory=dict)
     reference_id: str = ""
@@ -97,38 +112,80 @@ class Row:
     verdict_reasons: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Index:
-    """All rows of a study.
+    """The columns of a study.
 
     Parameters
     ----------
-    study_json, study_sha256
-        Canonical JSON of the study spec, and its hash.
-    version
-        Version of mbdkit that wrote the index.
-    runs, references
-        One row per point, in the order of the study, and one row per reference run.
+    runs
+        (N,) values by name, in the order of the table: families and axes, results, measures, counters, hashes.
+    described
+        Unit and description of each column of numbers that is no axis.
+    references
+        The same columns, without axes, for the reference runs; empty if the study has none.
+    axes
+        Names of the columns that are axes of the study.
     defined
-        Units and descriptions of the columns of measures that the study defines.
+        Names of the columns of measures that the study defines.
+    states
+        (B, 4) states of the files of blocks, see `mbdkit.studies.run_blocks`; zero for unknown ones. None for a study
+        with an archive for each run.
+    study_sha256, version
+        Hash of the study, and version of mbdkit that wrote the index.
     """
 
-    study_json: str
-    study_sha256: str
-    version: str
-    runs: tuple[Row, ...]
-    references: tuple[Row, ...]
-    defined: Mapping[str, Description] = field(default_factory=dict)
+    runs: Mapping[str, np.ndarray]
+    described: Mapping[str, Description]
+    references: Mapping[str, np.ndarray] = field(default_factory=dict)
+    axes: frozenset[str] = frozenset()
+    defined: frozenset[str] = frozenset()
+    states: np.ndarray | None = None
+    study_sha256: str = ""
+    version: str = ""
 
-    def described(self, name: str) -> Description:
-        """Return what describes a numeric column: a measure, a counter or a timing.
+    @classmethod
+    def of_rows(cls, runs: Sequence[Row], references: Sequence[Row], defined: Mapping[str, Description]) -> Index:
+        """Return the index of runs with an archive each.
 
-        Raises
-        ------
-        KeyError
-            If there is no such column.
+        Parameters
+        ----------
+        defined
+            Units and descriptions of the measures that the study defines.
         """
-        return self.defined[name] if name in self.defined else describe_column(name)
+        names = dict.fromkeys(name for row in (*runs, *references) for name in row.values)
+        described = {name: defined.get(name) or describe_column(name) for name in names}
+        axes = frozenset(key for row in runs for key in row.axes)
+        return cls(_columns(runs), described, _columns(references), axes, frozenset(defined))
+
+    def __len__(self) -> int:
+        return len(self.runs["status"])
+
+    def row(self, place: int, *, of_references: bool = False) -> Row:
+        """Return the row of a run, or of a reference, without axis labels, which follow from the study spec."""
+        columns = self.references if of_references else self.runs
+        texts: dict[str, Any] = {name: str(columns[name][place]) for name in TEXTS if name in columns}
+        return Row(
+            **texts,
+            values={name: float(columns[name][place]) for name in self.described if name in columns},
+            repeats=tuple(float(value) for value in columns[REPEATS][place] if not math.isnan(value))
+            if REPEATS in columns
+            else (),
+        )
+
+
+def _columns(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Return the columns of rows: texts, axes, numbers, and repeated timings."""
+    columns = {name: np.array([getattr(row, name) for row in rows], object) for name in TEXTS}
+    for key in dict.fromkeys(key for row in rows for key in row.axes):
+        labels = [row.axes.get(key) for row in rows]
+        is_text = any(isinstance(label, str) for label in labels)
+        columns[key] = np.array(labels, object if is_text else FLOAT)  # None becomes nan
+    for name in dict.fromkeys(name for row in rows for name in row.values):
+        columns[name] = np.array([row.values.get(name, math.nan) for row in rows], FLOAT)
+    if count := max((len(row.repeats) for row in rows), default=0):
+        columns[REPEATS] = np.array([[*row.repeats, *[math.nan] * (count - len(row.repeats))] for row in rows])
+    return columns
 
 
 def axis_column(key: str) -> str:
@@ -143,7 +200,7 @@ def quartiles(repeats: Sequence[float]) -> dict[str, float]:
     return {name: float(np.quantile(repeats, share)) for name, share in QUARTILES.items()}
 
 
-def write(path: Path, index: Index) -> None:
+def write(path: Path, spec: StudySpec, index: Index) -> None:
     """Write an index, and replace the previous one atomically.
 
     Parameters
@@ -156,65 +213,102 @@ def write(path: Path, index: Index) -> None:
     SpecError
         If the index cannot be written, as on a full disk; the previous one is unchanged then.
     """
+    in_blocks = index.states is not None
     # Made in memory: HDF5 crashes the interpreter if the disk is full when it closes a file.
     with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         set_text(file, "format", FORMAT)
-        set_text(file, "format_version", FORMAT_VERSION)
-        set_text(file, "mbdkit", index.version)
-        set_text(file, "study", index.study_json)
-        set_text(file, "study_sha256", index.study_sha256)
-        _write_rows(file, "runs", "run", index.runs, index)
-        _write_rows(file, "references", "reference", index.references, index)
+        set_text(file, "format_version", BLOCKS_VERSION if in_blocks else FILES_VERSION)
+        set_text(file, "mbdkit", version("mbdkit"))
+        set_text(file, "study", spec.canonical_json())
+        set_text(file, "study_sha256", spec.sha256())
+        _Table(file, "runs", "run", index).write(index.runs)
+        if index.states is None:
+            _Table(file, "references", "reference", index).write(index.references)
+        else:
+            _write_states(file, index.states)
         set_text(file, "data_sha256", data_sha256(file))
+        if in_blocks:
+            set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
         file.flush()
         image = file.id.get_file_image()
     with replacing(path) as temporary:
         temporary.write_bytes(image)
 
 
-def _write_rows(file: h5py.File, group: str, dim: str, rows: Sequence[Row], index: Index) -> None:
-    file.create_group(group)
-    texts: dict[str, list[str]] = {
-        "family": [row.family for row in rows],
-        "run_id": [row.run_id for row in rows],
-        "reference_id": [row.reference_id for row in rows],
-        "status": [row.status for row in rows],
-        "status_reason": [row.reason for row in rows],
-        "verdict": [row.verdict for row in rows],
-        "verdict_reasons": [row.verdict_reasons for row in rows],
-        "second_run": [row.second_run for row in rows],
-        "worst_joint": [row.worst_joint for row in rows],
-        "data_sha256": [row.data_sha256 for row in rows],
-        "file_sha256": [row.file_sha256 for row in rows],
-    }
+def _write_states(file: h5py.File, states: np.ndarray) -> None:
+    file.create_group("blocks")
+    for name, size in zip(("block", "property"), states.shape, strict=True):
+        scale = Array(f"blocks/{name}", (name,), "1", f"number of the {name}", INTEGER)
+        create(file, scale, np.arange(size))
+    told = "size, times [ns] and number of the file"
+    create(file, Array("blocks/file_state", ("block", "property"), "1", told, INTEGER), states)
 
-    def add(name: str, values: Any, dtype: str, units: str, what: str, dims: tuple[str, ...] = (dim,)) -> h5py.Dataset:
-        array = Array(f"{group}/{name}", dims, units, what, dtype)
-        return create(file, array, np.array(values, object if dtype == TEXT else dtype))
 
-    add(dim, range(1, len(rows) + 1), INTEGER, "1", "number of the run")
-    for name, text in texts.items():
-        add(name, text, TEXT, "1", TEXTS[name])
-    for key in dict.fromkeys(key for row in rows for key in row.axes):
-        labels = [row.axes.get(key) for row in rows]
-        numeric = not any(isinstance(label, str) for label in labels)
-        filled = [(math.nan if numeric else "") if label is None else label for label in labels]
-        values = filled if numeric else list(map(str, filled))
-        dataset = add(
-            axis_column(key), values, FLOAT if numeric else TEXT, "1", f"axis of the study: {key} of the run spec"
+@dataclass(frozen=True)
+class _Table:
+    """A group of the index with columns along one axis."""
+
+    file: h5py.File
+    group: str
+    dim: str
+    index: Index
+
+    def write(self, columns: Mapping[str, np.ndarray]) -> None:
+        """Write the columns."""
+        self.file.create_group(self.group)
+        count = len(columns["status"])
+        self._create(self.dim, range(1, count + 1), INTEGER, Description("1", "number of the run"))
+        for place, (name, values) in enumerate(columns.items(), start=1):
+            if name == REPEATS:
+                self._create("repeat", range(1, values.shape[1] + 1), INTEGER, _NUMBER_OF_TIMING, ("repeat",))
+                self._create(name, values, FLOAT, _TIMINGS_OF_RUN, (self.dim, "repeat"))
+            elif self.index.states is None:
+                self._plain(name, values)
+            else:
+                self._coded(name, place, values)
+
+    def _described(self, name: str) -> Description:
+        what = TEXTS.get(name, f"axis of the study: {name} of the run spec")
+        return self.index.described.get(name) or Description("1", what)
+
+    def _create(
+        self, name: str, values: Iterable[Any], dtype: str, told: Description, dims: tuple[str, ...] = ()
+    ) -> h5py.Dataset:
+        array = Array(f"{self.group}/{name}", dims or (self.dim,), told.units, told.long_name, dtype)
+        return create(self.file, array, np.array(values, object if dtype == TEXT else dtype))
+
+    def _plain(self, name: str, values: np.ndarray) -> None:
+        """Write a column of format 1.x."""
+        is_text = values.dtype == object
+        dataset = self._create(
+            axis_column(name), _texts(values) if is_text else values, TEXT if is_text else FLOAT, self._described(name)
         )
-        set_text(dataset, "role", "axis")
-    for name in dict.fromkeys(name for row in rows for name in row.values):
-        column = index.described(name)
-        numbers = [row.values.get(name, math.nan) for row in rows]
-        dataset = add(name, numbers, FLOAT, column.units, column.long_name)
-        if name in index.defined:
-            set_text(dataset, "role", DEFINED)
-    count = max((len(row.repeats) for row in rows), default=0)
-    if count:
-        add("repeat", range(1, count + 1), INTEGER, "1", "number of the timing", ("repeat",))
-        padded = [[*row.repeats, *[math.nan] * (count - len(row.repeats))] for row in rows]
-        add("wall_repeats_s", padded, FLOAT, "s", "wall time of each serial timing", (dim, "repeat"))
+        if name in self.index.axes or name in self.index.defined:
+            set_text(dataset, "role", "axis" if name in self.index.axes else DEFINED)
+
+    def _coded(self, name: str, place: int, values: np.ndarray) -> None:
+        """Write a column of format 2.x."""
+        told, path = self._described(name), f"{self.group}/{axis_column(name)}"
+        array = Array(path, (self.dim,), told.units, told.long_name)
+        if name in HASHES:
+            write_hashes(self.file, array, [str(value) for value in values])
+        elif values.dtype == object:
+            write_column(self.file, replace(array, dtype=TEXT), _texts(values))
+        else:
+            write_column(self.file, replace(array, dtype=INTEGER if values.dtype.kind == "i" else FLOAT), values)
+        dataset = self.file[path]
+        dataset.attrs["place"] = np.int64(place)
+        set_text(dataset, "name", name)
+        is_axis, is_number = name in self.index.axes, name in self.index.described
+        set_text(dataset, "role", "axis" if is_axis else "number" if is_number else "text")
+
+
+_NUMBER_OF_TIMING = Description("1", "number of the timing")
+_TIMINGS_OF_RUN = Description("s", "wall time of each serial timing")
+
+
+def _texts(values: np.ndarray) -> list[str]:
+    return ["" if value is None else str(value) for value in values]
 
 
 def describe_column(name: str) -> Description:
@@ -235,7 +329,7 @@ def describe_column(name: str) -> Description:
 
 
 def read(path: Path) -> Index:
-    """Read an index without the axis labels, which follow from the study spec.
+    """Read an index of any format; that of a study with an archive for each run has no axis labels then.
 
     Raises
     ------
@@ -248,48 +342,67 @@ def read(path: Path) -> Index:
     with reading("the index", path, hint=hint), open_hdf5(path, "study index", hint=hint) as file:
         if file.attrs.get("format") != FORMAT:
             raise SpecError("this is not the index of a study", file=path)
-        version = str(file.attrs["format_version"])
-        if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-            ours = FORMAT_VERSION.partition(".")[0]
-            raise SpecError(f"this index has format version {version}, this mbdkit reads {ours}.x", file=path)
+        written = str(file.attrs["format_version"])
+        major, known = written.partition(".")[0], [one.partition(".")[0] for one in (FILES_VERSION, BLOCKS_VERSION)]
+        if major not in known:
+            ours = " and ".join(f"{one}.x" for one in known)
+            raise SpecError(f"this index has format version {written}, this mbdkit reads {ours}", file=path)
         if file.attrs["data_sha256"] != data_sha256(file):
             raise ValueError("data_sha256 does not match")
-        defined = {
-            name: Description(str(dataset.attrs["units"]), str(dataset.attrs["long_name"]))
-            for name, dataset in file["runs"].items()
-            if dataset.attrs.get("role") == DEFINED
-        }
-        return Index(
-            str(file.attrs["study"]),
-            str(file.attrs["study_sha256"]),
-            str(file.attrs["mbdkit"]),
-            _read_rows(file["runs"], "run", defined),
-            _read_rows(file["references"], "reference", defined),
-            defined,
-        )
+        index = _read_plain(file) if major == known[0] else _read_coded(file)
+        lengths = {len(column) for column in index.runs.values()}, {len(one) for one in index.references.values()}
+        if max(map(len, lengths)) > 1:
+            raise ValueError("its columns have different lengths")
+        return index
 
 
-def _read_rows(group: h5py.Group, dim: str, defined: Iterable[str]) -> tuple[Row, ...]:
-    empty = [""] * len(group[dim])  # for columns that earlier versions of the format lack
-    texts = {name: list(group[name].asstr()[:]) if name in group else empty for name in TEXTS}
-    values = {name: group[name][:] for name in (*defined, *NUMBERS) if name in group}
-    repeats = group["wall_repeats_s"][:] if "wall_repeats_s" in group else np.empty((len(empty), 0))
-    return tuple(
-        Row(
-            texts["run_id"][number],
-            texts["status"][number],
-            texts["status_reason"][number],
-            texts["family"][number],
-            {},
-            texts["reference_id"][number],
-            texts["worst_joint"][number],
-            texts["data_sha256"][number],
-            {name: float(column[number]) for name, column in values.items()},
-            tuple(float(value) for value in repeats[number] if not math.isnan(value)),
-            texts["file_sha256"][number],
-            texts["second_run"][number],
-            texts["verdict"][number],
-            texts["verdict_reasons"][number],
-        )
-        for number in range(len(group[dim]))
+def _read_plain(file: h5py.File) -> Index:
+    """Return an index of format 1.x."""
+    runs = file["runs"]
+    defined = {name: item for name, item in runs.items() if item.attrs.get("role") == DEFINED}
+    described = {
+        name: Description(str(runs[name].attrs["units"]), str(runs[name].attrs["long_name"]))
+        if name in defined
+        else describe_column(name)
+        for name in (*defined, *NUMBERS)
+        if name in runs or name in file["references"]
+    }
+    columns = [
+        _plain_columns(file["runs"], "run", described),
+        _plain_columns(file["references"], "reference", described),
+    ]
+    return Index(
+        columns[0],
+        described,
+        columns[1],
+        defined=frozenset(defined),
+        study_sha256=str(file.attrs["study_sha256"]),
+        version=str(file.attrs["mbdkit"]),
+    )
+
+
+def _plain_columns(group: h5py.Group, dim: str, numbers: Iterable[str]) -> dict[str, np.ndarray]:
+    missing = np.full(len(group[dim]), "", object)  # for columns that earlier versions of the format lack
+    texts = {name: group[name].asstr()[:] if name in group else missing for name in TEXTS}
+    return texts | {name: group[name][:] for name in (*numbers, REPEATS) if name in group}
+
+
+def _read_coded(file: h5py.File) -> Index:
+    """Return an index of format 2.x."""
+    if file.attrs[ATTRIBUTES_HASH] != attributes_sha256(file):
+        raise ValueError("attributes_sha256 does not match")
+    items = [item for item in file["runs"].values() if "role" in item.attrs]
+    items.sort(key=lambda item: int(item.attrs["place"]))
+    by_name = {str(item.attrs["name"]): item for item in items}
+    return Index(
+        {name: read_column(item) for name, item in by_name.items()},
+        {
+            name: Description(str(item.attrs["units"]), str(item.attrs["long_name"]))
+            for name, item in by_name.items()
+            if item.attrs["role"] == "number"
+        },
+        axes=frozenset(name for name, item in by_name.items() if item.attrs["role"] == "axis"),
+        states=file["blocks/file_state"][:] if "blocks/file_state" in file else np.zeros((0, 4), np.int64),
+        study_sha256=str(file.attrs["study_sha256"]),
+        version=str(file.attrs["mbdkit"]),
     )

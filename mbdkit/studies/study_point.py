@@ -1,14 +1,16 @@
-"""A point of a study: one run with its entry in the index."""
+"""A point of a study, one run with its entry in the index; and all of them, each made when it is asked for."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import overload
 
 from mbdkit.spec import RunSpec
-from mbdkit.studies.planned_points import Label, PlannedPoint, point_label
-from mbdkit.studies.study_index import Row
+from mbdkit.studies.planned_points import Label, PlannedPoint, PlannedPoints, point_label
+from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.study_index import Index, Row
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class StudyPoint:
     @property
     def reason(self) -> str:
         """Why the run is not complete, as a code and a sentence; empty if it is."""
-        return self.row.reason
+        return self.row.status_reason
 
     @property
     def verdict(self) -> str:
@@ -87,3 +89,44 @@ class StudyPoint:
         spec = self.planned.reference if self.is_reference else self.planned.spec
         assert spec is not None
         return spec
+
+
+class Points(Sequence[StudyPoint]):
+    """Points of a study, each made when it is asked for.
+
+    Parameters
+    ----------
+    places
+        Places of the points among those of the study; all by default.
+    """
+
+    def __init__(self, planned: PlannedPoints, index: Index, folder: StudyFolder, places: Sequence[int] | None = None):
+        self._planned, self._index, self._folder = planned, index, folder
+        self._places = range(len(planned)) if places is None else places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, place: int) -> StudyPoint: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> tuple[StudyPoint, ...]: ...
+
+    def __getitem__(self, place: int | slice) -> StudyPoint | tuple[StudyPoint, ...]:
+        if isinstance(place, slice):
+            return tuple(self[one] for one in range(*place.indices(len(self))))
+        place = self._places[place]
+        planned, row = self._planned[place], self._index.row(place)
+        path = None if self._index.states is not None else archive_of(row, self._folder)
+        return StudyPoint(planned.number, replace(row, family=planned.family), planned, path, planned.axes)
+
+    def at(self, places: Sequence[int]) -> Points:
+        """Return those at some places of the study."""
+        return Points(self._planned, self._index, self._folder, places)
+
+
+def archive_of(row: Row, folder: StudyFolder) -> Path | None:
+    """Return the archive of a run; None if there is none."""
+    path = folder.archive(row.run_id)
+    return path if row.run_id and row.status != "missing" and path.exists() else None

@@ -26,7 +26,7 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.runs import batch
 from mbdkit.spec import RunSpec
 from mbdkit.studies import compute_block as compute_block_module
-from mbdkit.studies import known_blocks, pool
+from mbdkit.studies import pool, run_blocks
 from mbdkit.studies.compute_block import compute_block
 from mbdkit.studies.runs_table import export_runs
 from mbdkit.studies.shard import Shard
@@ -196,7 +196,7 @@ def test_an_axis_without_its_scale_is_found(grid: mbdkit.Study, tmp_path: Path, 
 
 def test_unchanged_blocks_are_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options: dict[str, Any] = {"store": "histories", "out": tmp_path / "s", "block": 3}
-    monkeypatch.setattr(known_blocks, "SETTLED", 0.0)
+    monkeypatch.setattr(run_blocks, "SETTLED", 0.0)
     pendulums(**options)
     before, opened = index_hash(tmp_path / "s"), []
     is_sound = Block.is_sound
@@ -225,7 +225,7 @@ def test_unchanged_blocks_are_not_read_again(tmp_path: Path, monkeypatch: pytest
 
 def test_a_file_that_has_just_changed_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # its time may be that of the next change, too: file systems count time in steps
-    monkeypatch.setattr(known_blocks, "SETTLED", 60.0)
+    monkeypatch.setattr(run_blocks, "SETTLED", 60.0)
     pendulums(store="summary", out=tmp_path / "s", block=3)
     with h5py.File(tmp_path / "s" / "index.h5") as file:
         assert not file["blocks/file_state"][:].any()

@@ -92,7 +92,7 @@ def test_runs_are_made_there_and_back_once(done: mbdkit.Study, tmp_path: Path, m
     folder = shutil.copytree(done.folder, tmp_path / "study")
     before = [point.values["reversibility_defect"] for point in done.points]
     assert [point.row.second_run for point in done.points] == ["complete", "complete", "", ""]
-    monkeypatch.setattr("mbdkit.studies.execute.Task", None)  # nothing is to be done
+    monkeypatch.setattr("mbdkit.studies.run_files.Task", None)  # nothing is to be done
     again = mbdkit.study(STUDY, out=folder)
     np.testing.assert_equal([point.values["reversibility_defect"] for point in again.points], before)
 

@@ -1,0 +1,243 @@
+"""State of the blocks of a study, from the index of an earlier call and from their files."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from mbdkit.archive.blocks import Block
+from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.measures.take import Description
+from mbdkit.runs.lane_runs import why_alone
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies import study_index
+from mbdkit.studies.compute_block import MISALIGNMENT, plan_blocks
+from mbdkit.studies.run_store import Noted, Round, RunStore
+from mbdkit.studies.shard import Shard
+from mbdkit.studies.study_blocks import StudyBlocks, is_passing
+from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.study_index import Index, describe_column
+from mbdkit.studies.tasks import BlockTask, Outcome
+
+OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", "worst_joint", "data_sha256")
+"""Columns of texts and hashes in the index of a study in blocks."""
+
+SETTLED = 2.0
+"""Time since the last change of a file after which its times tell the next change apart from it [s].
+
+File systems count time in steps, of 2 s at most.
+"""
+
+
+UNKNOWN = (0, 0, 0, 0)
+
+CHANGED = 2
+"""Place of the time of the last change in a state."""
+
+
+class RunBlocks(RunStore):
+    """Blocks of many runs, which are assigned to the parts of a study in turn."""
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder):
+        self.spec, self.folder, self.plan = spec, folder, plan_blocks(spec)
+        self.count = len(self.plan.points)
+        self._reasons: dict[int, str] = {}  # why blocks could not be computed
+
+    def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
+        """See `RunStore.begin`."""
+        self._known = KnownBlocks(self.spec, self.folder, self.plan.blocks)
+        self._tasks = [
+            BlockTask(self.folder, block)
+            for block in range(self.plan.blocks.count)
+            if (shard is None or shard.has(block)) and not self._known.is_whole(block)
+        ]
+        if self._tasks and (reason := self._why_alone()):
+            notify(f"the runs are advanced one after another, not in lanes, because {reason}")
+        for task in self._tasks:
+            self.folder.forget_run_at_work(task.block)  # of a process that was killed in an earlier call
+        return sum(map(self.size, self._tasks))
+
+    def _why_alone(self) -> str:
+        """Return why some runs of the study, and so probably all, are not advanced in lanes; empty if one is."""
+        reasons = []
+        for point in self.plan.samples:
+            with suppress(SpecError):
+                reasons.append("" if point.lacking else why_alone(point.spec, self.plan.expressions))
+        return reasons[0] if reasons and all(reasons) else ""
+
+    def rounds(self) -> Iterator[Round]:
+        """Yield the missing blocks."""
+        yield Round(self._tasks, sum(map(self.size, self._tasks)))
+
+    def size(self, task: BlockTask) -> int:
+        """See `RunStore.size`."""
+        return len(self.plan.blocks.places(task.block))
+
+    def note(self, task: BlockTask, outcome: Outcome) -> Noted:
+        """See `RunStore.note`."""
+        unfinished = list(task.skip.values())
+        if outcome.status == "complete":
+            self._known.note_computed(task.block)
+        else:
+            self._reasons[task.block] = outcome.reason
+            unfinished.append(outcome.reason)
+        return Noted(self.size(task), int(outcome.values.get("failed", 0)), unfinished)
+
+    def index(self) -> Index:
+        """Return the index of the blocks that are there; the runs of the others are missing."""
+        points, blocks = self.plan.points, self.plan.blocks
+        count = len(points)
+        texts = {name: np.full(count, "", object) for name in OF_BLOCKS}
+        texts["status"][:] = "missing"
+        numbers = {MISALIGNMENT: np.full(count, np.nan)}
+        described = {name: describe_column(name) for name in (MISALIGNMENT, *COUNTERS, *TIMINGS)}
+        for number in range(blocks.count):
+            places = blocks.places(number)
+            rows = slice(places.start, places.stop)
+            found = self._known.rows(number)
+            if found is None:
+                texts["status_reason"][rows] = self._reasons.get(number, "")
+                continue
+            described = {**found.described, **described}
+            for name, column in found.texts.items():
+                texts[name][rows] = column
+            for name, column in found.numbers.items():
+                numbers.setdefault(name, np.full(count, np.nan))[rows] = column
+        last = (*COUNTERS, *TIMINGS)
+        ordered = sorted(numbers, key=lambda name: last.index(name) if name in last else -1)
+        labels, families = points.labels(), points.families()
+        columns = {
+            **({"family": families} if any(families) else {}),
+            **labels,
+            **{name: column for name, column in texts.items() if name != "data_sha256"},
+            **{name: numbers[name] for name in ordered},
+            "data_sha256": texts["data_sha256"],
+        }
+        told = {name: described[name] for name in ordered}
+        return Index(columns, told, axes=frozenset(labels), states=self._known.states())
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRows:
+    """The columns of the runs of one block: texts and hashes, numbers, and what the numbers are."""
+
+    texts: Mapping[str, np.ndarray]
+    numbers: Mapping[str, np.ndarray]
+    described: Mapping[str, Description]
+
+    @classmethod
+    def read(cls, path: Path, study_sha256: str, count: int) -> BlockRows | None:
+        """Return the columns of a block of `count` runs; None if the file does not exist or cannot be read."""
+        try:
+            with Block(path) as block:
+                if block.study_sha256 != study_sha256 or len(block.numbers) != count:
+                    return None
+                texts = {name: block.runs[name] for name in OF_BLOCKS if name in block.runs}
+                texts["verdict_reasons"] = _joined(texts.get("verdict_reasons"), count)
+                numbers = {
+                    MISALIGNMENT: block.runs[MISALIGNMENT],
+                    **block.columns("measures"),
+                    **block.columns("stats"),
+                }
+                return cls(texts, numbers, {name: Description(*told) for name, told in block.described().items()})
+        except (MbdkitError, OSError):
+            return None
+
+
+def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
+    """Return the reasons for verdicts as texts, from lists of them in JSON."""
+    if texts is None:
+        return np.full(count, "", object)
+    known = {text: " ".join(json.loads(text)) for text in dict.fromkeys(texts)}
+    return np.array([known[text] for text in texts], object)
+
+
+class KnownBlocks:
+    """State of the blocks in the folder of a study.
+
+    A block is read, and its hashes are computed, if its file has changed since it was indexed. The system notes the
+    time of a change (ctime) of the content, the modification time or the name of a file; programs cannot set it.
+    """
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder, blocks: StudyBlocks):
+        self.spec, self.folder, self.blocks = spec, folder, blocks
+        self._before: Index | None = None
+        try:
+            before = study_index.read(folder.index)
+        except (SpecError, ResourceError):
+            pass  # no index, or a damaged one: read the blocks instead
+        else:
+            is_same = before.study_sha256 == spec.sha256() and before.version == version("mbdkit")
+            if is_same and before.states is not None and len(before.states) == blocks.count:
+                self._before = before
+        self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be sound
+
+    def is_whole(self, block: int) -> bool:
+        """Return whether the file of a block is sound, and no run in it failed for a reason outside the study.
+
+        Raises
+        ------
+        SpecError
+            If the file is a block of another study.
+        """
+        state = _state(self.folder.block(block))
+        rows = self._indexed(block)
+        if rows is None:
+            whole = self.blocks.is_whole(self.folder, self.spec, block)
+        else:
+            whole = not is_passing(rows.texts["status"], rows.texts["status_reason"])
+        if whole:
+            self._sound[block] = state
+        return whole
+
+    def note_computed(self, block: int) -> None:
+        """Record that a block was computed just now."""
+        self._sound[block] = _state(self.folder.block(block))
+
+    def rows(self, block: int) -> BlockRows | None:
+        """Return the rows of the index for the runs of a block; None if its file cannot be read."""
+        return self._indexed(block) or BlockRows.read(
+            self.folder.block(block), self.spec.sha256(), len(self.blocks.places(block))
+        )
+
+    def states(self) -> np.ndarray:
+        """Return (B, 4) the states of the files that are sound and will not change unnoticed; zero for others."""
+        states = np.zeros((self.blocks.count, len(UNKNOWN)), np.int64)
+        now = time.time_ns()
+        for block in range(self.blocks.count):
+            state = _state(self.folder.block(block))
+            if self._indexed(block) is not None or (
+                state == self._sound.get(block) and now - state[CHANGED] > SETTLED * 1e9
+            ):
+                states[block] = state
+        return states
+
+    def _indexed(self, block: int) -> BlockRows | None:
+        """Return the rows of a block from the index, if its file is the one that was indexed."""
+        if self._before is None or self._before.states is None:
+            return None
+        state = tuple(int(value) for value in self._before.states[block])
+        if state == UNKNOWN or state != _state(self.folder.block(block)):
+            return None
+        places, columns = self.blocks.places(block), self._before.runs
+        rows = slice(places.start, places.stop)
+        texts = {name: columns[name][rows] for name in OF_BLOCKS}
+        numbers = {name: columns[name][rows] for name in self._before.described}
+        return BlockRows(texts, numbers, self._before.described)
+
+
+def _state(path: Path) -> tuple[int, ...]:
+    """Return size, modification time, time of change and number of a file; zeros if it does not exist."""
+    try:
+        found = path.stat()
+    except OSError:
+        return UNKNOWN
+    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino & (2**63 - 1)
