@@ -19,15 +19,14 @@ from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.system import Topology
+from mbdkit.expressions.parser import Expression
+from mbdkit.expressions.program import Program, derivative_of
 from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway, path_ends
-from mbdkit.mechanism.program_derivative import derivative_of
-from mbdkit.mechanism.time_expression import Expression, Program
-from mbdkit.mechanism.time_jets import curve_of
-from mbdkit.mechanism.values import Motion, Table
+from mbdkit.mechanism.values import Motion, Table, curve_of
 
 Numbers = tuple[float, ...]
 

@@ -23,10 +23,11 @@ from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.cross_sections import STATE
 from mbdkit.engine.kernels.lu import Factors, Pattern
-from mbdkit.engine.kernels.motions import MAX_DEPTH, OF_CENTER
+from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, Engine, Scatter, Scratch, Solver, Topology
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.stabilization import NONE, Stabilization
+from mbdkit.expressions.program import MAX_DEPTH
 
 
 @dataclass

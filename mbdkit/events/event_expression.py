@@ -28,13 +28,14 @@ from typing import ClassVar, NamedTuple, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import Code, Compiler
+from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, Program
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.table import KINDS
 
-Code = list[tuple[str, float]]
 _KINDS = {kind.word: kind for kind in KINDS if kind.example}
 """Kinds that have quantities in expressions."""
 _BARE = tuple(word for word, kind in _KINDS.items() if kind.is_bare)
@@ -66,8 +67,8 @@ class RunExpression:
     text
         The expression as written by the user.
     program
-        Postfix instructions as in `mbdkit.mechanism.time_expression.Expression`, and ``get``, which pushes the quantity
-        with the given index in `quantities`.
+        Instructions as in `mbdkit.expressions.program`, and ``get``, which pushes the quantity with the given index in
+        `quantities`.
     quantities
         Quantities in the expression, except time.
     """
@@ -102,72 +103,40 @@ class RunExpression:
 
     def compiled(self, places: Mapping[Quantity, int]) -> CompiledExpression:
         """Return the expression and its parts that determine how densely it must be sampled; see `function`."""
-        stack: list[Function] = []
         phases: list[Function] = []
         kinks: list[Function] = []
-        for operation, number in self.program:
-            if operation == "const":
-                stack.append(_constant(number))
-            elif operation == "t":
-                stack.append(operator.itemgetter(0))
-            elif operation == "get":
-                stack.append(operator.itemgetter(places[self.quantities[int(number)]]))
-            elif operation == "powi":
-                stack.append(_power(stack.pop(), int(number)))
-            elif operation in _BINARY:
-                right, left = stack.pop(), stack.pop()
-                stack.append(_binary(_BINARY[operation], left, right))
-                if operation in ("min", "max"):
-                    kinks.append(_total(_binary(operator.sub, left, right)))
-            else:
-                argument = stack.pop()
-                stack.append(_unary(_UNARY[operation], argument))
-                if operation == "abs":
-                    kinks.append(_total(argument))
-                elif operation in ("sin", "cos", "tan"):
-                    phases.append(_total(argument))
-        return CompiledExpression(_total(stack.pop()), tuple(phases), tuple(kinks))
+
+        def step(name: str, number: float, *operands: Function) -> Function:
+            if name == "const":
+                return lambda values: number
+            if name == "t":
+                return operator.itemgetter(0)
+            if name == "get":
+                return operator.itemgetter(places[self.quantities[int(number)]])
+            operation = OPERATIONS[name]
+            if operation.is_periodic:
+                phases.append(_total(*operands))
+            if operation.switch and not operation.jumps:
+                is_first = operation.switch == "first"
+                kinks.append(_total(operands[0] if is_first else _applied(operator.sub, *operands)))
+            if name == "powi":
+                return _applied(lambda base: base ** int(number), *operands)
+            return _applied(operation.number, *operands)
+
+        return CompiledExpression(_total(execute(self.program, step)), tuple(phases), tuple(kinks))
 
 
-Values = Sequence[float]
-_BINARY: dict[str, Callable[[float, float], float]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": operator.truediv,
-    "pow": math.pow,
-    "atan2": math.atan2,
-    "min": min,
-    "max": max,
-}
-_UNARY: dict[str, Callable[[float], float]] = {
-    "neg": operator.neg,
-    **{name: function for name, function in FUNCTIONS.items() if name not in _BINARY and name != "degrees"},
-}
+def _applied(function: Callable[..., float], of: Function, other: Function | None = None) -> Function:
+    """Return a function of the values of one or two functions."""
+    if other is None:
+        return lambda values: function(of(values))
+    return lambda values: function(of(values), other(values))
 
 
-def _constant(number: float) -> Callable[[Values], float]:
-    return lambda values: number
-
-
-def _power(of: Callable[[Values], float], exponent: int) -> Callable[[Values], float]:
-    return lambda values: of(values) ** exponent
-
-
-def _unary(function: Callable[[float], float], of: Callable[[Values], float]) -> Callable[[Values], float]:
-    return lambda values: function(of(values))
-
-
-def _binary(
-    function: Callable[[float, float], float], left: Callable[[Values], float], right: Callable[[Values], float]
-) -> Callable[[Values], float]:
-    return lambda values: function(left(values), right(values))
-
-
-def _total(function: Callable[[Values], float]) -> Callable[[Values], float]:
+def _total(function: Function) -> Function:
     """Return a function that is nan where `function` is undefined, such as at the square root of a negative number."""
 
-    def evaluated(values: Values) -> float:
+    def evaluated(values: Sequence[float]) -> float:
         try:
             return function(values)
         except (ArithmeticError, ValueError):
@@ -186,7 +155,7 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
         )
     alone = quantities[0] if len(program) == 1 and last == "get" else None
     if (alone is not None and (alone.is_vector or alone.recorded.array.is_not_negative)) or (
-        last in ("abs", "sqrt", "exp") or (last == "powi" and int(number) % 2 == 0)
+        (last in OPERATIONS and OPERATIONS[last].is_never_negative) or (last == "powi" and int(number) % 2 == 0)
     ):
         raise SpecError(
             "the expression is never negative, so it cannot cross zero; subtract the threshold of the event from it"

@@ -22,8 +22,8 @@ from mbdkit.figures.svg_canvas import Canvas, shade
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.motion_corners import jet_of
 from mbdkit.mechanism.pathways import JointAngles
-from mbdkit.mechanism.time_jets import jet_of
 from mbdkit.trust.criteria import ROUND_OFF
 
 WIDE, NARROW = 900.0, 350.0

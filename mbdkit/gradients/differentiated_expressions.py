@@ -8,8 +8,8 @@ from types import MappingProxyType
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.expressions.program import Program
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.mechanism.time_expression import Program
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.stepping.dual_run import Seeds

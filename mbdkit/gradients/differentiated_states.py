@@ -12,7 +12,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.events.event_expression import RunExpression
-from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
+from mbdkit.expressions.program import execute
+from mbdkit.gradients.derived_values import Value, of_operands
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import NONE, States
@@ -97,23 +98,21 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
     constants
         (I, K) derivatives of the numbers of its I instructions.
     """
-    count = states.q.shape[-1] - 1
-    stack: list[Value] = []
+    count, slopes = states.q.shape[-1] - 1, iter(constants)
+
+    def step(operation: str, number: float, *operands: Value) -> Value:
+        slope = next(slopes)
+        if operation == "const":
+            return Value.number(number, slope)
+        if operation == "t":
+            return Value.constant(states.time, count)
+        if operation == "get":
+            value = quantity_of(states, expression.quantities[int(number)])
+            return of_operands("norm", 0.0, value) if value.value.ndim > 1 else value  # events have no vectors
+        return of_operands(operation, number, *operands)
+
     with np.errstate(all="ignore"):
-        for (operation, number), slope in zip(expression.program, constants, strict=True):
-            if operation == "const":
-                stack.append(Value.number(number, slope))
-            elif operation == "t":
-                stack.append(Value.constant(states.time, count))
-            elif operation == "get":
-                found = quantity_of(states, expression.quantities[int(number)])
-                stack.append(of_one("norm", 0.0, found) if found.value.ndim > 1 else found)  # events have no vectors
-            elif operation in IS_BINARY:
-                right, left = stack.pop(), stack.pop()
-                stack.append(of_two(operation, left, right))
-            else:
-                stack.append(of_one(operation, number, stack.pop()))
-    return stack.pop()
+        return execute(expression.program, step)
 
 
 def one_after_another(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:

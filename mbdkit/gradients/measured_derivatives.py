@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.gradients.derived_values import IS_BINARY, Value, of_one, of_two
+from mbdkit.expressions.operations import REDUCE
+from mbdkit.expressions.program import execute
+from mbdkit.gradients.derived_values import Value, of_operands
 from mbdkit.gradients.differentiated_run import DifferentiatedRun
 from mbdkit.gradients.differentiated_states import quantity_of
 from mbdkit.measures.measure_expression import ALONG, MeasureExpression
-from mbdkit.measures.reductions import OF_INTEGRAL, REDUCE
+from mbdkit.measures.reductions import OF_INTEGRAL
 from mbdkit.quantities.quantity import Quantity
 
 UNIQUE = 1e-9
@@ -68,53 +71,48 @@ class MeasureOfRun:
         constants
             (I, K) derivatives of the numbers of its I instructions; None: zero.
         """
-        stack: list[_Operand] = []
         self.doubts, self.size = [], 0.0
+        slopes = iter(np.zeros((len(expression.program), self.count)) if constants is None else constants)
+
+        def step(operation: str, number: float, *operands: _Operand) -> _Operand:
+            slope = next(slopes)
+            if operation == "const":
+                return _same(Value.number(number, slope))
+            return self._applied(operation, number, operands, expression)
+
         with np.errstate(all="ignore"):
-            for place, (operation, number) in enumerate(expression.program):
-                if operation == "const":
-                    slope = np.zeros(self.count) if constants is None else constants[place]
-                    stack.append(_same(Value.number(number, slope)))
-                else:
-                    self._execute(operation, number, stack, expression)
-        found = stack.pop().rows
+            found = execute(expression.program, step).rows
         return float(found.value.reshape(-1)[0]) / expression.unit.factor, (
             found.slope.reshape(self.count, found.value.size)[:, 0] / expression.unit.factor
         )
 
-    def _execute(self, operation: str, number: float, stack: list[_Operand], expression: MeasureExpression) -> None:
-        """Apply an instruction to the stack; see `MeasureExpression`."""
+    def _applied(
+        self, operation: str, number: float, operands: Sequence[_Operand], expression: MeasureExpression
+    ) -> _Operand:
+        """Return the value of an instruction; see `MeasureExpression`."""
         if operation == "t":
             rows = Value.constant(self.run.rows.time, self.count)
             rows.slope[:, -1] = self.run.end
             nodes = self.run.nodes
-            stack.append(_Operand(rows, None if nodes is None else Value.constant(nodes.time, self.count)))
-        elif operation == "get":
+            return _Operand(rows, None if nodes is None else Value.constant(nodes.time, self.count))
+        if operation == "get":
             quantity = expression.quantities[int(number)]
             if quantity.kind == "events":
-                stack.append(_Operand(self._of_event(quantity), None))
-                return
+                return _Operand(self._of_event(quantity), None)
             rows, nodes = quantity_of(self.run.rows, quantity), self.run.nodes
             known = nodes is not None and not quantity.recorded.array.accumulates
-            stack.append(_Operand(rows, quantity_of(nodes, quantity) if known else None))  # type: ignore[arg-type]
-        elif operation == REDUCE + "at":
-            time, operand = stack.pop().rows, stack.pop().rows
-            stack.append(_Operand(self._at(time, operand), None))
-        elif operation.startswith(REDUCE):
-            name, given = operation.removeprefix(REDUCE), stack.pop()
-            found = self._reduced(name, given, expression)
-            stack.append(_Operand(found, found if name in OF_INTEGRAL and given.nodes is not None else None))
-        elif operation in IS_BINARY:
-            right, left = stack.pop(), stack.pop()
-            known_there = left.nodes is not None and right.nodes is not None
-            inner = of_two(operation, left.nodes, right.nodes) if known_there else None  # type: ignore[arg-type]
-            stack.append(_Operand(of_two(operation, left.rows, right.rows), inner))
-        else:
-            given = stack.pop()
-            if operation in ALONG.values():
-                self._note_equal_elements(operation, given.rows, expression)
-            inner = None if given.nodes is None else of_one(operation, number, given.nodes)
-            stack.append(_Operand(of_one(operation, number, given.rows), inner))
+            return _Operand(rows, quantity_of(nodes, quantity) if known else None)  # type: ignore[arg-type]
+        if operation == REDUCE + "at":
+            return _Operand(self._at(operands[1].rows, operands[0].rows), None)
+        if operation.startswith(REDUCE):
+            name = operation.removeprefix(REDUCE)
+            reduced = self._reduced(name, operands[0], expression)
+            return _Operand(reduced, reduced if name in OF_INTEGRAL and operands[0].nodes is not None else None)
+        if operation in ALONG.values():
+            self._note_equal_elements(operation, operands[0].rows, expression)
+        on_nodes = [one.nodes for one in operands if one.nodes is not None]
+        inner = of_operands(operation, number, *on_nodes) if len(on_nodes) == len(operands) else None
+        return _Operand(of_operands(operation, number, *(one.rows for one in operands)), inner)
 
     def _of_event(self, quantity: Quantity) -> Value:
         """Return a quantity of an event: the time of its first or last crossing, or their number."""
@@ -154,13 +152,13 @@ class MeasureOfRun:
         square = name == "rms"
         weight = None if self.run.nodes is None else self.run.nodes.weight
         if operand.nodes is not None and weight is not None:
-            values = of_two("mul", operand.nodes, operand.nodes) if square else operand.nodes
+            values = of_operands("mul", 0.0, operand.nodes, operand.nodes) if square else operand.nodes
             moved = np.moveaxis(values.value @ weight[:, 1:], -1, 0)
             total = Value((values.value @ weight[:, 0])[..., None], (values.slope @ weight[:, 0] + moved)[..., None])
-            last = of_two("mul", rows, rows)[-1:].value if square else rows[-1:].value
+            last = of_operands("mul", 0.0, rows, rows)[-1:].value if square else rows[-1:].value
             total = Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
         else:
-            values = of_two("mul", rows, rows) if square else rows
+            values = of_operands("mul", 0.0, rows, rows) if square else rows
             time = self.run.rows.time
             total = Value(
                 np.trapezoid(values.value, time, axis=-1)[..., None],
@@ -171,8 +169,8 @@ class MeasureOfRun:
         if name == "integral":
             return total
         duration = self.run.rows.time[-1] - self.run.rows.time[0]
-        mean = of_two("div", total, Value(np.array([duration]), self.run.end[:, None]))
-        return of_one("sqrt", 0.0, mean) if square else mean
+        mean = of_operands("div", 0.0, total, Value(np.array([duration]), self.run.end[:, None]))
+        return of_operands("sqrt", 0.0, mean) if square else mean
 
     def _note_equal_elements(self, operation: str, rows: Value, expression: MeasureExpression) -> None:
         """Note if elements with different derivatives share the extreme value along a beam, over time or in the end."""

@@ -23,19 +23,20 @@ from mbdkit.archive.history import NotRecordedError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import Unit, read_unit
-from mbdkit.events.event_expression import Code, RunCompiler
+from mbdkit.events.event_expression import RunCompiler
+from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS, REDUCE
+from mbdkit.expressions.parser import Code
+from mbdkit.expressions.program import Program, execute
 from mbdkit.measures.measured_quantities import ATTRIBUTES, recorded, unit_of
 from mbdkit.measures.reductions import (
     OF_INTEGRAL,
-    REDUCE,
     REDUCTIONS,
     Integrand,
     Series,
-    execute,
+    applied,
     from_integral,
     interpolated,
 )
-from mbdkit.mechanism.time_expression import FUNCTIONS, Program
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import QUANTITIES
@@ -157,34 +158,32 @@ class MeasureExpression:
 
     def of(self, run: Run) -> float:
         """Return the value for a run, in `unit`; nan where it is undefined or a quantity was not recorded."""
-        time = run.time
-        if not len(time):
+        if not len(run.time):
             return float("nan")
-        stack: list[np.ndarray] = []
         try:
-            with np.errstate(all="ignore"):
-                for operation, number in self.program:
-                    self._execute(operation, number, stack, run)
+            value = float(self._values(run).reshape(-1)[0]) / self.unit.factor
         except NotRecordedError:
             return float("nan")
-        value = float(stack.pop().reshape(-1)[0]) / self.unit.factor
         return value if np.isfinite(value) else float("nan")
 
-    def _execute(self, operation: str, number: float, stack: list[np.ndarray], run: Run) -> None:
-        """Apply an instruction to the stack; see `execute`."""
-        if operation == REDUCE + "at":
-            time, values = stack.pop(), stack.pop()
-            stack.append(interpolated(float(time[0]), run.time, values))
-        elif operation.startswith(REDUCE):
-            values, name = stack.pop(), operation.removeprefix(REDUCE)
+    def _values(self, run: Run) -> np.ndarray:
+        """Return the value of the program for a run, in SI units; see `applied` for its shape."""
+        series = Series(run.time, lambda one: recorded(one, run))
+
+        def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
+            if not operation.startswith(REDUCE):
+                return applied(operation, number, operands, self.quantities, series)
+            name, values = operation.removeprefix(REDUCE), operands[0]
+            if name == "at":
+                return interpolated(float(operands[1][0]), run.time, values)
             integral = run.integrals.get(self.integrands[int(number) - 1].text) if number else None
             duration = run.time[-1] - run.time[0]
             if integral is None or not duration > 0.0:
-                stack.append(REDUCTIONS[name](run.time, values)[..., None])
-            else:
-                stack.append(from_integral(name, integral, duration, values))
-        else:
-            execute(operation, number, stack, self.quantities, Series(run.time, lambda one: recorded(one, run)))
+                return np.asarray(REDUCTIONS[name](run.time, values)[..., None])
+            return from_integral(name, integral, duration, values)
+
+        with np.errstate(all="ignore"):
+            return execute(self.program, step)
 
 
 @dataclass(frozen=True)
@@ -207,11 +206,7 @@ class SeriesExpression(MeasureExpression):
 
     def rows(self, run: Run) -> np.ndarray:
         """Return the values in the T recorded rows of a run, (T,), in `unit`; raise NotRecordedError if it has none."""
-        stack: list[np.ndarray] = []
-        with np.errstate(all="ignore"):
-            for operation, number in self.program:
-                self._execute(operation, number, stack, run)
-        return stack.pop() / self.unit.factor
+        return self._values(run) / self.unit.factor
 
 
 _VECTORS_OF = {"neg": ([True],), "mul": ([True, False], [False, True]), "div": ([True, False],)}
@@ -220,7 +215,6 @@ _HAS_ELEMENTS = (
     "has a value in each element of a beam; name an element, as in beams.NAME.moment[0], or use along_max or along_min "
     "of it"
 )
-_SYMBOLS = {"add": "+", "sub": "-", "mul": "*", "div": "/", "pow": "**"}
 
 
 class _MeasureCompiler(RunCompiler):
@@ -426,7 +420,8 @@ class _MeasureCompiler(RunCompiler):
             if not all(vectors):
                 self.refuse(f"'{self.segment(node)}' adds a vector and a number; use abs of the vector", node)
         elif vectors not in _VECTORS_OF.get(operation, ()):
-            what = f"'{_SYMBOLS[operation]}'" if operation in _SYMBOLS else operation
+            symbol = OPERATIONS[operation].symbol
+            what = f"'{symbol}'" if symbol else operation
             self.refuse(f"'{self.segment(node)}' is not possible with a vector in {what}; use abs of it", node)
         return True
 
@@ -438,22 +433,22 @@ class _MeasureCompiler(RunCompiler):
         exponent
             The exponent of a power, if it is a constant.
         """
-        if operation in ("add", "sub", "min", "max", "atan2"):
+        dimension, base = OPERATIONS[operation].dimension, values[0].unit
+        if dimension in ("common", "angle of common"):
             common = self.common(operation, values, node)
-            return _RADIAN if operation == "atan2" else common
-        if operation in ("mul", "div"):
-            return _product(values[0], values[1], Fraction(1 if operation == "mul" else -1))
-        base = values[0]
-        if operation in ("neg", "abs") or (base.unit is None and operation in ("pow", "sqrt")):
-            return base.unit
-        if operation == "sqrt" or exponent is not None:
+            return common if dimension == "common" else _RADIAN
+        if dimension in ("product", "quotient"):
+            return _product(values[0], values[1], Fraction(1 if dimension == "product" else -1))
+        if dimension == "same" or (base is None and dimension in ("power", "root")):
+            return base
+        if dimension == "root" or exponent is not None:
             power = Fraction(1, 2) if exponent is None else Fraction(exponent).limit_denominator(1000)
-            return _PLAIN.times(base.unit or _PLAIN, power)
+            return _PLAIN.times(base or _PLAIN, power)
         for one in values:
             if one.unit is not None and not one.unit.is_like(_PLAIN):
-                where = _SYMBOLS.get(operation, operation)
-                self.refuse(f"'{self.segment(node)}': {where} needs a number or an angle, not {one.unit}", node)
-        return _RADIAN if operation in ("asin", "acos", "atan") else _PLAIN
+                what = OPERATIONS[operation].symbol or operation
+                self.refuse(f"'{self.segment(node)}': {what} needs a number or an angle, not {one.unit}", node)
+        return _RADIAN if dimension == "angle" else _PLAIN
 
     def common(self, operation: str, values: Sequence[_Value], node: ast.expr) -> Unit | None:
         """Return the unit of operands that are added or compared."""

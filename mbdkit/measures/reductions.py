@@ -9,11 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.mechanism.time_expression import Program
+from mbdkit.expressions.operations import OF_PARTS, OPERATIONS, REDUCE
+from mbdkit.expressions.program import Program, execute
 from mbdkit.quantities.quantity import Quantity
-
-REDUCE = "over time: "
-"""Prefix of the operations of a program that reduce over time."""
 
 
 @dataclass(frozen=True)
@@ -103,38 +101,33 @@ class Integrand:
         duration
             Duration of the run [s].
         """
-        stack: list[np.ndarray] = []
+
+        def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
+            if operation.startswith(REDUCE):
+                integral = integrals[self.inner[int(number) - 1].text]
+                return from_integral(operation.removeprefix(REDUCE), integral, duration, *operands)
+            return applied(operation, number, operands, self.quantities, series)
+
         with np.errstate(all="ignore"):
-            for operation, number in self.program:
-                if operation.startswith(REDUCE):
-                    text = self.inner[int(number) - 1].text
-                    reduced = from_integral(operation.removeprefix(REDUCE), integrals[text], duration, stack.pop())
-                    stack.append(reduced)
-                else:
-                    execute(operation, number, stack, self.quantities, series)
-        return stack.pop()
+            return execute(self.program, step)
 
 
-def execute(
-    operation: str, number: float, stack: list[np.ndarray], quantities: Sequence[Quantity], series: Series
-) -> None:
-    """Apply an instruction that does not reduce over time to the stack.
+def applied(
+    operation: str, number: float, operands: Sequence[np.ndarray], quantities: Sequence[Quantity], series: Series
+) -> np.ndarray:
+    """Return the value of an instruction that does not reduce over time.
 
     Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1), and those along a beam (elements, T).
     """
     if operation == "const":
-        stack.append(np.array([number]))
-    elif operation == "t":
-        stack.append(series.time)
-    elif operation == "get":
-        stack.append(series.of(quantities[int(number)]))
-    elif operation == "powi":
-        stack.append(stack.pop() ** number)
-    elif operation in _BINARY:
-        right, left = stack.pop(), stack.pop()
-        stack.append(_BINARY[operation](left, right))
-    else:
-        stack.append(_UNARY[operation](stack.pop()))
+        return np.array([number])
+    if operation == "t":
+        return series.time
+    if operation == "get":
+        return series.of(quantities[int(number)])
+    if operation == "powi":
+        return np.asarray(operands[0] ** number)
+    return (OF_PARTS.get(operation) or OPERATIONS[operation].array)(*operands)
 
 
 def interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -142,32 +135,3 @@ def interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
     if not time[0] <= at <= time[-1]:
         return np.full((*values.shape[:-1], 1), np.nan)
     return np.apply_along_axis(lambda row: np.interp([at], time, row), -1, values)
-
-
-_BINARY: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "pow": np.power,
-    "atan2": np.arctan2,
-    "min": np.minimum,
-    "max": np.maximum,
-}
-_UNARY: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
-    "neg": np.negative,
-    "norm": lambda values: np.hypot(values[0], values[1]),
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "exp": np.exp,
-    "log": np.log,
-    "sqrt": np.sqrt,
-    "abs": np.abs,
-    "tanh": np.tanh,
-    "along_max": lambda values: np.max(values, axis=0),
-    "along_min": lambda values: np.min(values, axis=0),
-}

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import BeforeValidator
 
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import listed
-from mbdkit.mechanism.program_derivative import KINKED, derivative_of
-from mbdkit.mechanism.time_expression import MAX_DEPTH, Compiler, Expression, ExpressionError, depth_of
-from mbdkit.mechanism.values import Number, Table, columns_of, number_or_table
-
-if TYPE_CHECKING:
-    import numpy as np
+from mbdkit.expressions.jets import jet_and_switches
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import Compiler, Expression, ExpressionError
+from mbdkit.expressions.program import MAX_DEPTH, depth_of, derivative_of
+from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
 
 WANTED = 'a number, an expression of angle such as "0.02*sin(angle)", or {table: [[angle, ...], [value, ...]]}'
 
@@ -87,14 +87,10 @@ class Center(StrictModel):
 
     def at(self, angles: np.ndarray) -> np.ndarray:
         """Return the displacement (F, 2) [m] at relative angles (F,) [rad]."""
-        import numpy as np
-
         return np.stack([value_at(function, angles) for _, function in self.functions], axis=-1)
 
     def at_angle(self, angle: float) -> tuple[float, float]:
         """Return the displacement (x, y) [m] at a relative angle [rad]."""
-        import numpy as np
-
         x, y = self.at(np.array([angle])).tolist()[0]
         return x, y
 
@@ -110,10 +106,6 @@ class Center(StrictModel):
 
 def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
     """Return a function of an angle at `angles` (F,) [rad]."""
-    import numpy as np
-
-    from mbdkit.mechanism.time_jets import curve_of, jet_and_switches
-
     if isinstance(function, str):
         return jet_and_switches(expression_of(function).program, angles)[0].value
     if isinstance(function, AngleTable):
@@ -126,7 +118,7 @@ def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
 def expression_of(text: str) -> Expression:
     """Return an expression of `angle`, with `t` in its program; raises SpecError with the position of an error."""
     program = tuple(AngleCompiler(text).program())
-    if kinks := sorted({operation for operation, _ in program if operation in KINKED}):
+    if kinks := sorted({name for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch}):
         raise AngleExpressionError(
             f"{listed(kinks, 'and')} cannot be used here: a derivative jumps, and a center must move smoothly"
         )

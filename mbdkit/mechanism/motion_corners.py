@@ -16,16 +16,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.mechanism.time_expression import Expression
-from mbdkit.mechanism.time_jets import EPS, Jet, curve_of, jet_and_switches, jet_of
-from mbdkit.mechanism.values import Motion, Table
-
-if TYPE_CHECKING:
-    from mbdkit.mechanism.time_expression import Program
+from mbdkit.expressions.jets import EPS, Jet, jet_and_switches
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import Expression
+from mbdkit.expressions.program import Program
+from mbdkit.mechanism.values import Motion, Table, curve_of
 
 SAMPLES = 10_000
 """Number of samples over the span of a run; of long expressions, fewer."""
@@ -82,6 +80,18 @@ class Corner:
         return not any(self.jumps)
 
 
+def jet_of(motion: Motion, times: np.ndarray) -> Jet:
+    """Return a motion at `times` (T,)."""
+    if isinstance(motion, str):
+        return jet_and_switches(Expression.parse(motion).program, times)[0]
+    none = np.zeros(len(times))
+    if not isinstance(motion, Table):
+        return Jet(none + motion, none, none, none)
+    curve = curve_of(motion)
+    value = curve(times)
+    return Jet(value, curve(times, 1), curve(times, 2), EPS * np.abs(value))
+
+
 @lru_cache(maxsize=MOST_CACHED)
 def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
     """Return the knots and corners of a motion from `start` to `end` [s], both included, in order of time.
@@ -103,14 +113,15 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     if not isinstance(motion, str):
         return ()
     program = Expression.parse(motion).program
-    if not any(operation in ("abs", "min", "max", "atan2") for operation, _ in program):
+    switches = [OPERATIONS[name] for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch]
+    if not switches:
         return ()
     roots = _switching_times(program, start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))))
     # A larger noise is that of a corner at which several derivatives agree: both sides are the same within it.
     found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
     corners = _described(motion, found, start, end, is_knot=False)
     # a zero of the first operand of atan2 is no corner if the second is positive, nor is sin(atan2(y, x)) anywhere
-    wraps = any(operation == "atan2" for operation, _ in program)
+    wraps = any(operation.jumps for operation in switches)
     return tuple(corner for corner in corners if not wraps or not corner.is_smooth)
 
 

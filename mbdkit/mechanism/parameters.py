@@ -21,10 +21,11 @@ from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, found, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.expressions.operations import FUNCTIONS
+from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
 from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
-from mbdkit.mechanism.time_expression import FUNCTIONS, Compiler, ExpressionError
 from mbdkit.mechanism.validation_errors import spec_error, value_path
 from mbdkit.mechanism.values import TextForNumberError
 
@@ -174,13 +175,13 @@ class _NumberCompiler(Compiler):
         self.known = [*parameters] if known is None else known
         super().__init__(text, parameters)
 
-    def compile(self, node: ast.expr, nesting: int) -> list[tuple[str, float]]:
+    def compile(self, node: ast.expr, nesting: int) -> Code:
         """Return the program of a node; the time is no operand."""
         if isinstance(node, ast.Name) and node.id == "t":
             self.refuse("only motions and loads depend on the time t, this is a number", node)
         return super().compile(node, nesting)
 
-    def operand(self, node: ast.expr) -> list[tuple[str, float]]:
+    def operand(self, node: ast.expr) -> Code:
         """Raise SpecError for a name that is not a parameter, or for anything else."""
         if isinstance(node, ast.Name):
             hint = did_you_mean(node.id, ["pi", *FUNCTIONS, *self.known])

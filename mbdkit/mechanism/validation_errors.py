@@ -15,9 +15,9 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, found, parse_path, path_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import did_you_mean, listed, message_of, shortened, shown
+from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
-from mbdkit.mechanism.time_expression import Expression
 
 WANTED = {
     "float_type": "a number",

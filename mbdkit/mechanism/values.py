@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
+import numpy as np
 from pydantic import BeforeValidator, Field
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.mechanism.time_expression import Expression
+from mbdkit.expressions.parser import Expression
 
 
 class TextForNumberError(SpecError):
@@ -194,6 +196,35 @@ class Table(StrictModel):
     def period(self) -> float:
         """Time after which the table repeats [s]; 0 if it does not."""
         return self.span[1] - self.span[0] if self.ends == "periodic" else 0.0
+
+
+QUINTIC_ENDS = {
+    "natural": ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)]),
+    "clamped": ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)]),
+}
+"""Derivatives of a quintic spline that vanish at its two ends; SciPy has names for the other conditions."""
+
+
+@lru_cache(maxsize=64)
+def curve_of(table: Table) -> Any:
+    """Return the curve of a table, as ``scipy.interpolate.PPoly``; its outer pieces, or its periods, continue it.
+
+    Raises ValueError or LinAlgError if it cannot be computed in double precision.
+    """
+    from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
+
+    times, values = (np.array(column) for column in table.table)
+    beyond: Any = "periodic" if table.ends == "periodic" else True
+    if beyond == "periodic":
+        values[-1] = values[0]  # equal to rounding, which `Table` checks
+    if table.interpolation == "linear":
+        return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times, extrapolate=beyond)
+    if table.interpolation == "cubic":
+        return CubicSpline(times, values, bc_type=table.ends, extrapolate=beyond)
+    spline = make_interp_spline(times, values, k=5, bc_type=QUINTIC_ENDS.get(table.ends, table.ends))
+    curve = PPoly.from_spline(spline)
+    # without the five pieces at either end that are empty, or beyond the period
+    return PPoly(curve.c[:, 5:-5], curve.x[5:-5], extrapolate=beyond)
 
 
 Motion = Annotated[Number | str | Table, BeforeValidator(_motion)]

@@ -10,8 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.checks import motions_by_key
-from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, overshoot
-from mbdkit.mechanism.time_jets import jet_of
+from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.stepping.interface import SAME_TIME
 

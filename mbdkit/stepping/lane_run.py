@@ -11,11 +11,11 @@ from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.lane_arrays import new_lanes
 from mbdkit.engine.jit.lane_complex import new_complex_lanes
 from mbdkit.engine.jit.lane_width import WIDTH
-from mbdkit.engine.kernels.motions import MAX_DEPTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS
 from mbdkit.engine.kernels.system import LaneSolver, Scratch, Topology
 from mbdkit.engine.workspace import Workspace, scratch_of
+from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.step_guards import new_guard_state

@@ -13,15 +13,8 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.mechanism.time_expression import MAX_NESTING, Compiler
-
-_ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: np.add,
-    ast.Sub: np.subtract,
-    ast.Mult: np.multiply,
-    ast.Div: np.divide,
-    ast.Pow: np.power,
-}
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import MAX_NESTING, OPERATORS, Compiler
 
 _ORDER: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: np.less,
@@ -31,8 +24,7 @@ _ORDER: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 }
 
 _FUNCTIONS: Mapping[str, Callable[[Any], Any]] = {
-    "abs": np.abs,
-    "sqrt": np.sqrt,
+    **{name: OPERATIONS[name].array for name in ("abs", "sqrt")},
     "log10": np.log10,
     "isnan": np.isnan,
 }
@@ -123,9 +115,9 @@ class _Condition(Compiler):
                 found = np.logical_not(self.condition(operand, nesting + 1))
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 found = np.negative(self.numeric(operand, nesting + 1))
-            case ast.BinOp(left=left, op=operation, right=right) if type(operation) in _ARITHMETIC:
+            case ast.BinOp(left=left, op=operation, right=right) if type(operation) in OPERATORS:
                 operands = self.numeric(left, nesting + 1), self.numeric(right, nesting + 1)
-                found = _ARITHMETIC[type(operation)](*operands)
+                found = OPERATIONS[OPERATORS[type(operation)]].array(*operands)
             case ast.BinOp(op=ast.BitAnd() | ast.BitOr()):
                 self.refuse("conditions are joined by the words `and` and `or`", node)
             case ast.Compare():

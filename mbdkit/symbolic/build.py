@@ -18,6 +18,7 @@ import sympy as sp
 from sympy.core.function import UndefinedFunction
 
 from mbdkit.base.errors import SpecError
+from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.angle_function import Center, expression_of
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND
@@ -29,9 +30,7 @@ from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway, Segment
 from mbdkit.mechanism.symbolic_system import SymbolicSystem
-from mbdkit.mechanism.time_expression import Expression
-from mbdkit.mechanism.time_jets import curve_of
-from mbdkit.mechanism.values import Table
+from mbdkit.mechanism.values import Table, curve_of
 from mbdkit.symbolic import definitions as d
 from mbdkit.symbolic.symbolic_law import LENGTH, RATE, law_expressions
 from mbdkit.symbolic.symbolic_law import T as LAW_TIME

@@ -10,7 +10,8 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.kernels.motions import MAX_DEPTH, motions_at
+from mbdkit.engine.kernels.motions import motions_at
+from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registered, Registry

@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import assemble
+from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.time_expression import Expression
 
 from .compiled import Compiled
 

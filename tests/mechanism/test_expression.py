@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbdkit.base.errors import SpecError
-from mbdkit.mechanism.time_expression import FUNCTIONS, Expression
+from mbdkit.expressions.parser import Expression
 
 BINARY = {
     "add": operator.add,
@@ -39,7 +39,7 @@ def run(program, t):
             right, left = stack.pop(), stack.pop()
             stack.append(BINARY[operation](left, right))
         else:
-            stack.append(FUNCTIONS[operation](stack.pop()))
+            stack.append({"abs": abs}.get(operation, getattr(math, operation, None))(stack.pop()))
         highest = max(highest, len(stack))
     (value,) = stack
     return value, highest

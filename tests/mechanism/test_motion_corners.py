@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from mbdkit.engine.kernels.motions import OPCODES, motions_at
-from mbdkit.mechanism.motion_corners import corners_of, overshoot
-from mbdkit.mechanism.time_expression import Expression
-from mbdkit.mechanism.time_jets import jet_of
+from mbdkit.expressions.parser import Expression
+from mbdkit.mechanism.motion_corners import corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Table
 
 ONE = 1.0 / 3.0

@@ -248,9 +248,9 @@ def test_parameters_may_be_used_in_the_center() -> None:
 def test_three_derivatives_of_an_expression_are_those_of_sympy(text: str) -> None:
     import sympy as sp
 
+    from mbdkit.expressions.jets import jet_and_switches
+    from mbdkit.expressions.program import derivative_of
     from mbdkit.mechanism.angle_function import expression_of
-    from mbdkit.mechanism.program_derivative import derivative_of
-    from mbdkit.mechanism.time_jets import jet_and_switches
 
     at = np.array([-0.7, 0.2, 1.3])
     program = expression_of(text).program

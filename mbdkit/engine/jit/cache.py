@@ -56,7 +56,8 @@ _TEMPORARY = "mbdkit-"
 def kernel_sources() -> list[Path]:
     """Return the source files of all kernels and of all functions that they call, sorted."""
     rooms = ("engine/jit", "engine/kernels", "stepping")
-    return sorted(path for room in rooms for path in (_PACKAGE / room).glob("*.py"))
+    paths = (path for room in rooms for path in (_PACKAGE / room).glob("*.py"))
+    return sorted([_PACKAGE / "expressions/operations.py", *paths])
 
 
 def fingerprint() -> str:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
 from mbdkit.engine.jit.lane_types import hypot_of_each, where
+from mbdkit.engine.jit.operation_rules import compiled_rule
+from mbdkit.expressions.operations import OPERATIONS
 
 DIRECTIONS = 12
 """Number of derivatives of a dual number. More parameters take several passes."""
@@ -186,16 +188,13 @@ def _define(function: Any, code: Callable[[Any, Pair, Pair], Any], result: Any =
         lower_builtin(function, *kinds)(lower)
 
 
-for _functions, _code in (
-    ((operator.add, operator.iadd), _add),
-    ((operator.sub, operator.isub), _subtract),
-    ((operator.mul, operator.imul), _multiply),
-    ((operator.truediv, operator.itruediv), _divide),
-    ((max,), _chosen(">")),
-    ((min,), _chosen("<")),
-):
-    for _function in _functions:
-        _define(_function, _code)
+_ARITHMETIC: Mapping[Any, Callable[[Any, Pair, Pair], Pair]] = {
+    operator.add: _add, operator.iadd: _add, operator.sub: _subtract, operator.isub: _subtract,
+    operator.mul: _multiply, operator.imul: _multiply, operator.truediv: _divide, operator.itruediv: _divide,
+    max: _chosen(">"), min: _chosen("<"),
+}  # fmt: skip
+for _function, _code in _ARITHMETIC.items():
+    _define(_function, _code)
 for _function, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
 ):  # fmt: skip
@@ -320,77 +319,33 @@ def _of_one(function: Any, code: Callable[..., Any]) -> None:
         return code if isinstance(x, DualNumber) else None
 
 
-def _root(x):
-    root = math.sqrt(_value(x))
-    return chain(x, root, 0.5 / root)
+def _by_rule(rule: Any) -> Callable[..., Any]:
+    """Return the code of a function of one dual number from a rule of operations."""
+
+    def code(x):
+        value, slope, _ = rule(_value(x))
+        return chain(x, value, slope)
+
+    return code
 
 
-def _sine(x):
-    return chain(x, math.sin(_value(x)), math.cos(_value(x)))
-
-
-def _cosine(x):
-    return chain(x, math.cos(_value(x)), -math.sin(_value(x)))
-
-
-def _tangent(x):
-    f = math.tan(_value(x))
-    return chain(x, f, 1.0 + f * f)
-
-
-def _arcsine(x):
-    return chain(x, math.asin(_value(x)), 1.0 / math.sqrt(1.0 - _value(x) * _value(x)))
-
-
-def _arccosine(x):
-    return chain(x, math.acos(_value(x)), -1.0 / math.sqrt(1.0 - _value(x) * _value(x)))
-
-
-def _arctangent(x):
-    return chain(x, math.atan(_value(x)), 1.0 / (1.0 + _value(x) * _value(x)))
-
-
-def _exponential(x):
-    f = math.exp(_value(x))
-    return chain(x, f, f)
-
-
-def _logarithm(x):
-    return chain(x, math.log(_value(x)), 1.0 / _value(x))
-
-
-def _hyperbolic_tangent(x):
-    f = math.tanh(_value(x))
-    return chain(x, f, 1.0 - f * f)
-
-
-def _hyperbolic_sine(x):
-    return chain(x, math.sinh(_value(x)), math.cosh(_value(x)))
-
-
-def _hyperbolic_cosine(x):
-    return chain(x, math.cosh(_value(x)), math.sinh(_value(x)))
-
-
-def _size(x):
-    return chain(x, abs(_value(x)), 1.0 if _value(x) >= 0.0 else -1.0)
-
-
-def _negated(x):
-    return chain(x, -_value(x), -1.0)
-
-
+for _operation in OPERATIONS.values():
+    if _operation.arity == 1 and _operation.name != "powi":
+        for _function in {_operation.number, _operation.array}:
+            _of_one(_function, _by_rule(compiled_rule(_operation)))
 _FUNCTIONS: tuple[tuple[Any, Callable[[Any], Any]], ...] = (
-    (math.sqrt, _root), (np.sqrt, _root), (math.sin, _sine), (math.cos, _cosine), (math.tan, _tangent),
-    (math.asin, _arcsine), (math.acos, _arccosine), (math.atan, _arctangent), (math.exp, _exponential),
-    (math.log, _logarithm), (math.tanh, _hyperbolic_tangent), (math.sinh, _hyperbolic_sine),
-    (math.cosh, _hyperbolic_cosine), (abs, _size), (math.fabs, _size), (operator.neg, _negated),
+    (math.fabs, lambda x: abs(x)),
+    (math.sinh, lambda x: chain(x, math.sinh(_value(x)), math.cosh(_value(x)))),
+    (math.cosh, lambda x: chain(x, math.cosh(_value(x)), math.sinh(_value(x)))),
     (operator.pos, lambda x: x),
-    (math.floor, lambda x: math.floor(_value(x))), (int, lambda x: int(_value(x))),
-    (float, lambda x: x), (math.isnan, lambda x: math.isnan(_value(x))), (np.isnan, lambda x: math.isnan(_value(x))),
-)  # fmt: skip
-for _name, _function_code in _FUNCTIONS:
-    _of_one(_name, _function_code)
+    (float, lambda x: x),
+    (int, lambda x: int(_value(x))),
+    (math.floor, lambda x: math.floor(_value(x))),
+    (math.isnan, lambda x: math.isnan(_value(x))),
+    (np.isnan, lambda x: math.isnan(_value(x))),
+)
+for _function, _function_code in _FUNCTIONS:
+    _of_one(_function, _function_code)
 
 
 @overload(operator.pow)
@@ -412,42 +367,43 @@ def _general_power(x, n):
     return with_value(constant + by_base * (x - base) + by_exponent * (n - exponent), value)
 
 
-@overload(operator.mod)
-def _remainder(x, y):
-    if not (is_real(x) and is_real(y)) or not (isinstance(x, DualNumber) or isinstance(y, DualNumber)):
-        return None
+def _of_two(function: Any, code: Callable[..., Any]) -> None:
+    """Define a function of two dual numbers, of which one may be a number, by a Python function that is compiled."""
 
-    def code(x, y):
-        value = value_of(x) % value_of(y)
-        whole = math.floor(value_of(x) / value_of(y))
-        return with_value(x - whole * y, value)
-
-    return code
+    @overload(function)
+    def _typed(x, y):
+        has_dual = isinstance(x, DualNumber) or isinstance(y, DualNumber)
+        return code if has_dual and is_real(x) and is_real(y) else None
 
 
-@overload(math.atan2)
-def _angle(y, x):
-    if not (is_real(x) and is_real(y)) or not (isinstance(x, DualNumber) or isinstance(y, DualNumber)):
-        return None
-
-    def code(y, x):
-        a, b = value_of(y), value_of(x)
-        square = a * a + b * b
-        return with_value((b * y - a * x) / square, math.atan2(a, b))
-
-    return code
-
-
-@overload(hypot_of_each)
-@overload(math.hypot)
-def _length(x, y):
-    if not (is_real(x) and is_real(y)) or not (isinstance(x, DualNumber) or isinstance(y, DualNumber)):
-        return None
+def _by_rule_of_two(rule: Any) -> Callable[..., Any]:
+    """Return the code of a function of two dual numbers from a rule of operations."""
 
     def code(x, y):
         a, b = value_of(x), value_of(y)
-        size = math.hypot(a, b)
-        scale = size if size > 0.0 else 1.0
-        return with_value((a / scale) * x + (b / scale) * y, size)
+        value, by_first, _ = rule(a, 1.0, 0.0, b, 0.0, 0.0)
+        _, by_second, _ = rule(a, 0.0, 0.0, b, 1.0, 0.0)
+        return with_value(by_first * x + by_second * y, value)
 
     return code
+
+
+def _remainder(x, y):
+    whole = math.floor(value_of(x) / value_of(y))
+    return with_value(x - whole * y, value_of(x) % value_of(y))
+
+
+def _length(x, y):
+    a, b = value_of(x), value_of(y)
+    size = math.hypot(a, b)
+    scale = size if size > 0.0 else 1.0
+    return with_value((a / scale) * x + (b / scale) * y, size)
+
+
+for _operation in OPERATIONS.values():
+    if _operation.arity == 2 and _operation.number not in (*_ARITHMETIC, math.pow):
+        for _function in (_operation.number, _operation.array):
+            _of_two(_function, _by_rule_of_two(compiled_rule(_operation)))
+_of_two(operator.mod, _remainder)
+_of_two(math.hypot, _length)
+_of_two(hypot_of_each, _length)

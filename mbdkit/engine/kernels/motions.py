@@ -1,10 +1,11 @@
 """Prescribed motions u(t), and functions of relative angles: postfix programs evaluated with second-order forward-mode
 automatic differentiation.
 
-Each stack entry is a jet: value, first and second derivative by the argument. The derivatives are therefore exact up
-to rounding errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new
-expression requires no compilation. A table is a single instruction, a piecewise polynomial, whose data follow the
-constants of all programs in `values`.
+Each stack entry is a jet: value, first and second derivative by the argument. Jets follow from the rules of the table
+of operations (`mbdkit.expressions.operations`). The derivatives are therefore exact up to rounding errors. Jets are
+used instead of symbolic derivatives because they need no SymPy at run time, and a new expression requires no
+compilation. A table is a single instruction, a piecewise polynomial, whose data follow the constants of all programs in
+`values`.
 
 The programs of the centers that move with an angle come after those of the motions, four for each center: x, its
 derivative, y, and its derivative. The second derivatives of the derivatives are the third ones, which tangents need.
@@ -12,118 +13,28 @@ derivative, y, and its derivative. The second derivatives of the derivatives are
 
 from __future__ import annotations
 
-from math import acos, asin, atan, atan2, cos, exp, log, sin, sqrt, tan, tanh
-
 from numba.extending import overload
 
 from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.jit.lane_arrays import LaneArray
 from mbdkit.engine.jit.lane_types import LaneReal, number_in, put_in
 from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.jit.operation_rules import chosen_rule, compiled_rule
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.program import MAX_DEPTH
 
-_NAMES = (
-    "const", "t", "add", "sub", "mul", "div", "neg", "pow", "powi", "sin", "cos", "tan", "asin", "acos", "atan",
-    "atan2", "exp", "log", "sqrt", "abs", "tanh", "min", "max", "table",
-)  # fmt: skip
-OPCODES = {name: code for code, name in enumerate(_NAMES)}
-"""Code of each instruction. ``pow`` has its exponent on the stack; ``powi`` has a constant exponent in `values`."""
-MAX_DEPTH = 32
-"""Number of stack entries that a program may use."""
+_BINARY = [one for one in OPERATIONS.values() if one.arity == 2]
+_UNARY = [one for one in OPERATIONS.values() if one.arity == 1]
+OPCODES = {name: code for code, name in enumerate(("const", "t", "table", *(one.name for one in (*_BINARY, *_UNARY))))}
+"""Code of each instruction; those of two operands come before those of one."""
 OF_CENTER = 4
 """Number of programs of a center."""
 
-(
-    _CONST, _T, _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _POWI, _SIN, _COS, _TAN, _ASIN, _ACOS, _ATAN,
-    _ATAN2, _EXP, _LOG, _SQRT, _ABS, _TANH, _MIN, _MAX, _TABLE,
-) = range(len(OPCODES))  # fmt: skip
-
-
-@subkernel
-def _power(x: float, n: float) -> tuple[float, float, float]:
-    """Return x**n and its first two derivatives by x, for a constant exponent.
-
-    The derivatives of n = 0 and n = 1 are set explicitly, because the formula gives 0 * inf = NaN for them at x = 0.
-    """
-    value = x**n
-    first = 0.0 if n == 0.0 else n * x ** (n - 1.0)
-    second = 0.0 if n == 0.0 or n == 1.0 else n * (n - 1.0) * x ** (n - 2.0)
-    return value, first, second
-
-
-@subkernel
-def _unary(op: int, x: float) -> tuple[float, float, float]:
-    """Return the value of a function and its first two derivatives by its argument."""
-    if op == _SIN:
-        return sin(x), cos(x), -sin(x)
-    if op == _COS:
-        return cos(x), -sin(x), -cos(x)
-    if op == _TAN:
-        f = tan(x)
-        return f, 1.0 + f * f, 2.0 * f * (1.0 + f * f)
-    if op == _ASIN:
-        d = 1.0 / sqrt(1.0 - x * x)
-        return asin(x), d, x * d * d * d
-    if op == _ACOS:
-        d = 1.0 / sqrt(1.0 - x * x)
-        return acos(x), -d, -x * d * d * d
-    if op == _ATAN:
-        d = 1.0 / (1.0 + x * x)
-        return atan(x), d, -2.0 * x * d * d
-    if op == _EXP:
-        f = exp(x)
-        return f, f, f
-    if op == _LOG:
-        return log(x), 1.0 / x, -1.0 / (x * x)
-    if op == _SQRT:
-        f = sqrt(x)
-        return f, 0.5 / f, -0.25 / (f * x)
-    if op == _TANH:
-        f = tanh(x)
-        return f, 1.0 - f * f, -2.0 * f * (1.0 - f * f)
-    if op == _NEG:
-        return -x, -1.0, 0.0
-    sign = 1.0 if x >= 0.0 else -1.0
-    return abs(x), sign, 0.0
-
-
-@subkernel
-def _binary(op, a0, a1, a2, b0, b1, b2):
-    """Return the jet of a binary operation on the jets (a0, a1, a2) and (b0, b1, b2).
-
-    A power with a constant exponent is handled by `_power`, which allows negative bases for integers; the general
-    formula needs the logarithm of the base.
-    """
-    if op == _ADD:
-        return a0 + b0, a1 + b1, a2 + b2
-    if op == _SUB:
-        return a0 - b0, a1 - b1, a2 - b2
-    if op == _MUL:
-        return a0 * b0, a1 * b0 + a0 * b1, a2 * b0 + 2.0 * a1 * b1 + a0 * b2
-    if op == _DIV:
-        f0 = a0 / b0
-        f1 = (a1 - f0 * b1) / b0
-        return f0, f1, (a2 - 2.0 * f1 * b1 - f0 * b2) / b0
-    if op == _ATAN2:
-        r2 = a0 * a0 + b0 * b0
-        cross = b0 * a1 - a0 * b1
-        return (
-            atan2(a0, b0),
-            cross / r2,
-            (b0 * a2 - a0 * b2) / r2 - 2.0 * cross * (a0 * a1 + b0 * b1) / (r2 * r2),
-        )
-    if op == _MIN:
-        return (a0, a1, a2) if a0 <= b0 else (b0, b1, b2)
-    if op == _MAX:
-        return (a0, a1, a2) if a0 >= b0 else (b0, b1, b2)
-    if b1 == 0.0 and b2 == 0.0:
-        f0, d1, d2 = _power(a0, b0)
-        return f0, d1 * a1, d2 * a1 * a1 + d1 * a2
-    # f = exp(g) with g = b ln a, so that f' = f g' and f'' = f (g'' + g'^2)
-    f0 = a0**b0
-    ln = log(a0)
-    g1 = b1 * ln + b0 * a1 / a0
-    g2 = b2 * ln + 2.0 * b1 * a1 / a0 + b0 * (a2 / a0 - a1 * a1 / (a0 * a0))
-    return f0, f0 * g1, f0 * (g2 + g1 * g1)
+_CONST, _T, _TABLE, _POWI = (OPCODES[name] for name in ("const", "t", "table", "powi"))
+_FIRST_UNARY = 3 + len(_BINARY)
+_unary = chosen_rule([(OPCODES[one.name], one) for one in _UNARY if one.name != "powi"])
+_binary = chosen_rule([(OPCODES[one.name], one) for one in _BINARY])
+_power = compiled_rule(OPERATIONS["powi"])
 
 
 @subkernel
@@ -172,7 +83,7 @@ def _evaluate(i, t, ptr, ops, values, stack, u):
         elif op == _TABLE:
             stack[top, 0], stack[top, 1], stack[top, 2] = _piecewise_polynomial(t, values, int(values[j]))
             top += 1
-        elif op in (_ADD, _SUB, _MUL, _DIV, _POW, _ATAN2, _MIN, _MAX):
+        elif op < _FIRST_UNARY:
             top -= 1
             a, b = stack[top - 1], stack[top]
             a[0], a[1], a[2] = _binary(op, a[0], a[1], a[2], b[0], b[1], b[2])

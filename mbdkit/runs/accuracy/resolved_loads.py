@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
+from mbdkit.expressions.jets import EPS
 from mbdkit.mechanism.checks import motions_by_key
-from mbdkit.mechanism.time_jets import EPS, jet_of
+from mbdkit.mechanism.motion_corners import jet_of
 from mbdkit.mechanism.values import Motion
 from mbdkit.runs.corners import stops_of
 from mbdkit.spec import RunSpec

@@ -1,8 +1,7 @@
-"""Expressions of time, parsed with `ast` against a whitelist into a postfix program; no Python code is evaluated.
+"""The parser of expressions: texts are parsed with `ast` against a whitelist into programs; no Python is evaluated.
 
-Expressions consist of ``+ - * / **``, parentheses, numbers, ``t``, ``pi`` and the functions of :data:`FUNCTIONS`. The
-program is a list of stack instructions; the engine runs it on truncated Taylor series to obtain the value and its first
-and second derivatives.
+Expressions consist of ``+ - * / **``, parentheses, numbers, ``pi``, functions, and the operands of their context: time,
+an angle, parameters, quantities of a run, columns of a table. A subclass of `Compiler` is a context.
 """
 
 from __future__ import annotations
@@ -16,58 +15,29 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS
+from mbdkit.expressions.program import MAX_DEPTH, Instruction, Program, depth_of, execute
 
 if TYPE_CHECKING:
     import sympy
 
 MAX_LENGTH = 10_000
-MAX_DEPTH = 32
 MOST_TOLD = 6
 """Parameters whose values a message names."""
 MAX_NESTING = 100
 MAX_INTEGER_POWER = 1_000_000
 
-Program = tuple[tuple[str, float], ...]
+Code = list[Instruction]
+"""A program that is being compiled."""
 
-FUNCTIONS: dict[str, Callable[..., float]] = {
-    "sin": math.sin,
-    "cos": math.cos,
-    "tan": math.tan,
-    "asin": math.asin,
-    "acos": math.acos,
-    "atan": math.atan,
-    "atan2": math.atan2,
-    "exp": math.exp,
-    "log": math.log,
-    "sqrt": math.sqrt,
-    "abs": abs,
-    "tanh": math.tanh,
-    "min": min,
-    "max": max,
-    "degrees": math.radians,
-}
-"""Functions by name; `atan2` takes two arguments, `min` and `max` take two or more, the others take one.
-
-``degrees(45)`` is the angle of 45 degrees in radians; programs contain a multiplication instead.
-"""
-
-_OPERATORS: dict[type[ast.operator], str] = {
+OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "add",
     ast.Sub: "sub",
     ast.Mult: "mul",
     ast.Div: "div",
     ast.Pow: "pow",
 }
-_ARITHMETIC: dict[str, Callable[..., float]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b,
-    "pow": math.pow,
-    "neg": lambda a: -a,
-}
-_BINARY = {"add", "sub", "mul", "div", "pow", "atan2", "min", "max"}
-
+"""Names of the operations of operators."""
 
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
 """Hints for names of the time in other programs."""
@@ -86,9 +56,7 @@ class Expression:
     text
         Text of the expression as the user wrote it.
     program
-        Postfix instructions (operation, number). ``const`` pushes its number and ``t`` pushes the time; ``add sub mul
-        div pow atan2 min max`` pop two operands; ``neg``, ``powi`` and the other functions pop one. The number of
-        ``powi`` is the integer exponent; instructions other than ``const`` and ``powi`` have the number 0.
+        Its program; the instruction ``t`` pushes the time.
     depth
         Largest number of operands on the stack, at most 32.
     """
@@ -112,31 +80,20 @@ class Expression:
         """Return the expression in SymPy, with the real symbol ``t``."""
         import sympy as sp
 
-        functions: dict[str, Callable[..., Any]] = {
-            "abs": sp.Abs,
-            "min": sp.Min,
-            "max": sp.Max,
-            "neg": lambda a: -a,
-            "pow": sp.Pow,
-            "add": sp.Add,
-            "mul": sp.Mul,
-            "sub": lambda a, b: a - b,
-            "div": lambda a, b: a / b,
-        }
-        stack: list[Any] = []
-        for operation, number in self.program:
+        functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "pow": sp.Pow}
+
+        def step(operation: str, number: float, *operands: Any) -> Any:
             if operation == "const":
-                stack.append(sp.Integer(int(number)) if number.is_integer() else sp.Float(number))
-            elif operation == "t":
-                stack.append(sp.Symbol("t", real=True))
-            elif operation == "powi":
-                stack.append(stack.pop() ** sp.Integer(int(number)))
-            else:
-                count = 2 if operation in _BINARY else 1
-                operands = stack[-count:]
-                del stack[-count:]
-                stack.append((functions.get(operation) or getattr(sp, operation))(*operands))
-        return stack.pop()
+                return sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
+            if operation == "t":
+                return sp.Symbol("t", real=True)
+            if operation == "powi":
+                return operands[0] ** sp.Integer(int(number))
+            if OPERATIONS[operation].is_function or operation in functions:
+                return (functions.get(operation) or getattr(sp, operation))(*operands)
+            return OPERATIONS[operation].number(*operands)
+
+        return execute(self.program, step)
 
 
 @lru_cache(maxsize=4096)
@@ -148,15 +105,6 @@ def _parse(text: str) -> Expression:
             f"the expression needs {depth} intermediate values at once, more than {MAX_DEPTH}; use less nesting"
         )
     return Expression(text, program, depth)
-
-
-def depth_of(program: Program) -> int:
-    """Return the largest number of operands on the stack of a program."""
-    depth = height = 0
-    for operation, _ in program:
-        height += 1 if operation in ("const", "t") else -1 if operation in _BINARY else 0
-        depth = max(depth, height)
-    return depth
 
 
 class Compiler:
@@ -203,7 +151,7 @@ class Compiler:
         """Return the text with quoted parts replaced by blanks; this class has no quotes, but subclasses may."""
         return self.source
 
-    def program(self) -> list[tuple[str, float]]:
+    def program(self) -> Code:
         """Return the postfix program of the text; raises SpecError with the position of the first error."""
         return self.compile(self.tree(), 0)
 
@@ -227,7 +175,7 @@ class Compiler:
         """Return the text of a node, at most 40 characters."""
         return (ast.get_source_segment(self.source, node) or self.source)[:40]
 
-    def compile(self, node: ast.expr, nesting: int) -> list[tuple[str, float]]:
+    def compile(self, node: ast.expr, nesting: int) -> Code:
         """Return the postfix program of a node."""
         if nesting > MAX_NESTING:
             self.refuse("the expression is too deeply nested", node)
@@ -252,7 +200,7 @@ class Compiler:
                 return self.call(node, nesting)
         return self.operand(node)
 
-    def operand(self, node: ast.expr) -> list[tuple[str, float]]:
+    def operand(self, node: ast.expr) -> Code:
         """Return the program of any other operand; subclasses may add operands, this class rejects them all."""
         if isinstance(node, ast.Name):
             name = self.segment(node)
@@ -266,46 +214,46 @@ class Compiler:
             node,
         )
 
-    def chain(self, node: ast.BinOp, nesting: int) -> list[tuple[str, float]]:
+    def chain(self, node: ast.BinOp, nesting: int) -> Code:
         """Compile a chain of left-associative operators without recursion, so a long sum does not count as nesting."""
         links = [node]
         while isinstance(links[-1].left, ast.BinOp):
             links.append(links[-1].left)
         program = self.compile(links[-1].left, nesting + 1)
         for link in reversed(links):
-            operation = _OPERATORS.get(type(link.op))
+            operation = OPERATORS.get(type(link.op))
             if operation is None:
                 hint = "; a power is written **" if isinstance(link.op, ast.BitXor) else ""
                 self.refuse(f"only the operators + - * / ** can be used{hint}", link)
             program = self.apply(operation, [program, self.compile(link.right, nesting + 1)], link)
         return program
 
-    def call(self, node: ast.Call, nesting: int) -> list[tuple[str, float]]:
+    def call(self, node: ast.Call, nesting: int) -> Code:
         """Compile a function call."""
         if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
             name = self.segment(node.func)
             self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, FUNCTIONS)}", node)
-        name = node.func.id
-        least, most = (2, None) if name in ("min", "max") else (2, 2) if name == "atan2" else (1, 1)
-        count = len(node.args)
-        if node.keywords or count < least or (most is not None and count > most):
-            wanted = f"{least} or more arguments" if most is None else "1 argument" if least == 1 else "2 arguments"
+        name, count = node.func.id, len(node.args)
+        operation = OPERATIONS.get(name)
+        least = operation.arity if operation else 1
+        takes_more = operation is not None and operation.takes_more
+        if node.keywords or count < least or (count > least and not takes_more):
+            wanted = f"{least} or more arguments" if takes_more else f"{least} argument{'s' * (least > 1)}"
             self.refuse(f"'{name}' takes {wanted}", node)
-        operands = [self.compile(argument, nesting + 1) for argument in node.args]
+        program, *others = (self.compile(argument, nesting + 1) for argument in node.args)
         if name == "degrees":
-            return self.apply("mul", [operands[0], [("const", math.pi / 180.0)]], node)
-        if most is not None:
-            return self.apply(name, operands, node)
-        program = operands[0]
-        for operand in operands[1:]:
+            return self.apply("mul", [program, [("const", math.pi / 180.0)]], node)
+        if not others:
+            return self.apply(name, [program], node)
+        for operand in others:
             program = self.apply(name, [program, operand], node)
         return program
 
-    def apply(self, operation: str, operands: list[list[tuple[str, float]]], node: ast.expr) -> list[tuple[str, float]]:
+    def apply(self, operation: str, operands: list[Code], node: ast.expr) -> Code:
         """Append `operation` to the programs of its operands, or evaluate it if all of them are constants."""
         if all(len(operand) == 1 and operand[0][0] == "const" for operand in operands):
-            function = _ARITHMETIC.get(operation) or FUNCTIONS[operation]
-            return self.constant(lambda: function(*(operand[0][1] for operand in operands)), node)
+            compute = OPERATIONS[operation].number
+            return self.constant(lambda: compute(*(operand[0][1] for operand in operands)), node)
         program = operands[0]
         if operation == "pow" and operands[1][0][0] == "const" and len(operands[1]) == 1:
             exponent = operands[1][0][1]
@@ -319,7 +267,7 @@ class Compiler:
         program.append((operation, 0.0))
         return program
 
-    def constant(self, compute: Callable[[], float], node: ast.expr) -> list[tuple[str, float]]:
+    def constant(self, compute: Callable[[], float], node: ast.expr) -> Code:
         """Return the program of a constant: a number in the text, or the result of an operation on constants."""
         try:
             value = compute()

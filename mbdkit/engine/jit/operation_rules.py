@@ -1,0 +1,56 @@
+"""The rules of operations (`mbdkit.expressions.operations`) in compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from numba.extending import overload
+
+from mbdkit.engine.jit import lane_types
+from mbdkit.engine.jit.decorators import inlined
+from mbdkit.expressions import operations
+from mbdkit.expressions.operations import Operation
+
+Code = int
+"""What a kernel knows an operation by."""
+
+
+@overload(operations.where)
+def _where(condition, x, y):
+    return lambda condition, x, y: lane_types.where(condition, x, y)
+
+
+@overload(operations.power)
+def _power(x, n):
+    return operations.power
+
+
+def compiled_rule(operation: Operation) -> Any:
+    """Return the rule of an operation, compiled."""
+    return inlined(operation.rule)
+
+
+def chosen_rule(choices: Sequence[tuple[Code, Operation]]) -> Any:
+    """Return a function of a code and operands that applies the rule of the operation with this code.
+
+    The last one applies to all other codes.
+    """
+    *others, (_, last) = choices
+    rule = _without_code(compiled_rule(last))
+    for code, operation in reversed(others):
+        rule = _either(code, compiled_rule(operation), rule)
+    return rule
+
+
+def _without_code(rule: Any) -> Any:
+    return inlined(lambda code, *operands: rule(*operands))
+
+
+def _either(own_code: Code, rule: Any, others: Any) -> Any:
+    def apply(code, *operands):
+        if code == own_code:
+            return rule(*operands)
+        return others(code, *operands)
+
+    return inlined(apply)

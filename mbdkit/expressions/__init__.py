@@ -1,0 +1,1 @@
+"""The language of expressions: its parser, its operations with their derivatives, and its programs."""

@@ -1,0 +1,259 @@
+"""The table of operations: all that expressions can contain between their operands.
+
+The parser, the compiled kernel of motions, dual numbers, the corners of motions, derivatives of programs, events,
+measures and their gradients follow from this table. A new operation is one entry of `OPERATIONS` with its *rule*.
+
+The rule of one operand x returns f(x), f'(x) and f''(x). The rule of two operands takes the value and the first two
+derivatives of each one, (a0, a1, a2) and (b0, b1, b2), and returns those of the result. Rules are written once for all
+kinds of numbers: they are compiled by Numba for numbers and for dual numbers, and evaluated on arrays and on programs.
+They therefore consist of operators, `abs`, functions of NumPy and `where`, and have no branches. Powers with the
+exponent 2 are multiplications. The order of operations determines the last bits of compiled motions.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+Rule = Callable[..., tuple[Any, Any, Any]]
+Dimension = Literal["same", "common", "angle of common", "product", "quotient", "power", "root", "plain", "angle"]
+
+
+@dataclass(frozen=True)
+class Operation:
+    """An operation of expressions.
+
+    Parameters
+    ----------
+    name
+        Its name in programs; of a function, also in the text.
+    arity
+        Number of operands in programs.
+    number
+        The operation on numbers, by the C library, for constants and events.
+    array
+        The operation on arrays, by NumPy, for measures.
+    rule
+        Value and derivatives, see this module. That of ``powi`` has its exponent as second argument.
+    dimension
+        Unit of the result: that of the operand (``same``) or of all operands, which must have equal units (``common``),
+        an angle, or a plain number (``plain``, ``angle``: of a plain number); ``root`` and ``power`` change it.
+    symbol
+        The operator in the text; empty for functions.
+    is_function
+        Whether the text can contain it as a function.
+    takes_more
+        Whether the text can contain it with any number of operands, of which it is applied to two after the other.
+    switch
+        Where the operation changes its form, so that a derivative jumps: where its ``first`` operand or the
+        ``difference`` of its operands changes sign; empty if it is smooth.
+    jumps
+        Whether its value jumps at a switch.
+    is_periodic
+        Whether it repeats in its operand.
+    is_never_negative
+        Whether its value is never negative.
+    roundings
+        Rounding errors of its value, in units of its last place.
+    """
+
+    name: str
+    arity: int
+    number: Callable[..., float]
+    array: Callable[..., np.ndarray]
+    rule: Rule
+    dimension: Dimension = "plain"
+    symbol: str = ""
+    is_function: bool = True
+    takes_more: bool = False
+    switch: Literal["", "first", "difference"] = ""
+    jumps: bool = False
+    is_periodic: bool = False
+    is_never_negative: bool = False
+    roundings: int = 1
+
+
+def where(condition: Any, x: Any, y: Any) -> Any:
+    """Return `x` where the condition holds, else `y`; both are evaluated."""
+    if isinstance(condition, bool):
+        return x if condition else y
+    return np.where(condition, x, y)
+
+
+def _sum(a0, a1, a2, b0, b1, b2):
+    return a0 + b0, a1 + b1, a2 + b2
+
+
+def _difference(a0, a1, a2, b0, b1, b2):
+    return a0 - b0, a1 - b1, a2 - b2
+
+
+def _product(a0, a1, a2, b0, b1, b2):
+    return a0 * b0, a1 * b0 + a0 * b1, a2 * b0 + 2.0 * a1 * b1 + a0 * b2
+
+
+def _quotient(a0, a1, a2, b0, b1, b2):
+    f0 = a0 / b0
+    f1 = (a1 - f0 * b1) / b0
+    return f0, f1, (a2 - 2.0 * f1 * b1 - f0 * b2) / b0
+
+
+def _angle(a0, a1, a2, b0, b1, b2):
+    r2 = a0 * a0 + b0 * b0
+    cross = b0 * a1 - a0 * b1
+    turning = (b0 * a2 - a0 * b2) / r2
+    return np.arctan2(a0, b0), cross / r2, turning - 2.0 * cross * (a0 * a1 + b0 * b1) / (r2 * r2)
+
+
+def _smaller(a0, a1, a2, b0, b1, b2):
+    is_first = a0 <= b0
+    return where(is_first, a0, b0), where(is_first, a1, b1), where(is_first, a2, b2)
+
+
+def _larger(a0, a1, a2, b0, b1, b2):
+    is_first = a0 >= b0
+    return where(is_first, a0, b0), where(is_first, a1, b1), where(is_first, a2, b2)
+
+
+def power(x, n):
+    """Return x**n and its first two derivatives by x, for a constant exponent.
+
+    The derivatives of n = 0 and n = 1 are set explicitly, because the formula gives 0 * inf = NaN for them at x = 0.
+    """
+    first = where(n == 0.0, 0.0, n * x ** (n - 1.0))
+    second = where((n == 0.0) | (n == 1.0), 0.0, n * (n - 1.0) * x ** (n - 2.0))
+    return x**n, first, second
+
+
+def _general_power(a0, a1, a2, b0, b1, b2):
+    """Return a**b as exp(g) with g = b ln a, so that f' = f g' and f'' = f (g'' + g'^2); see `power` for constant b.
+
+    A constant exponent allows bases that are not positive.
+    """
+    f0, d1, d2 = power(a0, b0)
+    is_constant = (b1 == 0.0) & (b2 == 0.0)
+    ln = np.log(a0)
+    g1 = b1 * ln + b0 * a1 / a0
+    g2 = b2 * ln + 2.0 * b1 * a1 / a0 + b0 * (a2 / a0 - a1 * a1 / (a0 * a0))
+    first = where(is_constant, d1 * a1, f0 * g1)
+    return f0, first, where(is_constant, d2 * a1 * a1 + d1 * a2, f0 * (g2 + g1 * g1))
+
+
+def _negated(x):
+    return -x, -1.0, 0.0
+
+
+def _sine(x):
+    return np.sin(x), np.cos(x), -np.sin(x)
+
+
+def _cosine(x):
+    return np.cos(x), -np.sin(x), -np.cos(x)
+
+
+def _tangent(x):
+    f = np.tan(x)
+    d = f**2 + 1.0
+    return f, d, 2.0 * f * d
+
+
+def _arcsine(x):
+    d = 1.0 / np.sqrt(1.0 - x**2)
+    return np.arcsin(x), d, x * d * d * d
+
+
+def _arccosine(x):
+    d = 1.0 / np.sqrt(1.0 - x**2)
+    return np.arccos(x), -d, -x * d * d * d
+
+
+def _arctangent(x):
+    d = 1.0 / (x**2 + 1.0)
+    return np.arctan(x), d, -2.0 * x * d * d
+
+
+def _exponential(x):
+    f = np.exp(x)
+    return f, f, f
+
+
+def _logarithm(x):
+    return np.log(x), 1.0 / x, -1.0 / (x * x)
+
+
+def _root(x):
+    f = np.sqrt(x)
+    return f, 0.5 / f, -0.25 / (f * x)
+
+
+def _size(x):
+    return abs(x), where(x >= 0.0, 1.0, -1.0), 0.0
+
+
+def _hyperbolic_tangent(x):
+    f = np.tanh(x)
+    d = 1.0 - f**2
+    return f, d, -2.0 * f * d
+
+
+def _operator(
+    name: str, symbol: str, number: Any, array: Any, rule: Rule, dimension: Dimension, roundings: int = 1
+) -> Operation:
+    return Operation(name, 2, number, array, rule, dimension, symbol=symbol, is_function=False, roundings=roundings)
+
+
+_TABLE = (
+    _operator("add", "+", operator.add, np.add, _sum, "common"),
+    _operator("sub", "-", operator.sub, np.subtract, _difference, "common"),
+    _operator("mul", "*", operator.mul, np.multiply, _product, "product"),
+    _operator("div", "/", operator.truediv, np.divide, _quotient, "quotient", roundings=2),
+    _operator("pow", "**", math.pow, np.power, _general_power, "power"),
+    Operation("powi", 1, operator.pow, np.power, power, "power", is_function=False),
+    Operation("neg", 1, operator.neg, np.negative, _negated, "same", is_function=False, roundings=0),
+    Operation("sin", 1, math.sin, np.sin, _sine, is_periodic=True),
+    Operation("cos", 1, math.cos, np.cos, _cosine, is_periodic=True),
+    Operation("tan", 1, math.tan, np.tan, _tangent, is_periodic=True),
+    Operation("asin", 1, math.asin, np.arcsin, _arcsine, "angle"),
+    Operation("acos", 1, math.acos, np.arccos, _arccosine, "angle"),
+    Operation("atan", 1, math.atan, np.arctan, _arctangent, "angle"),
+    Operation("atan2", 2, math.atan2, np.arctan2, _angle, "angle of common", switch="first", jumps=True),
+    Operation("exp", 1, math.exp, np.exp, _exponential, is_never_negative=True),
+    Operation("log", 1, math.log, np.log, _logarithm),
+    Operation("sqrt", 1, math.sqrt, np.sqrt, _root, "root", is_never_negative=True),
+    Operation("abs", 1, abs, np.abs, _size, "same", switch="first", is_never_negative=True, roundings=0),
+    Operation("tanh", 1, math.tanh, np.tanh, _hyperbolic_tangent),
+    Operation("min", 2, min, np.minimum, _smaller, "common", takes_more=True, switch="difference", roundings=0),
+    Operation("max", 2, max, np.maximum, _larger, "common", takes_more=True, switch="difference", roundings=0),
+)
+OPERATIONS: Mapping[str, Operation] = {one.name: one for one in _TABLE}
+"""All operations by name."""
+
+FUNCTIONS = (*(one.name for one in _TABLE if one.is_function), "degrees")
+"""Names of the functions that texts can contain.
+
+``degrees(45)`` is the angle of 45 degrees in radians; programs contain a multiplication instead.
+"""
+
+OF_PARTS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
+    "norm": lambda values: np.hypot(values[0], values[1]),
+    "along_max": lambda values: np.max(values, axis=0),
+    "along_min": lambda values: np.min(values, axis=0),
+}
+"""Operations of measures on the components of vectors (2, T), and on values along a beam (elements, T)."""
+
+REDUCE = "over time: "
+"""Begin of the operations of measures that reduce values over time to one."""
+
+
+def arity_of(operation: str) -> int:
+    """Return the number of operands of an instruction; 0 if it only pushes a value."""
+    if operation in OPERATIONS:
+        return OPERATIONS[operation].arity
+    if operation.startswith(REDUCE):
+        return 2 if operation == REDUCE + "at" else 1  # of a quantity at a time
+    return 1 if operation in OF_PARTS else 0

@@ -1,0 +1,135 @@
+"""Programs of expressions in postfix notation: how they are executed, and their derivatives as programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from mbdkit.expressions.operations import OPERATIONS, arity_of
+
+Instruction = tuple[str, float]
+"""An operation and its number.
+
+``const`` pushes its number and ``t`` the argument; all other operations replace their operands by their result. The
+number of ``powi`` is its exponent, which is an integer.
+"""
+Program = tuple[Instruction, ...]
+
+MAX_DEPTH = 32
+"""Largest number of operands on the stack of a program that is compiled."""
+
+Value = TypeVar("Value")
+
+
+def execute(program: Program, step: Callable[..., Value]) -> Value:
+    """Return the value of a program.
+
+    Parameters
+    ----------
+    step
+        ``step(operation, number, *operands)`` returns the value of one instruction.
+    """
+    stack: list[Value] = []
+    for operation, number in program:
+        first = len(stack) - arity_of(operation)
+        stack[first:] = [step(operation, number, *stack[first:])]
+    return stack.pop()
+
+
+def depth_of(program: Program) -> int:
+    """Return the largest number of operands on the stack of a program."""
+    depth = height = 0
+    for operation, _ in program:
+        height += 1 - arity_of(operation)
+        depth = max(depth, height)
+    return depth
+
+
+def derivative_of(program: Program) -> Program:
+    """Return the program of the derivative of a program without operations that have a switch.
+
+    The compiled kernel computes two derivatives of a program. Those of this program are the second and the third.
+    """
+
+    def step(operation: str, number: float, *operands: tuple[_Term, _Term]) -> tuple[_Term, _Term]:
+        if operation in ("const", "t"):
+            return _Term(((operation, number),)), _Term.of(1.0 if operation == "t" else 0.0)
+        rule = OPERATIONS[operation].rule
+        if len(operands) == 2:
+            (a, da), (b, db) = operands
+            value, slope, _ = rule(a, da, _ZERO, b, db, _ZERO)
+            return value, slope
+        ((x, dx),) = operands
+        value, slope, _ = rule(x, number) if operation == "powi" else rule(x)
+        return value, _Term.of(slope) * dx
+
+    return execute(program, step)[1].program
+
+
+class _Term:
+    """A program as an operand of rules, without sums with 0, products with 0 and 1, and quotients by 1."""
+
+    def __init__(self, program: Program):
+        self.program = program
+
+    @staticmethod
+    def of(value: Any) -> _Term:
+        return value if isinstance(value, _Term) else _Term((("const", float(value)),))
+
+    def then(self, operation: str, *others: _Term, number: float = 0.0) -> _Term:
+        return _Term((*self.program, *(i for one in others for i in one.program), (operation, number)))
+
+    def __eq__(self, other: object) -> bool:
+        return self.program == _Term.of(other).program
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __neg__(self) -> _Term:
+        return self.then("neg")
+
+    def __add__(self, other: _Term | float) -> _Term:
+        other = _Term.of(other)
+        if other == 0.0:
+            return self
+        return other if self == 0.0 else self.then("add", other)
+
+    def __sub__(self, other: _Term | float) -> _Term:
+        other = _Term.of(other)
+        if other == 0.0:
+            return self
+        return -other if self == 0.0 else self.then("sub", other)
+
+    def __rsub__(self, other: float) -> _Term:
+        return _Term.of(other) - self
+
+    def __mul__(self, other: _Term | float) -> _Term:
+        other = _Term.of(other)
+        if self == 0.0 or other == 0.0:
+            return _ZERO
+        if self == 1.0:
+            return other
+        return self if other == 1.0 else self.then("mul", other)
+
+    def __rmul__(self, other: float) -> _Term:
+        return _Term.of(other) * self
+
+    def __truediv__(self, other: _Term | float) -> _Term:
+        other = _Term.of(other)
+        return self if self == 0.0 or other == 1.0 else self.then("div", other)
+
+    def __rtruediv__(self, other: float) -> _Term:
+        return _Term.of(other) / self
+
+    def __pow__(self, exponent: Any) -> _Term:
+        if isinstance(exponent, _Term):
+            return self.then("pow", exponent)
+        if exponent in (0, 1):
+            return self if exponent else _Term.of(1.0)
+        return self.then("powi", number=float(exponent))
+
+    def __array_ufunc__(self, function: Any, method: str, x: _Term) -> _Term:
+        """Return a function of NumPy of this operand."""
+        return x.then(next(one.name for one in OPERATIONS.values() if one.array is function))
+
+
+_ZERO: _Term = _Term.of(0.0)
