@@ -6,7 +6,7 @@ an invalid pattern raises ValueError.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,26 +22,20 @@ _PIVOTED = ("pivoted", "pattern", "factors", "scatter")
 """Parts of a solver that change during a run; the others are constant, or scratch arrays."""
 
 
-def stored(bundle: Any, without: Collection[str] = ()) -> dict[str, Any]:
+def stored(bundle: Any) -> dict[str, Any]:
     """Return the arrays of a bundle by name, nested as the bundle is; they are not copied."""
     return {
         name: stored(value) if isinstance(value, tuple) else value
         for name, value in zip(bundle._fields, bundle, strict=True)
-        if name not in without
     }
 
 
-def restore(bundle: Any, state: Any, without: Collection[str] = ()) -> None:
-    """Copy stored values into the arrays of a bundle; raise ValueError if shapes or types differ."""
-    wanted = [name for name in bundle._fields if name not in without]
-    if not isinstance(state, Mapping) or state.keys() != set(wanted):
-        raise ValueError(f"{type(bundle).__name__} has other arrays")
-    for name in wanted:
-        value = getattr(bundle, name)
-        if isinstance(value, tuple):
-            restore(value, state[name])
-        else:
-            fill(value, state[name])
+def restore(arrays: Mapping[str, np.ndarray], state: Any) -> None:
+    """Copy stored values into arrays by name; raise ValueError if names, shapes or types differ."""
+    if not isinstance(state, Mapping) or state.keys() != arrays.keys():
+        raise ValueError("it has other arrays")
+    for name, array in arrays.items():
+        fill(array, state[name])
 
 
 def fill(array: np.ndarray, values: Any) -> None:
@@ -117,7 +111,7 @@ def solver_of(workspace: Workspace, state: Any) -> Solver:
     pattern = pattern_of(state["pattern"], workspace.unknowns)
     scatter = scatter_of(state["scatter"], len(workspace.scratch.source), len(pattern.a_column))
     factors: Factors = new_factors(pattern, np.float64)
-    restore(factors, state["factors"])
+    restore(factors._asdict(), state["factors"])
     pivoted = np.zeros(1, np.int64)
     fill(pivoted, state["pivoted"])
     if pivoted[0] < workspace.mechanism.needs_pivots:

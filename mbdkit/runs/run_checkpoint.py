@@ -12,9 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import one_line
+from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
 from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
 from mbdkit.methods.step_method import StepMethod
@@ -23,7 +26,6 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.collocation_stages import new_systems
-from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Impact
 from mbdkit.stepping.lobatto_iiia_iiib import MOST_PAST, CompiledLobattoPair
@@ -40,21 +42,6 @@ SHARE = 0.01
 """Largest share of the wall time that checkpoints may take."""
 
 TIMES = ("setup_s", "wall_s", "cpu_s")
-
-_OF_RUN = frozenset(
-    {
-        *("top", "still", "w", "solver", "has_power", "rest"),
-        *("row_time", "row_q", "row_v", "row_energy", "row_interval", "row_lam"),
-        *("node_time", "node_weight", "node_q", "node_v", "nodes"),
-    }
-)
-"""Parts of `RunState` that a checkpoint leaves out: constants, scratch, the solver, rows and nodes that are taken."""
-
-_CONSTANT = frozenset(("rk", "a", "b", "c", "error", "dense", "tolerance"))
-"""Parts of the bundles of methods that do not change."""
-
-_IN_PARTS = _CONSTANT | {"systems", "settings", "constraints"}
-"""Parts of the bundle of a collocation method that are constant or stored apart."""
 
 
 @dataclass(frozen=True)
@@ -173,11 +160,17 @@ class Checkpoints:
         self._due = end + max(INTERVAL, (end - begin) / SHARE)
 
 
+def _kept(bundle: Any) -> dict[str, np.ndarray]:
+    """Return the arrays of the bundle of a run or method that a checkpoint holds."""
+    return kept(bundle, STATE, RECORD)
+
+
 def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
-    own = stepper.run_state.solver
+    own, method = stepper.run_state.solver, stepper.method
     return {
-        "run": stored(stepper.run_state, _OF_RUN),
-        "method": _stored_method(stepper.method),
+        "run": _kept(stepper.run_state),
+        "method": _kept(method.pinned.bundle),
+        "systems": stored(method.bundle.systems) if isinstance(method, CompiledCollocation) else None,
         # a quantity of an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
@@ -186,11 +179,15 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
 
 
 def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None:
-    workspace = stepper.workspace
-    restore(stepper.run_state, state["run"], _OF_RUN)
+    workspace, method = stepper.workspace, stepper.method
+    restore(_kept(stepper.run_state), state["run"])
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than there are")
-    _restore_method(stepper.method, state["method"])
+    restore(_kept(method.pinned.bundle), state["method"])
+    if isinstance(method, CompiledLobattoPair) and method.bundle.past.known[0] > MOST_PAST:
+        raise ValueError("it knows more steps than are stored")
+    if isinstance(method, CompiledCollocation):
+        _restore_systems(method, state["systems"])
     stepper._take_up_pivots()
     if state["solver"] is not None:
         stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
@@ -200,33 +197,19 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     stepper._count()
 
 
-def _stored_method(method: CompiledMethod) -> dict[str, Any]:
-    bundle = method.pinned.bundle
-    if not isinstance(method, CompiledCollocation):
-        return {"stages": stored(bundle, _CONSTANT)}
-    return {
-        "stages": stored(bundle, _IN_PARTS),
-        "constraints": stored(bundle.constraints, ("by_position",)),
-        "limit": stored(bundle.settings.limit),
-        "systems": stored(bundle.systems),
-    }
-
-
-def _restore_method(method: CompiledMethod, state: Mapping[str, Any]) -> None:
-    bundle = method.pinned.bundle
-    if not isinstance(method, CompiledCollocation):
-        restore(bundle, state["stages"], _CONSTANT)
-        if isinstance(method, CompiledLobattoPair) and bundle.past.known[0] > MOST_PAST:
-            raise ValueError("it knows more steps than are stored")
-        return
+def _restore_systems(method: CompiledCollocation, state: Mapping[str, Any]) -> None:
+    """Give a method the linear systems of a checkpoint, whose pivots determine their shapes."""
     workspace = method.workspace
-    restore(bundle, state["stages"], _IN_PARTS)
-    restore(bundle.constraints, state["constraints"], ("by_position",))
-    restore(bundle.settings.limit, state["limit"])
-    pattern = pattern_of(state["systems"]["pattern"], workspace.unknowns)
-    scatter = scatter_of(state["systems"]["scatter"], len(workspace.scratch.source), len(pattern.a_column))
+    pattern = pattern_of(state["pattern"], workspace.unknowns)
+    scatter = scatter_of(state["scatter"], len(workspace.scratch.source), len(pattern.a_column))
     systems = new_systems(method.rk, pattern, scatter, workspace.unknowns)
-    without = ("pattern", "scatter")
-    restore(systems, {name: state["systems"][name] for name in systems._fields if name not in without}, without)
-    method.bundle = bundle._replace(systems=systems)
+    arrays = systems._asdict()
+    for name in ("real", "cplx"):
+        restore(arrays[name]._asdict(), state[name])
+    without = ("pattern", "scatter", "real", "cplx")
+    restore(
+        {name: array for name, array in arrays.items() if name not in without},
+        {name: values for name, values in state.items() if name not in without},
+    )
+    method.bundle = method.bundle._replace(systems=systems)
     method.pinned.replace(method.bundle)

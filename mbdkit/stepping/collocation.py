@@ -81,17 +81,6 @@ class CompiledCollocation(CompiledMethod):
         if method.max_iterations is None:
             self.limit = self.bundle.settings.limit
         self.coupled: CoupledNewton | None = None
-        stages, room = self.bundle, self.bundle.constraints
-        self.memory = (
-            stages.acc,
-            stages.lam,
-            room.mu,
-            room.shift,
-            *stages.previous,
-            stages.first.acc,
-            stages.first.known,
-            stages.power,
-        )
 
     def start(self, run_state: RunState, h: float) -> None:
         """Choose pivots for the stage matrix at the state in `run_state`."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.kernels.bundle_types import RECORD, STATE, State
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.system import Scatter
 from mbdkit.methods.tableau import ButcherTableau
@@ -168,7 +169,7 @@ class Settings(NamedTuple):
     """INDEX_1, INDEX_2, INDEX_3 or GGL."""
     solver: np.ndarray
     """NEWTON or FIXED_POINT."""
-    limit: IterationLimit
+    limit: Annotated[IterationLimit, RECORD]
     tolerance: np.ndarray
     """Relative change at which the iteration ends."""
 
@@ -215,9 +216,9 @@ class Constraints(NamedTuple):
     """(s, P, 12) Jacobians of the stages."""
     phi: np.ndarray
     """(s, P, 2) Phi of the stages."""
-    mu: np.ndarray
+    mu: State
     """(s, P, 2) the additional multipliers of ggl."""
-    shift: np.ndarray
+    shift: State
     """(s, 3 (B + 1)) ``w = M^-1 Phi_q^T mu`` of the stages (ggl); no rows in other formulations."""
     shift_change: np.ndarray
     """Its change by the last iteration."""
@@ -229,13 +230,13 @@ class Stages(NamedTuple):
     rk: Coefficients
     systems: Systems
     settings: Settings
-    previous: PreviousStep
-    solved_apart: np.ndarray
+    previous: Annotated[PreviousStep, STATE]
+    solved_apart: State
     """(1,) iterations in which `mbdkit.stepping.coupled_newton` solved the next attempt, whose stages are in `acc` and
     `lam`; 0 if it did not."""
-    acc: np.ndarray
+    acc: State
     """(s, 3 (B + 1)) accelerations of the stages."""
-    lam: np.ndarray
+    lam: State
     """(s, P, 2) multipliers of the stages: of the pairs (index 1), or of the rows that are solved for."""
     q_stage: np.ndarray
     v_stage: np.ndarray
@@ -244,9 +245,9 @@ class Stages(NamedTuple):
     change: np.ndarray
     """(s, u) change of accelerations, and of multipliers that are unknowns, by the last iteration."""
     constraints: Constraints
-    first: FirstAcceleration
+    first: Annotated[FirstAcceleration, STATE]
     tangent: TangentState
-    power: np.ndarray
+    power: State
     """(s, 2) powers of the stages [W]."""
     weights: np.ndarray
     """(s, s) scratch: weights of extrapolation."""

@@ -28,9 +28,8 @@ class CompiledMethod(ABC):
     hint
         Advice to the user, added to the message when a step fails.
     pinned
-        The bundle of the method at a fixed address, as kernels read it.
-    memory
-        The arrays that a step reads from the step before, and those that dense output reads.
+        The bundle of the method at a fixed address, as kernels read it. Its class declares as `State` what a step
+        or dense output reads of the step before.
     has_dense_output
         Whether states within a step can be computed.
     carries_multipliers
@@ -47,7 +46,6 @@ class CompiledMethod(ABC):
     stages: int
     hint: ClassVar[str] = "a smaller time.step may help"
     pinned: PinnedBundle
-    memory: tuple[np.ndarray, ...]
     has_dense_output: bool = False
     carries_multipliers: bool = False
     carries_stages: ClassVar[bool] = False

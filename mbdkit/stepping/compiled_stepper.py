@@ -12,6 +12,7 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.jit.bundle import PinnedBundle
+from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
@@ -103,6 +104,8 @@ class CompiledStepper:
         )
         self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
         self._pinned_state = PinnedBundle(self.run_state)
+        bundles = self.run_state, method.pinned.bundle
+        self._state = (*(x for one in bundles for x in kept(one, STATE).values()), *self._node_arrays())
         limits = guard_limits(workspace.mechanism, timetable.guards)
         self.plan = new_plan(timetable, control, workspace.stabilization, limits)
         self._plan = PinnedBundle(self.plan)
@@ -247,12 +250,8 @@ class CompiledStepper:
         return self._accepted + int(self.run_state.progress.rejected[0])
 
     def _memory(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays that a step reads from the step before, and those that dense output reads."""
-        c = self.run_state
-        return (
-            c.interval.values, *c.progress, c.base_state, c.q, c.q_low, c.v, c.v_low, c.energy, c.energy_low,
-            c.from_q, c.from_v, c.shift_q, c.shift_v, c.mu, c.nu, *c.guards, *self._node_arrays(), *self.method.memory,
-        )  # fmt: skip
+        """Return the state, which a step reads of the step before, and the nodes of integrals, which go with it."""
+        return self._state
 
     def _recall(self, memory: list[np.ndarray]) -> None:
         """Restore the arrays of `_memory` from copies."""
@@ -299,13 +298,13 @@ class CompiledStepper:
         c.base_state[0] = MODIFIED
         due = (self._accepted + 1) % self.workspace.stabilization.every == 0
         plan: RunPlan = single_step(self.plan, begin, size, projected=due)
-        kept = progress.counts
-        worst, before = c.worst.copy(), [x.copy() for x in kept]
-        for x in kept:
+        counts = progress.counts
+        worst, before = c.worst.copy(), [x.copy() for x in counts]
+        for x in counts:
             x[0] = 0
         status, _ = self._drive(PinnedBundle(plan), 1)
         done = status == OK and self._accepted == 1
-        for x, value in zip(kept, before, strict=True):
+        for x, value in zip(counts, before, strict=True):
             x[:] = value
         c.worst[:] = worst
         return done

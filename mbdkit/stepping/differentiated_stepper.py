@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError, StepError
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.jit.law_compiler import law_for_duals
+from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.dual_system import new_dual_solver
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.workspace import Workspace
@@ -158,13 +159,8 @@ class DifferentiatedSteps:
 
     @property
     def memory(self) -> tuple[np.ndarray, ...]:
-        """The arrays that a step reads from the step before."""
-        run, stages = self.run, self._stages.bundle
-        if isinstance(self.method, CompiledExplicit):
-            kept = (stages.rates, stages.accelerations, stages.power, stages.status)
-        else:
-            kept = (stages.acc, stages.lam, *stages.previous)
-        return (run.q, run.v, run.energy, run.base_state, run.nodes, *kept)
+        """The state: what a step reads of the step before."""
+        return (*kept(self.run, STATE).values(), *kept(self._stages.bundle, STATE).values())
 
     @contextmanager
     def last_nodes_kept(self) -> Iterator[None]:
@@ -172,9 +168,9 @@ class DifferentiatedSteps:
         end = int(self.run.nodes[1])
         some = slice(max(0, end - self._stage_count), end)
         names = ("node_time", "node_weight", "node_q", "node_v")
-        kept = [np.copy(getattr(self.run, name)[some]) for name in names]
+        before = [np.copy(getattr(self.run, name)[some]) for name in names]
         yield
-        for name, values in zip(names, kept, strict=True):
+        for name, values in zip(names, before, strict=True):
             getattr(self.run, name)[some] = values
 
     def recorded(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.jit.dual_arrays import Duals, new_complex_duals, new_duals
 from mbdkit.engine.jit.dual_types import larger_derivatives, largest_quotient, value_of, with_value
+from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.dual_observe import DualStates
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.observe import Observed
@@ -39,16 +40,16 @@ class DualRun(NamedTuple):
     solver: DualSolver
     has_power: np.ndarray
     """(1,) number: whether work or dissipated energy can change."""
-    q: np.ndarray
+    q: State
     """State between two steps."""
-    v: np.ndarray
-    energy: np.ndarray
+    v: State
+    energy: State
     from_q: np.ndarray
     """Base state of the step."""
     from_v: np.ndarray
     v_low: np.ndarray
     """Zeros; numbers."""
-    base_state: np.ndarray
+    base_state: State
     """(1,) number: as in `RunState`, before the step."""
     dq: np.ndarray
     dv: np.ndarray
@@ -76,7 +77,7 @@ class DualRun(NamedTuple):
     node_weight: np.ndarray
     node_q: np.ndarray
     node_v: np.ndarray
-    nodes: np.ndarray
+    nodes: State
     """(2,) numbers: whether the stages are kept, and how many there are in `node_time`."""
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.jit.lane_types import any_of
+from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.stepping.compiled_method import CompiledMethod
@@ -36,16 +37,16 @@ class Explicit(NamedTuple):
     """(0, 1 or 2, S) weights of the error estimates, the one of higher order first."""
     dense: np.ndarray
     """(E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows if there is none."""
-    rates: np.ndarray
+    rates: State
     """(E, 3 (B + 1)) velocities and accelerations of the stages."""
-    accelerations: np.ndarray
+    accelerations: State
     q_stage: np.ndarray
     lam: np.ndarray
-    power: np.ndarray
+    power: State
     """(E, 2) power of loads and drivers, and dissipated power, at the stages [W]."""
     weights: np.ndarray
     """(E,) work array: weights of dense output."""
-    status: np.ndarray
+    status: State
     """(2,) whether the last stage of a step is the first one of the next; number of stages evaluated so far."""
 
 
@@ -242,6 +243,5 @@ class CompiledExplicit(CompiledMethod):
         super().__init__(workspace)
         self.bundle = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
         self.pinned = PinnedBundle(self.bundle)
-        self.memory = (self.bundle.rates, self.bundle.accelerations, self.bundle.power, self.bundle.status)
         self.has_dense_output = len(self.bundle.dense) > 0
         self.stages = len(self.bundle.b)

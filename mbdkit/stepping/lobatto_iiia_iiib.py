@@ -18,13 +18,14 @@ an index-1 system for each stage. The contraction is O(h); forces that are stiff
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
+from mbdkit.engine.kernels.bundle_types import RECORD, STATE
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
     DIVERGED,
@@ -97,14 +98,14 @@ class Pair(NamedTuple):
     """A pair of s stages for one mechanism."""
 
     rk: PairCoefficients
-    limit: IterationLimit
+    limit: Annotated[IterationLimit, RECORD]
     tolerance: np.ndarray
     """(1,) predicted change of positions, relative to their size, at which the iteration ends."""
     acc: np.ndarray
     """(s, 3 (B + 1)) accelerations of the stages."""
     lam: np.ndarray
     """(s, P, 2) multipliers of the independent rows at the stages."""
-    past: PastSteps
+    past: Annotated[PastSteps, STATE]
     q_stage: np.ndarray
     v_stage: np.ndarray
     gap: np.ndarray
@@ -348,7 +349,6 @@ class CompiledLobattoPair(CompiledMethod):
         self.pinned = PinnedBundle(self.bundle)
         if method.max_iterations is None:
             self.limit = self.bundle.limit
-        self.memory = tuple(self.bundle.past)
 
     def forget(self) -> None:
         """Discard the stored accelerations, so that the next step does not extrapolate them."""

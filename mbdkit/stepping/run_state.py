@@ -5,13 +5,14 @@ The arrays are stored in a bundle (`mbdkit.engine.jit.bundle`), whose address is
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.kernels.bundle_types import STATE, Record, State
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 from mbdkit.stepping.step_guards import GuardState, new_guard_state
 
@@ -71,7 +72,7 @@ class Progress(NamedTuple):
 class Interval(NamedTuple):
     """Work done since the last recorded row. ``values`` (9,) contains the other fields, of one element each."""
 
-    values: np.ndarray
+    values: State
     steps: np.ndarray
     last_size: np.ndarray
     """Size of the last step [s]."""
@@ -105,7 +106,10 @@ def new_interval() -> Interval:
 
 
 class RunState(NamedTuple):
-    """Data of a run for the compiled driver. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair."""
+    """Data of a run for the compiled driver. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair.
+
+    What a step remembers is declared as `State`; see `mbdkit.engine.kernels.bundle_types`.
+    """
 
     top: Topology
     """The mechanism, with Baumgarte's terms if the run is stabilized by them."""
@@ -115,25 +119,25 @@ class RunState(NamedTuple):
     solver: Solver
     has_power: np.ndarray
     """(1,) whether work or dissipated energy can change."""
-    q: np.ndarray
+    q: State
     """State between two steps. `q_low`, `v_low` and `energy_low` are the low parts of compensated sums."""
-    q_low: np.ndarray
-    v: np.ndarray
-    v_low: np.ndarray
-    energy: np.ndarray
+    q_low: State
+    v: State
+    v_low: State
+    energy: State
     """(2,) work of loads and drivers, and dissipated energy [J]."""
-    energy_low: np.ndarray
-    from_q: np.ndarray
+    energy_low: State
+    from_q: State
     """Base state of an attempt: the state, or in a symmetric projection the state plus the first correction."""
-    from_v: np.ndarray
-    base_state: np.ndarray
+    from_v: State
+    base_state: State
     """(1,) AT_END_OF_LAST, AT_START_OF_LAST or MODIFIED: relation of the base state to the last attempt."""
-    dq: np.ndarray
+    dq: State
     """Result of an attempt: increments of positions and velocities."""
-    dv: np.ndarray
-    gain: np.ndarray
+    dv: State
+    gain: State
     """(2,) increments of the energies, integrated with the weights of the method."""
-    own_lam: np.ndarray
+    own_lam: Record
     """Multipliers computed by the method itself, at the end of the step, in the rows of the pairs."""
     est_q: np.ndarray
     """Estimates of the local error, if requested."""
@@ -149,12 +153,12 @@ class RunState(NamedTuple):
     new_q: np.ndarray
     """State at the end of the current step, with projection if there is one."""
     new_v: np.ndarray
-    shift_q: np.ndarray
+    shift_q: State
     """Change of that state by projection."""
-    shift_v: np.ndarray
-    mu: np.ndarray
+    shift_v: State
+    mu: State
     """(P, 2) multipliers of the symmetric projection, of positions and of velocities; kept from step to step."""
-    nu: np.ndarray
+    nu: State
     rest: np.ndarray
     """Zeros."""
     x: np.ndarray
@@ -164,15 +168,15 @@ class RunState(NamedTuple):
     before_q: np.ndarray
     """State at the start of the last step, if the plan asks for it."""
     before_v: np.ndarray
-    worst: np.ndarray
+    worst: Record
     """(P,) largest squared norm of each pair's Phi so far."""
-    counts: np.ndarray
+    counts: Record
     """(5,) RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS."""
     report: np.ndarray
     """(3,) on divergence: largest change, its coordinate, number of iterations."""
-    progress: Progress
+    progress: Annotated[Progress, STATE]
     interval: Interval
-    guards: GuardState
+    guards: Annotated[GuardState, STATE]
     row_time: np.ndarray
     """Recorded rows: (R,) times, (R, 3 (B + 1)) states, (R, 2) energies, (R, 9) intervals, (R, P, 2) multipliers."""
     row_q: np.ndarray

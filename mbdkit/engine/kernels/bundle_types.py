@@ -1,7 +1,12 @@
-"""Types of the arrays in a bundle, and example bundles made from them.
+"""What the arrays of a bundle are: their types, and which of them a run has to keep.
 
 A bundle is a NamedTuple whose fields are arrays of these types, or other bundles. Compiled code reads a bundle from its
 address, so the type of every array must be known at compile time. An example bundle of empty arrays provides the types.
+
+The fields of the bundles of runs and methods are of three kinds. `State` is what a step reads of the steps before: a
+step that is taken back restores it, and checkpoints hold it. `Record` is what accumulates over a run, and what failures
+change; checkpoints hold it as well. All other fields are constants, scratch and output, and are never kept. `kept`
+collects the arrays by these declarations, so that there is no other list of them.
 """
 
 from __future__ import annotations
@@ -17,6 +22,10 @@ IntVector = Annotated[np.ndarray, np.int64, 1]
 IntMatrix = Annotated[np.ndarray, np.int64, 2]
 NumberVector = Annotated[np.ndarray, None, 1]
 """Vector of real or complex numbers; the dtype is the same for all such fields of a bundle."""
+
+STATE, RECORD = "state", "record"
+State = Annotated[np.ndarray, STATE]
+Record = Annotated[np.ndarray, RECORD]
 
 
 @cache
@@ -43,3 +52,25 @@ def example_of(bundle: Any, number: type = np.float64) -> Any:
             _, dtype, dimensions = get_args(kind)
             values.append(np.zeros((0,) * dimensions, dtype or number))
     return bundle(*values)
+
+
+def kept(bundle: Any, *roles: str) -> dict[str, np.ndarray]:
+    """Return the arrays of a bundle that are declared with one of the roles STATE and RECORD, by name.
+
+    A field with a role that is itself a bundle is kept as a whole; of one without a role, those arrays are kept that
+    its own class declares. Names of nested fields are joined by dots.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    for name, value, kind in zip(bundle._fields, bundle, _fields_of(type(bundle)), strict=True):
+        is_wanted = any(role in getattr(kind, "__metadata__", ()) for role in roles)
+        if isinstance(value, tuple):
+            inner = _leaves(value) if is_wanted else kept(value, *roles)
+            arrays |= {f"{name}.{inside}": array for inside, array in inner.items()}
+        elif is_wanted:
+            arrays[name] = value
+    return arrays
+
+
+def _leaves(bundle: Any) -> dict[str, np.ndarray]:
+    """Return all arrays of a bundle of arrays by name."""
+    return dict(zip(bundle._fields, bundle, strict=True))
