@@ -61,7 +61,8 @@ def kept(bundle: Any, *roles: str) -> dict[str, np.ndarray]:
     its own class declares. Names of nested fields are joined by dots.
     """
     arrays: dict[str, np.ndarray] = {}
-    for name, value, kind in zip(bundle._fields, bundle, _fields_of(type(bundle)), strict=True):
+    cls: Any = type(bundle)
+    for name, value, kind in zip(bundle._fields, bundle, _fields_of(cls), strict=True):
         is_wanted = any(role in getattr(kind, "__metadata__", ()) for role in roles)
         if isinstance(value, tuple):
             inner = _leaves(value) if is_wanted else kept(value, *roles)
