@@ -327,7 +327,8 @@ class CompiledStepper:
             progress.accepted[0] += 1
         else:
             self._recall(self._before)
-        interval.values[:] = self._before[0]
+        before = zip(self._memory(), self._before, strict=True)
+        interval.values[:] = next(then for now, then in before if now is interval.values)
         progress.pending[0] = 0
         progress.time[0] = step.time(theta)
         if np.any(self._row_times < step.time(theta)):  # the interval before was written with a row inside the step

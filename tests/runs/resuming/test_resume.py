@@ -296,7 +296,7 @@ def test_damage_anywhere_is_refused_or_harmless(name: str, left: Path, tmp_path:
 def test_made_up_state_is_refused(part: Path, frequent: None) -> None:
     """A stranger can compute hashes, too; indices that kernels follow are checked."""
     checkpoint = read(part)
-    checkpoint.state["stepper"]["run"]["progress"]["passed"][0] = 10**9
+    checkpoint.state["stepper"]["run"]["progress.passed"][0] = 10**9
     checkpoint.write(part)
     assert "the state of its checkpoint does not fit its spec (ValueError: it has passed more" in refusal(part)
 
