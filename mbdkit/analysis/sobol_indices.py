@@ -42,6 +42,9 @@ def sobol_indices(
     are those of `scipy.stats.sobol_indices`. Intervals are bootstrap quantiles over the rows, which are treated as
     independent; for a Sobol or Halton sequence, the actual errors are smaller.
 
+    `scipy.stats.sobol_indices` itself requires that the number of rows is a power of 2, which it is not once members
+    with a failed run are left out, and returns 0 instead of nan where all values are equal.
+
     Parameters
     ----------
     values

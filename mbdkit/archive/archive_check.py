@@ -17,8 +17,8 @@ from mbdkit.archive.blocks import Block
 from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION
-from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_header import open_archive
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed, one_line, shown
 from mbdkit.quantities.array import FLOAT, TEXT, Array

@@ -1,4 +1,9 @@
-"""Writes blocks; see `mbdkit.archive.block_format`."""
+"""Blocks: HDF5 files that hold many runs of a study, with an axis ``run`` in front of the arrays of a run archive.
+
+Runs of one mechanism and method have the same arrays; they are a *structure* of the block. The groups of the first
+structure are those of a run archive, the groups of others are in ``structure-2``, ``structure-3`` and so on.
+`schemas/block.md` describes the format.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +14,12 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.block_format import COUNTS, FORMAT, FORMAT_VERSION, HISTORIES, Store, prefix
 from mbdkit.archive.columns import write_column, write_hashes
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.finished_run import FinishedRun
@@ -23,6 +27,28 @@ from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import LIBVER, write_image
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
+from mbdkit.quantities.table import RECORDED
+
+FORMAT = "mbdkit-block"
+FORMAT_VERSION = "1.0"
+
+Store = Literal["hashes", "summary", "histories", "all"]
+STORES: tuple[Store, ...] = get_args(Store)
+
+HISTORIES = frozenset(["trajectory/time", *(array.path for array in RECORDED.values() if array.is_history)])
+"""Arrays that ``store: histories`` keeps."""
+
+KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
+"""Values of `store` with which a study keeps the recorded rows."""
+
+COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"))
+"""Growing axes of a run archive, and the group that holds their number of rows by run."""
+
+
+def prefix(structure: int) -> str:
+    """Return the path, with a slash at the end, of the groups of a structure, counted from 0; empty for the first."""
+    return f"structure-{structure + 1}/" if structure else ""
+
 
 _BY_RUN = {
     "status": "complete, failed, interrupted, missing or left-out",

@@ -1,4 +1,4 @@
-"""Reads blocks; see `mbdkit.archive.block_format`."""
+"""Reads blocks; see `mbdkit.archive.block_writer`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.block_format import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
+from mbdkit.archive.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
 from mbdkit.archive.columns import read_column
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets, is_text
 from mbdkit.archive.finished_run import FinishedRun

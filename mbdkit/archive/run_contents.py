@@ -22,8 +22,8 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
-from mbdkit.archive.open_archive import open_archive
 from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.quantities.array import GROWING, Array

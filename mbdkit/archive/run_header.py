@@ -1,10 +1,12 @@
-"""What is read when an archive is opened, checked so that later reading finds what the layout promises."""
+"""Opens the file of a run archive, and checks what is read first so that later reading finds what it needs."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -12,10 +14,58 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
+from mbdkit.archive.part_file import part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.archive.stranger_file import open_hdf5
+from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_TITLE
+from mbdkit.base.text import shortened, shown
 from mbdkit.quantities.array import GROWING, TEXT
 from mbdkit.quantities.names import AXES, COORDINATES
+
+
+def open_archive(path: Path) -> h5py.File:
+    """Open the file of a run archive for reading, after checking its format and version.
+
+    Raises
+    ------
+    ResourceError
+        If the file is in use, or the system refuses to read it.
+    SpecError
+        If the file is missing, truncated, not an archive, of an unsupported format version, or refused because reading
+        it could do harm.
+    """
+    if os.path.isdir(path):
+        raise SpecError("this is a folder; name a run archive in it", file=path)
+    if not os.path.exists(path):
+        left = part_path(path)
+        hint = f"; {left} holds the data of an unfinished run" if left.exists() else ""
+        raise SpecError(f"there is no such file{hint}", file=path)
+    file = open_hdf5(path, "run archive")
+    try:
+        _check_format(file, path)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _check_format(file: h5py.File, path: Path) -> None:
+    with reading("its format", path):
+        kind, version = file.attrs.get("format"), file.attrs.get("format_version")
+    if kind != FORMAT:
+        what = f"of the format {kind!r}" if isinstance(kind, str) else "an HDF5 file of another kind"
+        raise SpecError(f"this is not a run archive but {what}", file=path)
+    ours = FORMAT_VERSION.partition(".")[0]
+    if not isinstance(version, str) or version.partition(".")[0] != ours:
+        raise SpecError(
+            f"this archive has format version {shortened(shown(version))}, this mbdkit reads {ours}.x; install a "
+            "version that matches",
+            file=path,
+        )
+
 
 #: Sections of a spec that are mappings if they are present.
 _MAPPINGS = ("model", "integrator", "time", "output")

@@ -99,7 +99,7 @@ def study(
     """
     from mbdkit.studies.carry_out import study as carry_out
     from mbdkit.studies.executors import Asked, opened
-    from mbdkit.studies.shard import Shard
+    from mbdkit.studies.folder_lock import Shard
     from mbdkit.studies.study_summary import outcome, summary
 
     part = None if shard is None else Shard.parse(shard)

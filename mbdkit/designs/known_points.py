@@ -13,8 +13,27 @@ from mbdkit.base.files import replacing
 from mbdkit.base.text import counted, shown
 from mbdkit.designs.computing import is_passing, plain_outcome, told
 from mbdkit.designs.evaluation import Job, Outcome
-from mbdkit.designs.format_version import read_versioned
 from mbdkit.designs.point import Notify
+
+
+def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
+    """Return data that begin with a format version of this name; none if the text is something else.
+
+    Raises
+    ------
+    SpecError
+        If the version is later than 1.
+    """
+    try:
+        data = json.loads(text)
+    except ValueError:
+        return {}
+    version = data.get(name) if isinstance(data, dict) else None
+    if isinstance(version, int) and version > 1:
+        message = f"this file has format version {version}, this mbdkit reads 1; install a later version of mbdkit"
+        raise SpecError(message, file=path)
+    return data if version == 1 else {}
+
 
 VERSION = "mbdkit_points"
 """Name of the format version in the first line of the file."""

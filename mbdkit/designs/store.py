@@ -21,7 +21,7 @@ from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.designs.design import Design
 from mbdkit.designs.evaluation import ScenarioRuns
-from mbdkit.designs.format_version import read_versioned
+from mbdkit.designs.known_points import read_versioned
 from mbdkit.designs.point import DesignPoint
 from mbdkit.designs.trust import check_of
 from mbdkit.inverse_dynamics.inverse_run import compute_run

@@ -16,8 +16,8 @@ from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Line, Table
 from mbdkit.measures.reductions import REDUCTIONS
 from mbdkit.report.study_figures import Quantity, asked_measures, is_wide
 from mbdkit.spec.key_words import key_words
-from mbdkit.studies.axis_words import axis_unit
 from mbdkit.studies.sample_groups import SampleGroup, measured, sample_groups
+from mbdkit.studies.study_point import axis_unit
 
 if TYPE_CHECKING:
     from mbdkit.studies.sensitivity import Sensitivity

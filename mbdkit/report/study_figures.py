@@ -12,8 +12,8 @@ import numpy as np
 from mbdkit.figures.page_model import Axis, Column, Figure, Line
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.spec.key_words import key_words
-from mbdkit.studies.axis_words import axis_unit, value_words
 from mbdkit.studies.point_selection import METHOD, STEP, value
+from mbdkit.studies.study_point import axis_unit, value_words
 
 if TYPE_CHECKING:
     from mbdkit.studies.study import Study

@@ -24,11 +24,10 @@ from mbdkit.report.run_verdict import mechanism_size
 from mbdkit.report.sample_figures import sample_figures, sample_tables
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_figures import OPERATIONS, measure_columns, study_figures
-from mbdkit.studies.axis_words import axis_unit, point_words
-from mbdkit.studies.judge import judge
+from mbdkit.studies.judge import find_verdict, judge
 from mbdkit.studies.point_selection import value
 from mbdkit.studies.sample_groups import sample_groups
-from mbdkit.studies.verdict_lookup import find_verdict
+from mbdkit.studies.study_point import axis_unit, point_words
 from mbdkit.trust.criteria import MISALIGNMENT
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.block_format import Store
+from mbdkit.archive.block_writer import Store
 from mbdkit.archive.missing_plugins import advised
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
@@ -29,8 +29,8 @@ from mbdkit.spec.study_spec import Storing, StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.execute import Execution, Options, Progress
 from mbdkit.studies.executor_pool import Engine, checked_executor
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.sampled_values import settled_sample
-from mbdkit.studies.shard import Shard
 from mbdkit.studies.study import Study
 from mbdkit.studies.study_blocks import settled_store
 from mbdkit.studies.study_folder import StudyFolder

@@ -14,8 +14,7 @@ from mbdkit.measures.take import take
 from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.known_runs import KnownRuns
-from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, worst_joint
-from mbdkit.studies.run_group import RunGroup
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
 from mbdkit.studies.study_index import Index, Row, quartiles
 from mbdkit.studies.study_plan import StudyPlan
 from mbdkit.studies.tasks import Outcome

@@ -28,14 +28,12 @@ from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_measures import ERRORS, DefinedMeasure, expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit.studies.column_names import check_column_names
-from mbdkit.studies.defined_measures import describe_measures
-from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS
+from mbdkit.studies.judge import check_verdict
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, RunGroup, places_by_group
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints
-from mbdkit.studies.run_group import RunGroup, places_by_group
 from mbdkit.studies.study_blocks import StudyBlocks, stored
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.verdict_lookup import check_verdict
+from mbdkit.studies.study_plan import check_column_names, describe_measures
 
 MISALIGNMENT = "misalignment_max"
 """The measure that has a column of its own in blocks."""

@@ -10,10 +10,10 @@ from mbdkit.base.interrupts import interrupts_delayed
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.executor_pool import Engine
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.run_blocks import RunBlocks
 from mbdkit.studies.run_files import RunFiles
 from mbdkit.studies.run_store import RunStore
-from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 
 #: Called with (tasks done, tasks in all, failed runs). A run is one task, and so are its repeated timings.

@@ -17,8 +17,8 @@ from typing import Any, Generic
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import found
 from mbdkit.base.text import one_line
+from mbdkit.studies.executors import SubmititExecutor
 from mbdkit.studies.pool import PROGRAM, Pool
-from mbdkit.studies.submitit_executor import SubmititExecutor
 from mbdkit.studies.tasks import Outcome, Work, died
 
 

@@ -1,9 +1,10 @@
-"""Locks that keep calls in one study folder apart: a file for each call, with the process and the part it computes."""
+"""Parts of a study, and the locks that keep calls in one folder apart: a file for each call."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import re
 import secrets
@@ -15,10 +16,51 @@ from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
-from mbdkit.base.errors import ResourceError
+from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
 from mbdkit.base.text import shown
-from mbdkit.studies.shard import WHOLE, Shard
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One of several equal parts of a study.
+
+    Parameters
+    ----------
+    number, count
+        Number of the part, from 1, and number of parts. Runs are assigned to parts in turn, by their place in the list
+        of all runs.
+    """
+
+    number: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Parse a part from text such as ``2/3``.
+
+        Raises
+        ------
+        SpecError
+            If the text does not have this form.
+        """
+        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        if not found or not 1 <= int(found[1]) <= int(found[2]):
+            raise SpecError(f"a part of a study is written number/count, such as 1/2 and 2/2, not {text!r}")
+        return cls(int(found[1]), int(found[2]))
+
+    def has(self, place: int) -> bool:
+        """Return whether the run at this place, counted from 0, belongs to the part."""
+        return place % self.count == self.number - 1
+
+    def overlaps(self, other: Shard) -> bool:
+        """Return whether a run may belong to both parts, whatever the number of runs."""
+        return (self.number - other.number) % math.gcd(self.count, other.count) == 0
+
+
+WHOLE = Shard(1, 1)
+"""All of a study."""
+
 
 LOCK = ".lock-"
 """Beginning of the names of locks."""

@@ -10,9 +10,9 @@ from mbdkit.analysis.order import observed_order
 from mbdkit.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
-from mbdkit.studies.axis_words import point_words, value_words
 from mbdkit.studies.point_selection import STEP, Points, value
 from mbdkit.studies.sample_groups import measured
+from mbdkit.studies.study_point import point_words, value_words
 from mbdkit.trust.criteria import EPS, ROUND_OFF
 
 if TYPE_CHECKING:

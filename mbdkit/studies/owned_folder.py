@@ -16,8 +16,7 @@ from mbdkit.base.files import check_folder, check_writable, rename_new
 from mbdkit.spec.reading import read_file
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.studies import folder_lock
-from mbdkit.studies.folder_lock import LOCK
-from mbdkit.studies.shard import WHOLE, Shard
+from mbdkit.studies.folder_lock import LOCK, WHOLE, Shard
 
 JOBS = ".jobs-"
 """Beginning of the name of the folder for the files of submitted jobs."""

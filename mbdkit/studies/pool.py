@@ -1,4 +1,9 @@
-"""A pool of worker processes; if a process dies, another one tries its task, once."""
+"""A pool of worker processes; if a process dies, another one tries its task, once.
+
+`concurrent.futures.ProcessPoolExecutor` and loky lack what studies need: when a process dies they give up all pending
+tasks, and do not tell which task killed it, by which signal and with which last words. Workers of the former import the
+script of the user again, receive the Ctrl-C that is meant for the parent process, and may outlive a killed parent.
+"""
 
 from __future__ import annotations
 

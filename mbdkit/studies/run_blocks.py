@@ -20,8 +20,8 @@ from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.compute_block import MISALIGNMENT, plan_blocks
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.run_store import Noted, Round, RunStore
-from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_blocks import StudyBlocks, is_passing
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index, describe_column

@@ -9,9 +9,9 @@ from mbdkit.base.text import counted
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.collect import collect
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.run_store import Noted, Round, RunStore
-from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index
 from mbdkit.studies.study_plan import plan_study

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mbdkit.studies.shard import Shard
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.study_index import Index
 from mbdkit.studies.tasks import Outcome
 

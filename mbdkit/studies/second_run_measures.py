@@ -1,17 +1,24 @@
-"""Measures that are not in the archive of a run and are computed by a second run of the same spec."""
+"""Measures that are not in the archive of a run: they need a second run, or one that is reversed."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError, StepError
+from mbdkit.base.text import one_line
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.stabilization import NONE
+from mbdkit.engine.workspace import Workspace
+from mbdkit.runs.preparation import build
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec
-from mbdkit.studies.reversal import reverse
+from mbdkit.stepping.interface import Stretch, Timetable
+from mbdkit.stepping.start import start_method
 
 REVERSALS = ("reversibility_defect", "reversibility_velocity_defect")
 
@@ -67,3 +74,137 @@ def velocity_misalignment(spec: RunSpec, notify: Callable[[str], None]) -> tuple
             return float(np.max(run.array("joints/velocity_misalignment"), initial=0.0)), ""
     except MbdkitError as error:  # for example, too many rows for the memory
         return math.nan, f"error: {error}"
+
+
+LOOKS = 16
+"""Number of states along the run at which the mechanism is tested for reversibility."""
+SAME = 1e-9
+"""Relative tolerance for equal accelerations, and for joint positions relative to the largest coordinate."""
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """Result of a reversibility test.
+
+    Parameters
+    ----------
+    defect
+        Distance from the start position [m]: sqrt(dq^T M dq / total mass); nan if the test was not possible.
+    velocity_defect
+        The same for the velocities [m/s], whose exact values are the negated velocities of the start.
+    note
+        Reason why the test was not possible; empty otherwise.
+    """
+
+    defect: float
+    velocity_defect: float
+    note: str = ""
+
+
+def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
+    """Integrate a run, reverse its final velocities, integrate back with the same steps, and compare with the start.
+
+    The backward run starts from exactly the final state of the forward run, including its joint misalignment; the
+    mechanism is not assembled again. The method is restarted there, without its history of earlier steps. If the last
+    step is shorter than the others, it is omitted, since the backward run would have to begin with it.
+
+    Parameters
+    ----------
+    spec
+        The run, with its formulation and stabilization.
+    notify
+        Called with a message before an operation that takes long.
+
+    Returns
+    -------
+    Reversal
+        The defects. They are nan, and the note gives the reason, if a run failed or if the mechanism itself is not
+        reversible because of dampers, drivers or time-dependent forces.
+
+    Raises
+    ------
+    MbdkitError
+        If the spec is invalid or a plugin fails.
+    """
+    workspace, _ = build(spec, notify)
+    table = _timetable(spec)
+    if table is None:
+        return Reversal(math.nan, math.nan, "too-short: the run has no full step.")
+    try:
+        there = _states(spec, workspace, table)
+        if _has_direction(workspace, there, table):
+            note = "not-reversible: the mechanism has dampers, drivers or time-dependent forces."
+            return Reversal(math.nan, math.nan, note)
+        turned = replace(workspace, q0=there.q[-1].copy(), v0=-there.v[-1])
+        back = _states(spec, turned, table)
+    except _StoppedError as stop:
+        return Reversal(math.nan, math.nan, str(stop))
+    mass = workspace.mechanism.topology.mass[:-1]
+    total = float(np.sum(mass[:, 0]))
+
+    def distance(x: np.ndarray, y: np.ndarray) -> float:
+        apart = (x - y)[: mass.size].reshape(mass.shape)
+        return float(np.sqrt(np.sum(mass * apart**2) / total))
+
+    return Reversal(distance(back.q[-1], workspace.q0), distance(-back.v[-1], workspace.v0))
+
+
+class _StoppedError(Exception):
+    """A run stopped early; the message is the reason."""
+
+
+def _timetable(spec: RunSpec) -> Timetable | None:
+    """Return the timetable of a spec without a shorter last step; None if no step is left."""
+    time, limits = spec.time, spec.limits
+    if spec.claims.adaptive:
+        return Timetable(time.start, time.final, time.step, max_steps=limits.max_steps)
+    assert time.step is not None
+    assert time.count is not None
+    steps, end = time.count, time.final
+    if abs(time.start + steps * time.step - end) > 1e-9 * time.step:
+        steps -= 1
+        end = time.start + steps * time.step
+    every = max(1, steps // LOOKS)
+    return Timetable(time.start, end, time.step, steps, every, max_steps=limits.max_steps) if steps else None
+
+
+def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
+    """Integrate from the start of a workspace, and return states including the last; raise _StoppedError on failure."""
+    try:
+        stepper = start_method(spec.integrator_plugin.create(spec.integrator), workspace, table)
+        parts = []
+        while not (stepper.finished or stepper.failure):
+            parts.append(stepper.advance())
+    except MbdkitError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise _StoppedError(f"error: {one_line(error)}") from error
+    if stepper.failure is not None:
+        raise _StoppedError(f"{stepper.failure.code}: {stepper.failure.sentence}")
+    rows = [part for part in parts if len(part.time)]
+    time, q, v = (np.concatenate([getattr(part, name) for part in rows]) for name in ("time", "q", "v"))
+    return Stretch(time, q, v, np.zeros(len(time)), np.zeros(len(time)), np.zeros((len(time), 6)))
+
+
+def _has_direction(workspace: Workspace, there: Stretch, table: Timetable) -> bool:
+    """Return whether accelerations or constraints depend on the sign of the velocities or on time.
+
+    Only values at the same positions are compared, so that joint misalignment has no influence.
+    """
+    equations = EquationsOfMotion(replace(workspace, stabilization=NONE))  # Baumgarte stabilization is not reversible
+    middle = table.start + 0.381966 * (table.end - table.start)
+    size = float(np.max(np.abs(there.q), initial=1e-300))
+    for row in np.unique(np.linspace(0, len(there.time) - 1, LOOKS).astype(int)):
+        t, q, v = float(there.time[row]), there.q[row][: equations.n].copy(), there.v[row][: equations.n].copy()
+        try:
+            forth, _ = equations.accelerations(t, q, v)
+            for other in (table.start, middle, table.end):
+                back, _ = equations.accelerations(other, q, -v)
+                moved = equations.constraints(other, q) - equations.constraints(t, q)
+                if np.max(np.abs(moved), initial=0.0) > SAME * size:
+                    return True
+                if np.max(np.abs(forth - back), initial=0.0) > SAME * np.max(np.abs(forth), initial=1e-300):
+                    return True
+        except StepError as error:
+            raise _StoppedError(f"{error.code}: {error}") from error
+    return False

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES
-from mbdkit.archive.block_format import KEEPING_TIMES
+from mbdkit.archive.block_writer import KEEPING_TIMES
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.data_frame import data_frame
 from mbdkit.archive.reader import load

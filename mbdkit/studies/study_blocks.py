@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.archive.block_format import HISTORIES, Store
+from mbdkit.archive.block_writer import HISTORIES, Store
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.disk_space import row_bytes
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError

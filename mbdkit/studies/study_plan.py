@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from mbdkit.measures.take import Description
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, path_text
+from mbdkit.measures.take import Description, describe, is_taken
 from mbdkit.spec import RunSpec
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.studies.column_names import check_column_names
-from mbdkit.studies.defined_measures import describe_measures
-from mbdkit.studies.planned_points import PlannedPoint, distinct_runs, plan_points
-from mbdkit.studies.verdict_lookup import check_verdict
+from mbdkit.studies.judge import check_verdict
+from mbdkit.studies.planned_points import PlannedPoint, distinct_runs, grids, plan_points
+from mbdkit.studies.study_index import COLUMNS, axis_column
 
 
 @dataclass(frozen=True)
@@ -52,3 +56,129 @@ def plan_study(spec: StudySpec) -> StudyPlan:
         if point.reference is not None:
             references[point.reference_id] = point.reference
     return StudyPlan(points, references | runs, describe_measures(spec, distinct_runs(points)))
+
+
+def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> dict[str, Description]:
+    """Check the measures that a study defines for all of its runs, and return what describes their columns.
+
+    Parameters
+    ----------
+    runs
+        Each different run of the study with a name for error messages.
+
+    Raises
+    ------
+    SpecError
+        If an expression is not valid for a run, or has different units in two runs.
+    """
+    measures = spec.defined_measures()
+    found: dict[str, Description] = {}
+    first: dict[str, str] = {}
+    for number, (label, run) in enumerate(runs if measures else ()):
+        for measure in measures:
+            if not is_taken(measure, run):
+                continue
+            try:
+                now = describe(measure, run)
+            except SpecError as error:
+                told = f" (in {label})" if number else ""
+                raise _placed(spec, measure, SpecError(error.message + told, key=error.key)) from None
+            before = found.setdefault(measure.name, now)
+            if before != now:
+                raise _placed(
+                    spec,
+                    measure,
+                    SpecError(
+                        f"its unit is {before.units} in {first[measure.name]} and {now.units} in {label}; a column of "
+                        "the index has one unit"
+                    ),
+                )
+            first.setdefault(measure.name, label)
+    return found
+
+
+def _placed(spec: StudySpec, measure: DefinedMeasure, error: SpecError) -> SpecError:
+    """Return an error about a measure with the file and line of its definition."""
+    return spec.placed(error.located(prefix=path_text(measure.place)))
+
+
+#: Longest name of a column [bytes of UTF-8]; netCDF has the same limit.
+LONGEST = 255
+
+#: Characters that HDF5 cannot store, and those that names do not need either.
+_UNSTORED = re.compile(r"[\x00\ud800-\udfff]")
+_CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
+
+#: Columns that the tables of `Study` add.
+_OF_TABLES = {"number"}
+
+
+def check_column_names(spec: StudySpec) -> None:
+    """Check the names of axes and families, and the labels of values.
+
+    Raises
+    ------
+    SpecError
+        If a name cannot be stored, or two columns would have the same name.
+    """
+    try:
+        measures = {measure.name: measure.place for measure in spec.defined_measures()}
+    except SpecError as error:
+        raise spec.placed(error) from None
+    for name, where in measures.items():
+        if name in COLUMNS | _OF_TABLES:
+            message = f"'{name}' is a column of the index of every study; choose another name for this measure"
+            raise spec.placed(SpecError(message, key=path_text(where)))
+    columns: dict[str, str] = {}
+    for grid in grids(spec):
+        _check_text(spec, grid.name, ("families",), _CONTROL)
+        for number, axis in enumerate(grid.axes):
+            for key, values in axis:
+                place: Path = (*grid.axes_place, number, key)
+                _check_text(spec, key, place, _CONTROL)
+                for value in values:
+                    for one in value.value if value.together else (key,):
+                        _check_sets_no_measure(spec, one, (*place, *value.place))
+                    _check_text(spec, str(value.label), (*place, *value.place), _UNSTORED)
+                other = columns.setdefault(axis_column(key), key)
+                if axis_column(key) in measures:
+                    message = f"'{key}' is also a measure of this study; choose another name for the measure"
+                    raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
+                if why := _refusal(key, other):
+                    raise spec.placed(SpecError(why, key=path_text(place)))
+        for key in grid.table:
+            place = (*grid.table_place, key)
+            _check_sets_no_measure(spec, key, place)
+            _check_text(spec, key, place, _CONTROL)
+            if axis_column(key) in measures:
+                message = f"'{key}' is also a variable of this study; choose another name for the measure"
+                raise spec.placed(SpecError(message, key=path_text(measures[axis_column(key)])))
+            if why := _refusal(key, columns.setdefault(axis_column(key), key)):
+                raise spec.placed(SpecError(why, key=path_text(place)))
+
+
+def _check_sets_no_measure(spec: StudySpec, key: str, place: Path) -> None:
+    if parse_key(key)[:1] == ("measures",):
+        message = "a measure is a column of the study, and cannot vary between its runs; define several measures"
+        raise spec.placed(SpecError(message, key=path_text(place)))
+
+
+def _refusal(key: str, other: str) -> str:
+    """Return why an axis cannot have this name; empty if it can."""
+    if not key.strip():
+        return "is blank; an axis needs a name"
+    if len(key.encode()) > LONGEST:
+        return f"is longer than {LONGEST} bytes, the limit for a name of an axis"
+    if axis_column(key) in COLUMNS | _OF_TABLES:
+        return f"'{key}' is a column of the index of every study; choose another name for this axis"
+    if other != key:
+        return (
+            f"'{key}' and '{other}' would be one column of the index, where '/' is written as '|'; rename one of them"
+        )
+    return ""
+
+
+def _check_text(spec: StudySpec, text: str, place: Path, refused: re.Pattern[str]) -> None:
+    if found := refused.search(text):
+        message = f"contains the character {found[0]!r}, which cannot be stored in a name or label"
+        raise spec.placed(SpecError(message, key=_CONTROL.sub("?", path_text(place))))

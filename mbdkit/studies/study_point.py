@@ -1,13 +1,19 @@
-"""A point of a study, one run with its entry in the index; and all of them, each made when it is asked for."""
+"""A point of a study, one run with its entry in the index; all of them, each made when it is asked for; and its words.
+
+The words are what readers see: ``RK4, step 0.1 s``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import overload
 
+from mbdkit.base.errors import MbdkitError
 from mbdkit.spec import RunSpec
+from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.studies.planned_points import Label, PlannedPoint, PlannedPoints, point_label
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index, Row
@@ -130,3 +136,33 @@ def archive_of(row: Row, folder: StudyFolder) -> Path | None:
     """Return the archive of a run; None if there is none."""
     path = folder.archive(row.run_id)
     return path if row.run_id and row.status != "missing" and path.exists() else None
+
+
+def point_words(point: StudyPoint, units: Mapping[str, str] | None = None) -> str:
+    """Return the values of a point on the axes in words, such as ``RK4, step 0.1 s``.
+
+    Parameters
+    ----------
+    units
+        Units of all keys, if these are known to be those of all points; by default the spec of the point is read.
+    """
+    return ", ".join(value_words(key, point, None if units is None else units[key]) for key in point.axes)
+
+
+def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
+    """Return the value of a point on an axis: a label as it is, a number with the words and the unit of the key."""
+    label = point.axes[key]
+    if isinstance(label, str):
+        return label
+    return " ".join(filter(None, (key_words(key), f"{label:.6g}", axis_unit(key, [point]) if unit is None else unit)))
+
+
+def axis_unit(key: str, points: Iterable[StudyPoint]) -> str:
+    """Return the unit of an axis; empty if it has none, or if no spec of the points is valid here."""
+    return key_unit(key, _valid_specs(points))
+
+
+def _valid_specs(points: Iterable[StudyPoint]) -> Iterator[RunSpec]:
+    for point in points:
+        with suppress(MbdkitError):  # its plugin is not installed
+            yield point.spec

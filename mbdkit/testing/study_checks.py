@@ -12,9 +12,9 @@ from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.carry_out import study
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.judge import judge
 from mbdkit.studies.planned_points import plan_points
-from mbdkit.studies.shard import Shard
 from mbdkit.testing.check import check
 from mbdkit.testing.check_result import Result, failed, passed
 

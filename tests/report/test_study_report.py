@@ -12,10 +12,10 @@ from mbdkit.report.report_page import cell_text
 from mbdkit.report.slope_guides import with_slope_guides
 from mbdkit.report.study_report import study_report
 from mbdkit.spec.key_words import key_words
-from mbdkit.studies.axis_words import point_words
 from mbdkit.studies.carry_out import load_study
 from mbdkit.studies.carry_out import study as run_study
-from mbdkit.studies.shard import Shard
+from mbdkit.studies.folder_lock import Shard
+from mbdkit.studies.study_point import point_words
 from tests.report.conftest import STUDY
 
 

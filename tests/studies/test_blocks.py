@@ -28,8 +28,8 @@ from mbdkit.spec import RunSpec
 from mbdkit.studies import compute_block as compute_block_module
 from mbdkit.studies import pool, run_blocks
 from mbdkit.studies.compute_block import compute_block
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.runs_table import export_runs
-from mbdkit.studies.shard import Shard
 from mbdkit.studies.study_folder import StudyFolder
 
 BASE: dict[str, Any] = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mbdkit.studies import measures
-from mbdkit.studies.run_group import RunGroup
+from mbdkit.studies.measures import RunGroup
 from tests.benchmarks.drawn_runs import compare, remade
 
 

@@ -14,7 +14,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.studies import pool, study_index
-from mbdkit.studies.shard import Shard
+from mbdkit.studies.folder_lock import Shard
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
 CLOSED = {

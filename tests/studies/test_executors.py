@@ -18,7 +18,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.cli import app
 from mbdkit.studies import executor_pool, worker
 from mbdkit.studies.executor_pool import ExecutorPool
-from mbdkit.studies.submitit_executor import SubmititExecutor
+from mbdkit.studies.executors import SubmititExecutor
 
 from .test_execution import index_hash
 

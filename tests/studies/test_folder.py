@@ -23,8 +23,7 @@ from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.report.report import report
 from mbdkit.spec import load_study_spec
 from mbdkit.studies import folder_lock
-from mbdkit.studies.folder_lock import Owner
-from mbdkit.studies.shard import WHOLE, Shard
+from mbdkit.studies.folder_lock import WHOLE, Owner, Shard
 from mbdkit.studies.study_folder import StudyFolder
 
 

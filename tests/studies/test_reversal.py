@@ -10,8 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit.spec import load_spec
-from mbdkit.studies.reversal import Reversal, reverse
-from mbdkit.studies.second_run_measures import second_run
+from mbdkit.studies.second_run_measures import Reversal, reverse, second_run
 
 WHEEL = {
     "name": "mechanism",

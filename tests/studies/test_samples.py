@@ -15,8 +15,8 @@ from mbdkit import MbdkitError, SpecError
 from mbdkit.analysis.sobol_indices import sobol_indices
 from mbdkit.spec.sample_section import Sample
 from mbdkit.studies import sampled_values as module
+from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.sampled_values import sampled_values
-from mbdkit.studies.shard import Shard
 from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
