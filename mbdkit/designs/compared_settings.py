@@ -1,4 +1,4 @@
-"""What other settings of the runs, such as a coarse step, would have made of a design."""
+"""Repetition of a design with other settings of the runs, such as a coarse step."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from mbdkit.spec import DesignSpec
 
 @dataclass(frozen=True)
 class Comparison:
-    """The best point that a search with other settings of the runs finds.
+    """The best point found by a search with other settings of the runs.
 
     Attributes
     ----------
     name
         Name of the settings in `compare` of the design spec.
     believed
-        The point, with the goals and measures that runs with these settings yield; None if there is none.
+        The point, with goals and measures computed with these settings; None if there is none.
     actual
-        The same point, with those of the design's own settings.
+        The same point, with goals and measures computed with the settings of the design.
     is_feasible
-        Whether it satisfies all limits, by the design's own settings.
+        Whether it satisfies all limits with the settings of the design.
     reason
-        Why there is no point, or that it violates limits by these settings, too; empty otherwise.
+        Reason why there is no point, or why it is not feasible with these settings either; empty otherwise.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Comparison:
 
     @classmethod
     def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Comparison:
-        """Return the comparison that plain data tell."""
+        """Return the comparison from plain data."""
         believed, actual = (
             None if data[key] is None else DesignPoint.from_dict(spec, data[key]) for key in ("believed", "actual")
         )
@@ -56,12 +56,12 @@ class Comparison:
 
 
 def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
-    """Return what evaluates a design with the other settings of this name."""
+    """Return an evaluator of a design with the other settings of this name."""
     return Evaluator(evaluator.spec, evaluator.run, compared=name)
 
 
 def compare(evaluator: Evaluator, name: str, notify: Notify) -> Comparison:
-    """Search the best point of a design with the other settings of this name."""
+    """Search for the best point of a design with the other settings of this name."""
     other = compared_with(evaluator, name)
     try:
         found = searches(Problem(other), evaluator.spec.optimizer, evaluator.first)[0]

@@ -21,7 +21,7 @@ from mbdkit.studies.tasks import PASSING
 from mbdkit.studies.tasks import Outcome as TaskOutcome
 
 PATIENCE = 5.0
-"""Time that jobs take in this process before worker processes are started [s]; these need about two seconds each."""
+"""Computing time in this process after which worker processes are started [s]; starting one takes about two seconds."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class JobTask:
     Parameters
     ----------
     scenario
-        What the worker needs to know of the scenario.
+        Description of the scenario for the worker.
     path
         File in the folder of the design, which the workers of executors must see.
     tried
@@ -45,17 +45,17 @@ class JobTask:
     writes = False
 
     def message(self) -> dict[str, Any]:
-        """Return what a worker needs to carry out the task."""
+        """Return the message with which a worker can carry out the task."""
         settings = [[[list(path), value] for path, value in job.settings] for job in self.jobs]
         return {**self.scenario, "settings": settings, "path": str(self.path.absolute())}
 
     def after_death(self, how: str) -> JobTask | None:
-        """Return the task to try after a process died of this one; None if it is given up."""
+        """Return the task to try after a process has died in this one; None if it is not tried again."""
         return None if self.tried else replace(self, tried=True)
 
 
 class Computer:
-    """Computes jobs of a design, for use in a `with` block, which ends its processes.
+    """Computes jobs of a design; a context manager that ends its processes.
 
     Parameters
     ----------
@@ -102,11 +102,11 @@ class Computer:
         return engine.executor is not None or (engine.workers > 1 and self._spent >= PATIENCE)
 
     def _pieces(self, scenario: str, jobs: Sequence[Job]) -> list[tuple[Job, ...]]:
-        """Return jobs of a scenario in pieces, whose runs advance side by side and become known together."""
+        """Return the jobs of a scenario in groups that are computed and stored together."""
         own = [job for job in jobs if job.scenario == scenario]
         if isinstance(self._spec.specs[scenario], InverseSpec):
             size = 1
-        elif self._engine.executor is not None:  # of an unknown number of processes
+        elif self._engine.executor is not None:  # for an unknown number of processes
             size = WIDTH
         else:
             size = min(CHUNK, math.ceil(len(own) * len(self._spec.specs) / self._engine.workers))
@@ -121,7 +121,9 @@ class Computer:
             for task, outcome in self._pool.work(tasks):
                 if outcome.status == "complete":
                     yield from zip(task.jobs, map(told, outcome.results), strict=True)
-                elif _is_death(outcome) and len(task.jobs) > 1:  # find the job that kills processes
+                elif (
+                    _is_death(outcome) and len(task.jobs) > 1
+                ):  # one by one, to one by one, to find the job that kills processes
                     again += [replace(task, jobs=(job,), tried=False) for job in task.jobs]
                 elif _is_death(outcome):
                     count = len(self._spec.goals) + len(self._spec.subject_to)
@@ -150,7 +152,7 @@ def _is_death(outcome: TaskOutcome) -> bool:
 
 
 def is_passing(outcome: Outcome) -> bool:
-    """Return whether the cause of a failure is outside the design, so that the next call tries again."""
+    """Return whether the cause of a failure is external, so that the next call tries again."""
     return outcome.reason.startswith(PASSING)
 
 
@@ -161,6 +163,6 @@ def plain_outcome(outcome: Outcome) -> dict[str, Any]:
 
 
 def told(data: dict[str, Any]) -> Outcome:
-    """Return the outcome that plain data tell."""
+    """Return the outcome from plain data."""
     values = tuple(math.nan if value is None else float(value) for value in data["values"])
     return Outcome(values, str(data["verdict"]), str(data["reason"]))

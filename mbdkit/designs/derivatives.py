@@ -24,9 +24,9 @@ STEP = 1e-4
 
 
 def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
-    """Return the derivatives (S, K, n) of goals and limits by the shares of the bounds, at a point (n,).
+    """Return the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,).
 
-    They are exact unless a scenario has no gradients, which the evaluator then notes, or a run fails at this point.
+    They are exact unless a scenario has no gradients (then noted by the evaluator) or a run fails at this point.
     """
     if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
         return differences(evaluator, x)
@@ -51,7 +51,7 @@ def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
 def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
     """Return goals and limits whose exact derivatives at a point disagree with differences, one sentence for each.
 
-    That is often so where a frame of a measured motion is at the corner of a one-sided law.
+    This often occurs if a frame of a measured motion is at the point where a one-sided law begins to act.
     """
     if evaluator.why_differences:
         return ()
@@ -61,7 +61,7 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
         return ()
     return tuple(
         f"The derivative of {one.names[m]} at the best point is not confirmed by differences, {one.derivative[m]:.4g} "
-        f"and {one.extrapolated[m]:.4g} in a random direction: {one.names[m]} may have a corner there."
+        f"and {one.extrapolated[m]:.4g} in a random direction: {one.names[m]} may not be smooth there."
         for one in checks
         if one is not None
         for m in np.flatnonzero(~one.agrees)

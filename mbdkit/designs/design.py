@@ -1,4 +1,4 @@
-"""The solution of a design: the best values of some numbers of a spec, and how far they can be trusted."""
+"""The solution of a design: the best values of some numbers of a spec, with an estimate of their reliability."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Design:
     spec
         Its spec.
     start, best
-        The start of the variables and the best point. Of a Pareto front, the best point is the one that is nearest to
-        the least values of all goals, each relative to its range on the front.
+        The start point and the best point. Of a Pareto front, the best point is the one that is closest to the smallest
+        values of all goals, each relative to its range on the front.
     front
-        Points of the Pareto front, that with the least first goal first; only `best` for a single goal.
+        Points of the Pareto front, in ascending order of the first goal; only `best` for a single goal.
     trust
-        How far the best point can be trusted.
+        Certification of the best point.
     is_feasible
         Whether the best point satisfies all limits.
     runs, failures
@@ -49,10 +49,10 @@ class Design:
     unconfirmed
         Goals and limits whose exact derivatives at the best point disagree with differences of runs, as sentences.
     undetermined
-        Changes of variables by name, each of which leaves the goal at the best point as it is, because only a
+        Changes of variables by name, each of which does not change the goal at the best point, because only a
         combination of these variables is determined; empty for a Pareto front.
     compared
-        What other settings of the runs would have made of the design (`compare` of its spec).
+        Results of the design with other settings of the runs (`compare` of its spec).
     """
 
     spec: DesignSpec
@@ -93,7 +93,9 @@ class Design:
 
     @classmethod
     def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Design:
-        """Return the design that `to_dict` told; raise ValueError, KeyError or TypeError if it is that of no design."""
+        """Return the design from the result of `to_dict`; raise ValueError, KeyError or TypeError if the data are not
+        valid.
+        """
         trust = data["trust"]
         return cls(
             spec=spec,
@@ -147,7 +149,7 @@ class Design:
 
     @property
     def warnings(self) -> list[str]:
-        """What a user should know of the best point, in sentences."""
+        """Remarks on the best point for the user, as sentences."""
         sides = {name: self.side(name) for name in self.best.variables}
         at_bounds = [f"{name} is at its {side} bound." for name, side in sides.items() if side]
         return [*at_bounds, *map(sentence, self.undetermined), *self.unconfirmed, *self.trust.sentences()]
@@ -192,7 +194,7 @@ def solve(evaluator: Evaluator, notify: Notify) -> Design:
 
 
 def _knee(evaluator: Evaluator, front: list[Search]) -> Search:
-    """Return the point that is nearest to the least goals, each relative to its range on the front."""
+    """Return the point that is closest to the smallest goals, each relative to its range on the front."""
     goals = np.array([evaluator.totals(one.end) for one in front])
     range_ = np.ptp(goals, axis=0)
     away = np.linalg.norm((goals - goals.min(axis=0)) / np.where(range_ > 0, range_, 1.0), axis=1)

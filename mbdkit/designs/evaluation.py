@@ -32,7 +32,7 @@ Settings = Sequence[tuple[Path, Any]]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a scenario yields with some values of the variables.
+    """Results of a scenario for given values of the variables.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Job:
 
 
 Source = Callable[[Sequence[Job]], list[Outcome]]
-"""Returns the outcome of each job, from wherever it comes."""
+"""Returns the outcome of each job, computed or stored."""
 
 
 class ScenarioRuns:
@@ -106,7 +106,7 @@ class ScenarioRuns:
         return varied_inverse(self.spec, settings)
 
     def outcomes(self, points: Sequence[Settings]) -> list[Outcome]:
-        """Return what the scenario yields at some points; forward runs are computed side by side where possible."""
+        """Return the outcomes of the scenario at some points; forward runs are vectorized where possible."""
         found: list[Outcome | None] = [None] * len(points)
         runs: dict[int, RunSpec] = {}
         for place, settings in enumerate(points):
@@ -136,7 +136,9 @@ class ScenarioRuns:
 
     @property
     def _cheaper(self) -> Settings:
-        """What is left out while searching: the error bars of inverse dynamics, which take ten times as long."""
+        """Settings that omit the error bars of inverse dynamics during a search, because they take ten times as
+        long.
+        """
         return [] if isinstance(self.spec, RunSpec) else [(("motion", "errors"), "none")]
 
     @cached_property
@@ -154,7 +156,7 @@ def _judged(values: tuple[float, ...], verdict: str, reasons: Sequence[str]) -> 
 
 
 def _notify(text: str) -> None:
-    """Print a message, unless it is a warning, which would be repeated for each run; verdicts tell these."""
+    """Print a message, unless it is a warning, which would be repeated for each run; warnings are part of verdicts."""
     if not text.startswith("warning: "):
         to_stderr(text)
 
@@ -180,7 +182,7 @@ class Evaluator:
     spec
         The design.
     source
-        Where outcomes come from; by default, they are computed in this process.
+        Source of outcomes; by default, they are computed in this process.
     compared
         Name of the other settings in `compare` of the design; by default, its own ones.
 
@@ -195,7 +197,7 @@ class Evaluator:
     gradients
         Number of points so far at which exact derivatives were computed.
     why_differences
-        Why derivatives are differences of runs; empty if they are exact.
+        Reason why derivatives are differences of runs; empty if they are exact.
 
     Raises
     ------
@@ -248,7 +250,9 @@ class Evaluator:
         return [(variable_path(name), value) for name, value in self.variables(x).items()]
 
     def outcomes(self, points: np.ndarray) -> list[tuple[Outcome, ...]]:
-        """Return what every scenario yields at points (N, n); those that were evaluated before are not run again."""
+        """Return the outcomes of every scenario at points (N, n); points that were evaluated before are not computed
+        again.
+        """
         keys = [np.ascontiguousarray(x).tobytes() for x in points]
         new = {key: self.settings(x) for key, x in zip(keys, points, strict=True) if key not in self._known}
         if new:

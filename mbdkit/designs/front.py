@@ -1,4 +1,4 @@
-"""Pareto fronts: the least first goal for many upper limits of the others."""
+"""Pareto fronts: the minimum of the first goal for many upper limits of the others."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from mbdkit.designs.search import Search, searches
 ROWS = 20
 """Largest number of points in the table of a front."""
 SLACK = 1e-6
-"""Difference of goals that counts as none, as a share of their range on the front."""
+"""Difference of goals that counts as zero, as a share of their range on the front."""
 
 
 def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> list[Search]:
-    """Return points of the Pareto front, from the least first goal.
+    """Return points of the Pareto front, in ascending order of the first goal.
 
-    Each further goal is limited by values from its largest to its least one among the points where a single goal is
-    least, and the first goal is minimised with all combinations of these limits (epsilon-constraint method). Points
-    that are worse than another one, or violate limits of the design, are left out; if all do, the first one remains.
+    Each further goal is limited by values between its largest and its smallest value at the points where a single goal
+    is minimal, and the first goal is minimised with all combinations of these limits (epsilon-constraint method).
+    Points that are worse than another one, or violate limits of the design, are left out; if all do, the first one
+    remains.
 
     Parameters
     ----------
     first_end
-        The search for the least first goal.
+        The search for the minimum of the first goal.
     """
     spec = evaluator.spec
     others = range(1, len(spec.totals))
@@ -37,7 +38,7 @@ def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> lis
     goals = np.array([evaluator.totals(one.end) for one in (first_end, *ends.values())])
     caps = {k: np.linspace(np.max(goals[:, k]), goals[k, k], spec.front) for k in others}
     places = list(product(range(spec.front), repeat=len(others)))
-    found = {places[0]: first_end}  # limits that no point exceeds
+    found = {places[0]: first_end}  # the first limits are not exceeded by any point
     for number, place in enumerate(places[1:], start=2):
         limits = {k: float(caps[k][step]) for k, step in zip(others, place, strict=True)}
         strictest = next((k for k, step in zip(others, place, strict=True) if step == spec.front - 1), None)
@@ -54,7 +55,7 @@ def _before(found: dict[tuple[int, ...], Search], place: tuple[int, ...]) -> Sea
 
 
 def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
-    """Return the points than which no other one is better in one goal and as good in all."""
+    """Return the points that are not dominated: no other point is better in one goal and as good in all others."""
     if not points:
         return []
     goals = np.array([evaluator.totals(one.end) for one in points])

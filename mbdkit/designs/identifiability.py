@@ -1,8 +1,8 @@
-"""Combinations of variables that nothing determines, such as the stiffnesses of two springs in parallel.
+"""Combinations of variables that are not determined, such as the stiffnesses of two springs in parallel.
 
-At an optimum, the first derivatives of a goal are zero, so its second derivatives tell which changes of the variables
-leave it as it is; those of a sum of squares follow from the Jacobian of its terms. Limits that are active determine
-variables by their first derivatives, and bounds that are active fix their variable.
+At an optimum, the first derivatives of a goal are zero, so that its second derivatives show which changes of the
+variables do not affect it; those of a sum of squares follow from the Jacobian of its terms. Limits that are active
+determine variables by their first derivatives, and bounds that are active fix their variable.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ MOST = 10
 
 
 def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], ...]:
-    """Return changes of variables, by name, that leave goal and active limits at the best point (n,) as they are.
+    """Return changes of variables, by name, that do not affect the goal and the active limits at the best point (n,).
 
     Each is scaled such that its largest entry is 1 % of the bounds of its variable. Variables that do not take part are
-    left out. There are none if a run near the best point fails, or for more variables than `MOST`.
+    omitted. The result is empty if a run near the best point fails, or for more variables than `MOST`.
     """
     free = np.flatnonzero((best > ACTIVE) & (best < 1 - ACTIVE))
     if not 0 < len(free) <= MOST:
@@ -76,11 +76,11 @@ def _change(problem: Problem, free: np.ndarray, direction: np.ndarray) -> dict[s
 
 
 def sentence(change: dict[str, float]) -> str:
-    """Return what a user should know of a combination that nothing determines."""
+    """Return a message to the user about a combination of variables that is not determined."""
     if len(change) == 1:
-        return f"Nothing determines {next(iter(change))}: the goal does not depend on it near the best point."
+        return f"{next(iter(change))} is not determined: the goal does not depend on it near the best point."
     parts = ", ".join(f"{name} by {value:+.3g}" for name, value in change.items())
     return (
-        f"Only a combination of {', '.join(change)} is determined: changing {parts} at once leaves the goal as it is. "
+        f"Only a combination of {', '.join(change)} is determined: changing {parts} together does not affect the goal. "
         "Fix one of them, or add a goal or limit."
     )

@@ -1,4 +1,4 @@
-"""The points that a design has evaluated: kept in memory, and in a file from which the next call goes on."""
+"""The points that a design has evaluated: kept in memory, and in a file from which the next call continues."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class PointFile:
         self.path, self._names, self._notify = path, names, notify
 
     def read(self) -> dict[str, Outcome]:
-        """Return the outcomes in the file by the key of their job, and make the file ready for more.
+        """Return the outcomes in the file by the key of their job, and prepare the file for further lines.
 
         Raises
         ------
@@ -79,7 +79,10 @@ class PointFile:
             raise _refused(error, self.path) from error
         first, *lines = text[: text.rfind(b"\n") + 1].split(b"\n")[:-1] or [FIRST]
         if not read_versioned(first, VERSION, self.path):
-            message = "this is not a list of evaluated points of this design; start the folder anew with --overwrite"
+            message = (
+                "this is not a list of evaluated points of this design; replace the design in the folder with "
+                "--overwrite"
+            )
             raise SpecError(message, file=self.path)
         known = {line: point for line in lines if (point := self._parsed(line)) is not None}
         if damaged := len(lines) - len(known):
@@ -120,14 +123,14 @@ class PointFile:
 
 
 class KnownPoints:
-    """The source of outcomes of a design: those that are known, and others, which become known.
+    """Source of outcomes of a design: known ones are looked up, others are computed and stored.
 
     Parameters
     ----------
     compute
         Computes jobs, and yields each when it is done.
     file
-        Where outcomes are kept; None if they are not.
+        File in which outcomes are stored; None if they are not stored.
     progress
         Called with the number of known outcomes, and of failures among them.
     """

@@ -1,4 +1,4 @@
-"""The goals of a design around its best point: cuts along each variable, and what small changes of variables do."""
+"""The goals of a design around its best point: cuts along each variable, and sensitivities."""
 
 from __future__ import annotations
 
@@ -42,26 +42,26 @@ def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
         shares = np.union1d(np.linspace(low, high, POINTS), best[place])
         points = np.tile(best, (len(shares), 1))
         points[:, place] = shares
-        evaluator.outcomes(points)  # side by side, where possible
+        evaluator.outcomes(points)  # vectorized where possible
         values = np.array([evaluator.variables(x)[name] for x in points])
         found.append(Cut(name, values, np.array([evaluator.totals(x) for x in points])))
     return found
 
 
 SHARE = 0.01
-"""Change of a variable whose effect is told, as a share of its bounds."""
+"""Change of a variable for which sensitivities are given, as a share of its bounds."""
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """What small changes of the variables do to a goal or limit at the best point.
+    """Sensitivities of a goal or limit to the variables at the best point.
 
     Attributes
     ----------
     scenario, measure
         Names of the scenario and of the goal or limit.
     changes
-        Change of the measure, to first order, by the variable that grows by `SHARE` of its bounds.
+        Change of the measure, to first order, if a variable increases by `SHARE` of its bounds.
     """
 
     scenario: str

@@ -1,4 +1,4 @@
-"""A point of a design: values of its variables, and what they yield."""
+"""A point of a design: values of its variables, and the results for them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Notify = Callable[[str], None]
 
 @dataclass(frozen=True)
 class DesignPoint:
-    """Values of the variables and what they yield.
+    """Values of the variables and the results for them.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class DesignPoint:
     goals
         Goals by name, summed over the scenarios by their weights.
     measures
-        Goals and limits of each scenario, by its name, which is empty for the base alone, and theirs.
+        Goals and limits by name, for each scenario by its name (empty if there is only the base).
     """
 
     variables: dict[str, float]
@@ -35,7 +35,7 @@ class DesignPoint:
 
     @classmethod
     def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> DesignPoint:
-        """Return the point of a design that plain data tell."""
+        """Return the point of a design from plain data."""
         if [*data["variables"]] != [*spec.variables] or [*data["goals"]] != [*spec.totals]:
             raise ValueError
         measures = {name: numbers(found) for name, found in data["measures"].items()}

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator
 
 FAILED = 1e3
-"""Cost at points where a run fails, relative to that at the start: no search ends there."""
+"""Cost at points where a run fails, relative to that at the start; so large that no search ends there."""
 FEASIBLE = 1e-6
-"""Violation of a limit that counts as none, relative to the limit, or to the value at the start if that is larger."""
+"""Violation of a limit that counts as zero, relative to the limit, or to the value at the start if that is larger."""
 
 Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
-"""Returns the derivatives (S, K, n) of goals and limits by the shares of the bounds, at a point (n,)."""
+"""Returns the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,)."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Problem:
         return np.array(rows) if rows else np.zeros((0, len(x)))
 
     def worth(self, points: np.ndarray) -> list[tuple[float, float]]:
-        """Return the violation of limits and the cost of points (N, n); smaller ones are better, in this order.
+        """Return the violation of limits and the cost of points (N, n); points are compared in this order.
 
         The violation is 0 where all limits are satisfied, and at least `FAILED` where a run fails.
         """
@@ -166,7 +166,7 @@ class Problem:
 
 
 def goal_weights(evaluator: Evaluator, goal: int) -> np.ndarray:
-    """Return (S, K) weights of goals and limits, the sum of which is a goal of the design."""
+    """Return the weights (S, K) of goals and limits whose weighted sum is a goal of the design."""
     situations = evaluator.spec.situations.values()
     weights = np.zeros((len(situations), len(evaluator.names)))
     weights[:, goal] = [one.weight for one in situations]
@@ -191,7 +191,7 @@ def _cap(evaluator: Evaluator, goal: int, most: float) -> Bound:
 
 
 def _size(bound: Bound, first: float) -> float:
-    """Return the size with which a limit is compared."""
+    """Return the magnitude relative to which a limit is evaluated."""
     sizes = [abs(x) for x in (bound.low, bound.high, first) if np.isfinite(x)]
     return max(sizes, default=1.0) or 1.0
 

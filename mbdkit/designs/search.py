@@ -1,4 +1,4 @@
-"""Searches for the least cost of a problem, with the optimisers of SciPy and CMA-ES."""
+"""Searches for the minimum cost of a problem, with the optimisers of SciPy and CMA-ES."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Search:
     start, end
         First and last point (n,), as shares of the bounds.
     violation
-        By how much the end violates limits, relative to these; 0 if it satisfies all of them.
+        Relative violation of limits at the end; 0 if all limits are satisfied.
     cost
         Goal at the end, relative to that at the start of the design.
     message
-        Why the search ended, in the words of the package that made it.
+        Reason why the search ended, as reported by the optimiser.
     """
 
     start: np.ndarray
@@ -72,7 +72,7 @@ def searches(problem: Problem, optimizer: Optimizer, first: np.ndarray) -> list[
 
 
 def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:
-    """Return the first start, and points of a Sobol sequence, whose number is a power of two before it is cut."""
+    """Return the first start, and points of a Sobol sequence, generated for a power of two and then truncated."""
     more = optimizer.starts - 1
     if more < 1:
         return [first]
@@ -123,8 +123,8 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
 
 
 def _squares(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:
-    """Return the least sum of squares, by a trust region and the Jacobian of the terms."""
-    tolerance = max(optimizer.tolerance, 2 * np.finfo(float).eps)  # SciPy accepts no smaller one
+    """Return the search for the minimum sum of squares, by a trust-region method and the Jacobian of the terms."""
+    tolerance = max(optimizer.tolerance, 2 * np.finfo(float).eps)  # SciPy does not accept smaller values
     return least_squares(
         problem.residuals,
         start,
@@ -158,14 +158,14 @@ def _evolution(problem: Problem, optimizer: GlobalOptimizer, first: np.ndarray) 
 def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray) -> OptimizeResult:
     """Return the result of CMA-ES, whose generations are evaluated at once.
 
-    Points that violate limits are ranked by their violation, after all others (K. Deb, An efficient constraint handling
-    method for genetic algorithms, Comput. Methods Appl. Mech. Eng. 186 (2000) 311-338).
+    Points that violate limits are ranked by their violation, after all feasible ones (K. Deb, An efficient constraint
+    handling method for genetic algorithms, Comput. Methods Appl. Mech. Eng. 186 (2000) 311-338).
     """
     import cma
 
     options: dict[str, Any] = {
         "bounds": [0.0, 1.0],
-        "seed": optimizer.seed + 1,  # 0 would be the clock
+        "seed": optimizer.seed + 1,  # a seed of 0 would be replaced by the clock
         "maxiter": optimizer.max_iterations,
         "tolfunrel": optimizer.tolerance,
         "tolx": optimizer.tolerance,

@@ -1,4 +1,4 @@
-"""The functions `design` and `load_design`: they carry out designs and open their folders."""
+"""The functions `design` and `load_design`, which compute designs and open their folders."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def design(
         A design spec: a file, the name of a packaged design, a mapping, or a DesignSpec.
     out
         Folder for the result, for archives of the start and the best point, and for all points that are evaluated. If a
-        call was interrupted, the same one goes on from these points, and has the same result as one without the
-        interruption; that of a completed design is read. By default nothing is written.
+        call was interrupted, the same call continues from these points, with the same result as without the
+        interruption; the result of a completed design is read. By default nothing is written.
     workers
         Number of processes that compute in parallel, once the design has taken some seconds.
     executor
@@ -60,7 +60,7 @@ def design(
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``.
     overwrite
-        Whether to start the folder anew: what an earlier design has written is removed first. Other files are kept.
+        Whether to replace an earlier design in the folder: its files are removed first. Other files are kept.
     **sections
         Sections of the spec, such as ``optimizer={"name": "slsqp", "starts": 8}``; they replace those of `source`.
 
@@ -76,12 +76,12 @@ def design(
     RunError
         If a run fails at the start of the variables.
     ResourceError
-        If the folder cannot be written to or is in use by another call, or a resource is lacking; the points so far are
-        kept.
+        If the folder cannot be written to or is in use by another call, or a resource is not available; the points so
+        far are kept.
 
     Examples
     --------
-    The stiffness with which a mass swings by as little as possible:
+    The stiffness that minimises the oscillation of a mass:
 
     >>> import mbdkit
     >>> m = mbdkit.Mechanism()
@@ -139,9 +139,9 @@ def load_design(folder: str | Path) -> Design:
 def evaluating(
     spec: DesignSpec, folder: DesignFolder | None, engine: Engine, notify: Notify, progress: Progress | None = None
 ) -> Iterator[Evaluator]:
-    """Yield what evaluates a design; points are kept in its folder, if there is one, which is prepared and locked.
+    """Yield the evaluator of a design; points are stored in its folder, if there is one, which is created and locked.
 
-    If Ctrl-C ends the block, `notify` is called with a sentence that says how to go on.
+    If Ctrl-C ends the block, `notify` is called with a sentence that says how to continue.
     """
     place = Path("points.jsonl") if folder is None else folder.points
     with one_thread_of_linear_algebra(), Computer(spec, engine, notify, place) as computer:  # searches use it, too
@@ -151,7 +151,7 @@ def evaluating(
             yield Evaluator(spec, known)
         except KeyboardInterrupt:
             if folder is not None:
-                notify(f"{counted(known.count, 'run')} are kept in {folder.points}; the same call goes on from there")
+                notify(f"{counted(known.count, 'run')} are kept in {folder.points}; the same call continues from there")
             raise
 
 

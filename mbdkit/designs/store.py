@@ -1,11 +1,8 @@
 """The folder of a design: its spec, the points it has evaluated, its result, and archives of the start and best point.
 
-design.yaml     the spec, with its bases written out
-points.jsonl    a line for each evaluated scenario and point, from which the next call goes on
-design.json     the result
-start.h5        archives of the start and of the best point; with the name of the scenario if there are several
-best.h5
-report.html     the page of `mbdkit design --report`
+design.yaml     the spec, with its bases written out points.jsonl    a line for each evaluated scenario and point, from
+which the next call continues design.json     the result start.h5        archives of the start and of the best point;
+with the name of the scenario if there are several best.h5 report.html     the page of `mbdkit design --report`
 """
 
 from __future__ import annotations
@@ -34,7 +31,7 @@ from mbdkit.studies.owned_folder import OwnedFolder
 VERSION = "mbdkit_result"
 """Name of the format version in the result."""
 WHICH = ("start", "best")
-"""Points of which there are archives."""
+"""Points for which archives are written."""
 
 
 class DesignFolder(OwnedFolder[DesignSpec]):
@@ -79,9 +76,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
             raise SpecError("this folder contains no design (no design.yaml)", file=self.path)
         spec = load_design_spec(self.spec)
         if not self.result.is_file():
-            message = (
-                "this design has no result yet; `mbdkit design` with the same spec and this folder goes on with it"
-            )
+            message = "this design has no result yet; `mbdkit design` with the same spec and this folder continues it"
             raise SpecError(message, file=self.path)
         data = read_versioned(self.result.read_bytes(), VERSION, self.result)
         try:

@@ -1,4 +1,4 @@
-"""How far the result of a design can be trusted: errors of its goals, and the gain beside them."""
+"""Certification of the result of a design: errors of its goals, compared with the gain."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WORST = ("failed", "bad", "doubtful", "unknown", "good")
 
 @dataclass(frozen=True)
 class Trust:
-    """How far a design can be trusted.
+    """Certification of a design.
 
     Attributes
     ----------
@@ -36,14 +36,14 @@ class Trust:
     gain
         Decrease of each goal from the start to the best point, by name.
     is_gain
-        Whether the gain of each goal exceeds the estimated errors of both points, by name; None where there is no
-        estimate, so that nobody knows.
+        Whether the gain of each goal exceeds the estimated errors of both points, by name; None if there is no
+        estimate.
     verdict
         Worst verdict of the runs at the best point, which estimate their errors (``check: true``).
     reason
-        Why this is doubtful or bad; empty otherwise.
+        Reason why this is doubtful or bad; empty otherwise.
     failures
-        The first run at the start, and at the best point, that was to estimate errors and failed, as sentences.
+        Failures of runs that were to estimate errors, the first one at the start and at the best point, as sentences.
     """
 
     errors: dict[str, float]
@@ -54,7 +54,7 @@ class Trust:
     failures: tuple[str, ...] = ()
 
     def sentences(self) -> list[str]:
-        """Return what a user should know: goals without a gain, or of unknown error, and a verdict below good."""
+        """Return remarks for the user: goals without a gain or with unknown error, and a verdict below good."""
         told = []
         for name, real in self.is_gain.items():
             gain = f"The gain of {name}, {self.gain[name]:.3g},"
@@ -63,7 +63,7 @@ class Trust:
             elif not real and self.gain[name] < 0:
                 told.append(f"There is no gain of {name}, which grows by {-self.gain[name]:.3g}.")
             elif not real:
-                told.append(f"{gain} is within the estimated errors: it counts as none.")
+                told.append(f"{gain} is within the estimated errors: it does not count as a gain.")
         unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]
         if unknown:
             told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
@@ -75,7 +75,7 @@ class Trust:
 
 
 def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
-    """Return how far the best point (n,) can be trusted, by runs with shorter steps and with another method."""
+    """Certify the best point (n,) by runs with shorter steps and with another method."""
     goals = evaluator.spec.totals
     errors_at_start, failures_at_start = _errors(evaluator, start, "start")
     errors, failures = _errors(evaluator, best, "best point")
@@ -101,14 +101,14 @@ def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:
 
 
 def check_of(spec: RunSpec | InverseSpec) -> Settings:
-    """Return what makes a run estimate its errors; inverse dynamics does without being asked."""
+    """Return the changes of a spec that enable error estimates; inverse dynamics always estimates errors."""
     return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.estimates_errors else []
 
 
 def _errors(evaluator: Evaluator, x: np.ndarray, point: str) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the estimated errors at a point (n,), which sentences call `point`, and sentences on runs that fail.
+    """Return the estimated errors at a point (n,), called `point` in messages, and messages about runs that fail.
 
-    The errors (K,) are those of goals, summed over the scenarios, and of limits, their largest.
+    The errors (K,) of goals are summed over the scenarios; those of limits are the largest over the scenarios.
     """
     settings, differences = evaluator.settings(x), []
     changes = [_changes(runs.at(settings)) for runs in evaluator.scenarios]
@@ -140,15 +140,15 @@ def _errors(evaluator: Evaluator, x: np.ndarray, point: str) -> tuple[np.ndarray
 
 
 def _changes(spec: Any) -> dict[str, Settings]:
-    """Return the changes of a run spec that give a finer run and one of another method, by what they do.
+    """Return the changes of a run spec for a finer run and for one with another method, by description.
 
-    There are none for inverse dynamics.
+    Empty for inverse dynamics.
     """
     if not isinstance(spec, RunSpec):
         return {}
     step = spec.time.step
     other = RADAU if spec.integrator_item.name == "gauss" else GAUSS
-    if spec.formulation != "index-1":  # Gauss methods solve no other
+    if spec.formulation != "index-1":  # Gauss methods support no other formulation
         other = {**RADAU, "stages": 3 if getattr(spec.integrator, "stages", 0) == 5 else 5}
     try:
         adaptive = spec.claims.adaptive

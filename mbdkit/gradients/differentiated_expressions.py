@@ -1,4 +1,4 @@
-"""Expressions of measures and events, and their numbers, which may depend on named parameters."""
+"""Expressions of measures and events, and the numbers in them, which may depend on named parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run with derivatives of its recorded states, and of what is computed from them, by parameters."""
+"""A run with derivatives, by parameters, of its recorded states and of the quantities computed from them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class DifferentiatedRun:
     Parameters
     ----------
     rows
-        Recorded states; the last one moves with the end of the run.
+        Recorded states; the last one depends on the time of the end of the run.
     nodes
         Stages of the steps, as nodes of integrals over time; None: integrals are those of the rows.
     end
@@ -65,9 +65,9 @@ class DifferentiatedRun:
     sizes
         Sizes of the steps [s]; None of fixed steps.
     is_split
-        Whether steps end at the corners of force laws, unlike those of the run.
+        Whether steps end at discontinuities of force laws, unlike those of the run.
     doubts
-        Sentences on force laws whose corners are inside steps.
+        Warnings about force laws with discontinuities inside steps.
     """
 
     rows: DifferentiatedStates
@@ -91,7 +91,7 @@ def differentiated_run(
     with_nodes
         Whether the stages of the steps are kept as nodes of integrals.
     sizes
-        Sizes of steps [s] to take in place of those that step-size control would choose.
+        Sizes of steps [s], in place of those that step-size control would choose.
 
     Raises
     ------
@@ -123,8 +123,8 @@ def differentiated_run(
 def plain_run(spec: RunSpec) -> DifferentiatedRun:
     """Run a spec without events, and return its recorded states, without derivatives and nodes; raise RunError.
 
-    The check of a gradient needs such runs. It cannot use `simulate`, which imports this room to store gradients; the
-    steps, the evaluation of states and the method are those of a simulation.
+    This is used by the check of a gradient. `simulate` cannot be used, because it imports this room; steps, evaluation
+    of states and method are the same.
     """
     method = make_method(spec)
     workspace, _ = build(spec)
@@ -181,7 +181,7 @@ def _stepper(
 ) -> DifferentiatedStepper | SidedStepper:
     """Return a run at its start.
 
-    Fixed steps end at the corners of force laws. Controlled steps do not: their sizes follow from errors.
+    Fixed steps end at discontinuities of force laws. Adaptive steps do not, because their sizes follow from errors.
     """
     method = make_method(spec)
     workspace, _ = build(spec)
@@ -265,7 +265,9 @@ class _Pass:
         events: Sequence[Event],
         at_events: Sequence[_AtEvent],
     ) -> DifferentiatedRun:
-        """Return recorded states, nodes if they are kept, and states at events, with what is computed from them."""
+        """Return recorded states, nodes if they are kept, and states at events, with the quantities computed from
+        them.
+        """
         workspace = self.workspace
         q0, v0 = (constants(x, self.seeds.get(name))[None] for name, x in (("q", workspace.q0), ("v", workspace.v0)))
         q, v, energy = self.steps.recorded(len(time) - 1)
@@ -274,7 +276,7 @@ class _Pass:
         workspace.clamp_motions(-np.inf, np.inf)
         crossings = [self._crossing(event, at) for event, at in zip(events, at_events, strict=False)]
         moved = np.zeros(self.width - 1)
-        if last is not None:  # the end moves with the parameters
+        if last is not None:  # the end depends on the parameters
             moved = crossings[-1].slope
             time = np.append(time, last[0])
             q, v, energy = (
@@ -290,26 +292,27 @@ class _Pass:
         )
 
     def _doubts(self, rows: DifferentiatedStates) -> tuple[str, ...]:
-        """Return sentences on force laws that have, or may have, corners inside steps."""
+        """Return warnings about force laws that have, or may have, discontinuities inside steps."""
         mechanism = self.workspace.mechanism
         sided = None if self._sided is not None else with_sides(mechanism)
         passed = () if sided is None else sided.passed(rows.observed.forces[..., 0])
         unknown = tuple(
-            f"the law of the force '{name}' is a function, whose corners and jumps are not known: if the run passes a "
-            "jump, the derivatives lack what it contributes; write the law as a SymPy expression"
+            f"the law of the force '{name}' is a function, whose discontinuities are not known: if the run passes "
+            f"one, the derivatives lack its contribution; write the law as a SymPy expression"
             for name in with_unknown_corners(mechanism)
         )
         return unknown + tuple(
-            f"the force '{name}' has a corner or a jump that the run passes; adaptive steps do not end there, so that "
-            "the derivatives lack what a jump contributes, and are not accurate after a corner: use fixed steps"
+            f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
+            f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
+            f"inaccurate after it: use fixed steps"
             for name in passed
         )
 
     def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:
         """Return the nodes of integrals over time.
 
-        The parts of an integral before and after a corner meet at a time that moves, which two nodes without weight
-        add to its derivatives.
+        The parts of an integral before and after a discontinuity meet at a time that depends on the parameters; two
+        nodes of weight zero add this dependence to the derivatives.
         """
         time, weight, *state = self.steps.nodes()
         fixed = np.column_stack([weight, np.zeros((len(weight), self.width - 1))])
@@ -322,7 +325,7 @@ class _Pass:
     def _evaluated(
         self, history: Sequence[tuple[int, np.ndarray]], time: np.ndarray, *arrays: np.ndarray | None
     ) -> DifferentiatedStates:
-        """Return states with what is computed from them, from some number of states on by the sides that were in use.
+        """Return states with the quantities computed from them, using the sides that were valid at each of them.
 
         The `arrays` are positions, velocities, weights and energies.
         """
@@ -341,7 +344,9 @@ class _Pass:
     def _moving_end(
         self, last: tuple[float, np.ndarray, np.ndarray, np.ndarray], moved: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return positions, velocities and energies of the last state with derivatives along a change of its time."""
+        """Return positions, velocities and energies of the last state with derivatives that include the change of its
+        time.
+        """
         t, q, v, energy = last
         state = self._evaluator.states(np.array([t]), q[None], v[None])
         ends = q.copy(), v.copy(), energy.copy()

@@ -21,7 +21,7 @@ from mbdkit.quantities.states import NONE, States
 
 @dataclass(frozen=True)
 class DifferentiatedStates(States):
-    """T states of a run with derivatives by K parameters, and what is computed from them.
+    """T states of a run with derivatives by K parameters, and the quantities computed from them.
 
     All arrays but `time` have a last axis of 1 + K: the value, then the derivatives.
 
@@ -49,7 +49,7 @@ class DifferentiatedStates(States):
         energy: np.ndarray | None,
         **more: Any,
     ) -> DifferentiatedStates:
-        """Return states from what is observed in them and their energies.
+        """Return states from their observed quantities and energies.
 
         Parameters
         ----------
@@ -81,7 +81,7 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
 
 
 def require_derivative(quantity: Quantity) -> None:
-    """Raise SpecError if a quantity of runs has no derivative, whatever the mechanism."""
+    """Raise SpecError if a quantity has no derivative for any mechanism."""
     if quantity.is_over_time and (why := quantity.recorded.array.no_derivative):
         raise _refused(quantity, f": {why}")
 

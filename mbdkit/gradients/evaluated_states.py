@@ -44,7 +44,7 @@ class StateEvaluator:
         weight: np.ndarray | None = None,
         energy: np.ndarray | None = None,
     ) -> DifferentiatedStates:
-        """Return T states with what is computed from them; see `DifferentiatedStates` for the arguments.
+        """Return T states with the quantities computed from them; see `DifferentiatedStates` for the arguments.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class StateEvaluator:
         )
 
     def around(self, here: DifferentiatedStates, unit: float) -> tuple[DifferentiatedStates, float]:
-        """Return states (8,) on the motion through a state, without derivatives, and their distance in time.
+        """Return eight states of the motion around a state, without derivatives, and their distance in time.
 
         With `rate_of`, they give rates of quantities along the motion.
         """

@@ -45,7 +45,7 @@ class Gradient:
     measures, units
         Names of the M measures, and their units.
     parameters
-        Names of the K parameters, in the order asked for.
+        Names of the K parameters, in the given order.
     value
         (M,) values of the measures.
     jacobian
@@ -53,9 +53,9 @@ class Gradient:
     preparation_error
         (K,) estimated relative errors of the derivatives of the compiled mechanism and its start; 0 where exact.
     doubts
-        Sentences on measures that have no derivative, such as the largest of two equal peaks.
+        Warnings about measures that have no derivative, such as the largest of two equal peaks.
     check
-        The gradient in one direction beside differences of runs; None if it was not asked for.
+        Comparison of the gradient in one direction with differences of runs; None if it was not requested.
     """
 
     measures: tuple[str, ...]
@@ -118,7 +118,7 @@ def gradient(
     """Run a spec, and return the exact derivatives of measures of the run by parameters of its model.
 
     Every step of the method is differentiated with the run (forward sensitivities of the discrete solution), so that
-    the result is the derivative of the computed numbers, whatever the step. Derivatives of the initial state by
+    the result is the derivative of the computed numbers for any step size. Derivatives of the initial state by
     parameters, and by assembly, are included.
 
     Parameters
@@ -168,7 +168,7 @@ def gradient(
 
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
-    """Raise SpecError, with its key, if the gradients that a spec asks for cannot be computed."""
+    """Raise SpecError, with its key, if the gradients requested by a spec cannot be computed."""
     try:
         if not spec.measures:
             raise SpecError("gradients are those of measures, and the spec has no `measures`", key="gradients")
@@ -189,13 +189,13 @@ def check_gradients(spec: RunSpec, method: Method) -> None:
 
 
 def require_derivatives(expression: MeasureExpression) -> None:
-    """Raise SpecError if a quantity in an expression has no derivative, whatever the mechanism."""
+    """Raise SpecError if a quantity in an expression has no derivative for any mechanism."""
     for quantity in expression.quantities:
         require_derivative(quantity)
 
 
 def gradients_json(spec: RunSpec) -> str:
-    """Return the gradients that a spec asks for as the attribute of an archive, or the reason why there are none."""
+    """Return the gradients requested by a spec as the attribute of an archive, or the reason why there are none."""
     try:
         with one_thread_of_linear_algebra():
             definitions = definitions_of(spec, list(spec.measures))
@@ -219,7 +219,7 @@ def gradient_of_run_spec(
 
     def again(varied: RunSpec) -> DifferentiatedRun:
         if with_nodes or spec.events or run.is_split or run.sizes is not None:
-            # a step size that depended on the parameters would add a multiple of the tolerance to their differences
+            # step sizes that depend on the parameters would add a multiple of the tolerance to the differences
             return differentiated_run(varied, NO_SEEDS, with_nodes=with_nodes, sizes=run.sizes)
         return plain_run(varied)
 

@@ -1,7 +1,7 @@
-"""The check of a gradient: its derivative in one direction beside differences of runs at two distances.
+"""The check of a gradient: its derivative in one direction, compared with differences of runs at two distances.
 
-The differences are central ones. If the spec is not valid on one side of a parameter, such as a damping of zero, they
-are one-sided ones of the same order.
+The differences are central. If the spec is not valid on one side of a parameter, such as a damping of zero, they are
+one-sided and of the same order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mbdkit.gradients.gradient_parameters import Parameter
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 
 STEPS = (1e-4, 2e-4)
-"""Distances of the runs from the parameters, as shares of these."""
+"""Relative changes of the parameters in the runs."""
 
 ROUND_OFF = 1e-13
 """Assumed relative error of a measure of one run by rounding errors and by the tolerance of the stage equations."""
@@ -143,7 +143,7 @@ def check_gradient(
     measured
         Returns the measures for other values of the parameters.
     sizes
-        Sizes of the numbers that each measure is computed from, by its name.
+        Magnitude of the numbers from which each measure is computed, by name.
     value, jacobian
         (M,) the measures, and (M, K) their gradients.
     """

@@ -42,7 +42,7 @@ def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     Raises
     ------
     SpecError
-        If one does not exist, is no number or is not a number of the model, or if they are too many.
+        If one does not exist or is not a number of the model, or if there are too many.
     """
     if isinstance(names, str):
         names = [names]
@@ -60,7 +60,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     if name in spec.parameters:
         value = spec.parameters[name]
         if isinstance(value, str):
-            raise _refused(f"'{name}' is the expression '{value}'; name the parameters that it consists of")
+            raise _refused(f"'{name}' is the expression '{value}'; name the parameters in it")
         return Parameter(name, ("parameters", name), float(value))
     path = parse_key(name)
     if path[:1] == ("parameters",) and len(path) == 2:
@@ -69,7 +69,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
         return _unknown(spec, name)
     if path[0] != "model":
         raise _refused(
-            f"'{name}' is no parameter of the model; gradients are by `parameters` and by numbers of `model`"
+            f"'{name}' is not a parameter of the model; gradients are by `parameters` and by numbers of `model`"
         )
     holder: Any = data
     for i, key in enumerate(path):

@@ -1,9 +1,10 @@
-"""Corners and jumps of force laws, and mechanisms whose laws stay on one side of them.
+"""Discontinuities of force laws and of their derivatives (*corners*), and mechanisms whose laws stay on one side of
+them.
 
-A law that is a SymPy expression has a corner, or a jump, where a condition of a ``Piecewise`` changes, such as at the
-begin of contact. Each condition compares a function g of length, rate and parameters with zero. In a mechanism with
-sides, the conditions are replaced by additional parameters of the law, the sides: 1 where g > 0, otherwise -1. The law
-is then smooth while a step is taken, whatever its stages see, and steps end where g is zero.
+A law that is a SymPy expression, or its derivative, is discontinuous where a condition of a ``Piecewise`` changes, such
+as at the beginning of contact. Each condition compares a function g of length, rate and parameters with zero. In a
+mechanism with sides, the conditions are replaced by additional parameters of the law, the *sides*: 1 where g > 0,
+otherwise -1. The law is then smooth during a step, for all states of its stages, and steps end where g is zero.
 """
 
 from __future__ import annotations
@@ -53,11 +54,11 @@ class Condition:
     force
         Name of the force element.
     element
-        Its place among the force elements.
+        Its index among the force elements.
     parameters
-        (n,) places of the parameters of the original law in ``Topology.law_parameters`` of the mechanism with sides.
+        (n,) indices of the parameters of the original law in ``Topology.law_parameters`` of the mechanism with sides.
     side
-        Place of the side there.
+        Index of the side there.
     function
         See `SidedLaw`.
     """
@@ -80,7 +81,7 @@ class SidedMechanism:
     conditions
         All conditions of its laws.
     places
-        Places of the parameters of the original laws in those of the laws with sides.
+        Indices of the parameters of the original laws in those of the laws with sides.
     """
 
     mechanism: CompiledMechanism
@@ -134,7 +135,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
         bound, _ = bind_law(own.law, _named(compiled, given) | sides, name)
         rows[row, 0], laws[row] = bound.address, (name, bound)
-        names = [parameter for parameter, _ in bound.parameters]  # in the order of the alphabet
+        names = [parameter for parameter, _ in bound.parameters]  # in alphabetical order
         own_places = np.array([k for k, one in enumerate(names) if one not in sides], dtype=np.int64)
         held = np.ones(len(names))
         held[own_places] = given[1:]
@@ -151,7 +152,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
 
 
 def with_unknown_corners(mechanism: CompiledMechanism) -> tuple[str, ...]:
-    """Return the names of the forces whose laws are functions of plugins, which may have corners and jumps."""
+    """Return the names of the forces whose laws are functions of plugins, which may have discontinuities."""
     return tuple(
         name
         for name, one in mechanism.laws

@@ -1,4 +1,4 @@
-"""Measures of a run with their derivatives by parameters: the same expressions, on values with derivatives."""
+"""Measures of a run with their derivatives by parameters: the expressions are evaluated on values with derivatives."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ UNIQUE = 1e-9
 class _Operand:
     """An operand of an expression on the recorded rows, and on the nodes of integrals.
 
-    It is not known on the nodes (None) where the integrals of runs use the rows, too; see
-    `mbdkit.runs.integrals`. So a run and its gradient have the same numbers.
+    It is None on the nodes if the integrals of runs use the recorded rows as well (see `mbdkit.runs.integrals`), so
+    that a run and its gradient give the same values.
     """
 
     rows: Value
@@ -52,7 +52,7 @@ class MeasureOfRun:
     Attributes
     ----------
     doubts
-        Sentences on extrema that are not unique, of the measure evaluated last.
+        Warnings about extrema that are not unique, for the measure evaluated last.
     size
         Largest absolute value that the functions over time of this measure were applied to, in its unit.
     """
@@ -136,7 +136,7 @@ class MeasureOfRun:
         value = (1.0 - share) * operand.value[..., k] + share * operand.value[..., k + 1]
         slope = (1.0 - share) * operand.slope[..., k] + share * operand.slope[..., k + 1]
         moved = time.slope.reshape(self.count, time.value.size)[:, 0]
-        if k == len(rows) - 2:  # the last row moves with the end of the run
+        if k == len(rows) - 2:  # the time of the last row depends on the parameters
             moved = moved - share * self.run.end
         slope = slope + np.multiply.outer(moved, rate)
         return Value(value[..., None], slope[..., None])
@@ -173,7 +173,9 @@ class MeasureOfRun:
         return of_operands("sqrt", 0.0, mean) if square else mean
 
     def _note_equal_elements(self, operation: str, rows: Value, expression: MeasureExpression) -> None:
-        """Note if elements with different derivatives share the extreme value along a beam, over time or in the end."""
+        """Add a warning if elements with different derivatives share the extreme value along a beam, over time or at
+        the end.
+        """
         values = rows.value if operation == "along_max" else -rows.value
         for row in {int(np.argmax(np.max(values, axis=0))), values.shape[1] - 1}:
             near = np.flatnonzero(values[:, row] >= np.max(values[:, row]) - UNIQUE * np.max(np.abs(values)))
@@ -186,7 +188,7 @@ class MeasureOfRun:
                 )
 
     def _extremum(self, name: str, rows: Value, expression: MeasureExpression) -> Value:
-        """Return the largest or smallest value; note where that is not unique."""
+        """Return the largest or smallest value; add a warning if it is not unique."""
         values = rows.value if name == "max" else -rows.value
         place = int(np.argmax(values))
         spread = float(np.max(values) - np.min(values))
@@ -196,8 +198,9 @@ class MeasureOfRun:
         if not np.all(same):
             times, apart = self.run.rows.time, apart[~same]
             self.doubts.append(
-                f"the {'largest' if name == 'max' else 'smallest'} value in '{expression.text}' is taken at several "
-                f"times, such as t = {times[place]:.6g} s and {times[apart[0]]:.6g} s, so that it has no derivative; "
+                f"the {'largest' if name == 'max' else 'smallest'} value in '{expression.text}' is attained at "
+                f"several times, such as t = {times[place]:.6g} s and {times[apart[0]]:.6g} s, so that it has no "
+                f"derivative; "
                 "a p-norm is a smooth maximum: mean(x**8)**(1/8)"
             )
         return rows[place : place + 1]

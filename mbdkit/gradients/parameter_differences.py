@@ -1,7 +1,7 @@
-"""Derivatives of arrays that a spec is prepared to, by parameters: the compiled mechanism, its start, and the like.
+"""Derivatives, by parameters, of the arrays to which a spec is compiled: the mechanism, its initial state, and others.
 
 The preparation turns a spec into arrays, and is repeated with other values of one parameter. Arrays that depend on it
-linearly have the slope of a line through two points, which is exact but for rounding errors. All others are
+linearly have the slope of a line through two points, which is exact up to rounding errors. All others are
 differentiated by differences of order 8, whose error is estimated from that of order 6; the distance of the points is
 reduced until it is small.
 """
@@ -27,7 +27,7 @@ Arrays = Mapping[str, np.ndarray]
 WIDEST = 0.05
 """Largest change of a parameter, as a share of its size."""
 SMALLEST_SIZE = 0.1
-"""Least size of a parameter, in SI units and with lengths in units of the mechanism's length if that is below 1 m.
+"""Smallest size of a parameter, in SI units and with lengths in units of the mechanism's length if that is below 1 m.
 
 Changes as a share of a smaller value, such as an angle of 1e-9 rad, would be lost in rounding errors.
 """
@@ -36,16 +36,16 @@ FACTOR, MOST_ATTEMPTS = 4.0, 4
 ACCURATE = 1e-13
 """Difference of the derivatives of order 8 and 6, relative to the array over its parameter, that counts as accurate."""
 LINEAR = 64.0
-"""Deviation from a line, in roundings of the array, that counts as round-off."""
+"""Deviation from a line, in units of round-off of the array, that counts as round-off."""
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 BACKWARD = tuple(-place for place in FORWARD)
-"""Places of the points, in units of a quarter of the largest change."""
+"""Positions of the points, in units of a quarter of the largest change."""
 FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
-"""Places by which linear dependence is recognised."""
+"""Positions of the points that test for linear dependence."""
 
 
 LEFT_OUT = ("length", "row_units", "spare_axes", "weight")
-"""Arrays of the mechanism that are units or choices, on which its motion does not depend, and the inverse masses."""
+"""Arrays of the mechanism on which its motion does not depend (units and choices), and the inverse masses."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class PreparedDerivatives:
     error
         (K,) estimated errors of these derivatives by each parameter, relative to the largest derivative of an array.
     side
-        (K,) 0, or the sign of the changes by which the spec stays valid, such as 1 for a damping of zero.
+        (K,) 0, or the sign of changes for which the spec is valid, such as 1 for a damping of zero.
     """
 
     seeds: Seeds
@@ -82,7 +82,7 @@ class Preparation(ABC):
     mechanism: CompiledMechanism
     base: Arrays
     ROUNDED: tuple[str, ...] = ()
-    """Arrays that change by the rounding errors of lengths and angles."""
+    """Names of arrays whose values change by the round-off of lengths and angles."""
 
     @abstractmethod
     def at(self, parameter: Parameter, value: float) -> Arrays:
@@ -123,17 +123,17 @@ class Preparation(ABC):
         return {name: x for name, x in fields.items() if x.dtype.kind == "f" and name not in LEFT_OUT}
 
     def require_same_structure(self, mechanism: CompiledMechanism, parameter: Parameter, value: float) -> None:
-        """Raise SpecError if a mechanism differs from the one of the spec in more than numbers."""
+        """Raise SpecError if a mechanism differs from that of the spec in more than its numbers."""
         for name, x in self.mechanism.topology._asdict().items():
             other = getattr(mechanism.topology, name)
             if x.shape != other.shape or (x.dtype.kind == "i" and not np.array_equal(x, other)):
                 raise SpecError(
-                    f"the structure of the mechanism depends on '{parameter.name}': it is another one for {value!r}",
+                    f"the structure of the mechanism depends on '{parameter.name}': it changes for {value!r}",
                     key="gradients",
                 )
 
     def require_same_form(self, arrays: Arrays, parameter: Parameter) -> None:
-        """Raise SpecError if the numbers of expressions are others than those of the spec; see `numbers_of`."""
+        """Raise SpecError if expressions contain other numbers than those of the spec; see `numbers_of`."""
         if any(x.shape != self.base[name].shape for name, x in arrays.items()):
             raise SpecError(
                 f"the form of an expression depends on '{parameter.name}', such as that of an exponent; by such "
@@ -162,7 +162,7 @@ class Preparation(ABC):
             ) from None
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
-        """Return the derivatives by a parameter that are not zero, and their error, by points at these places."""
+        """Return the non-zero derivatives by a parameter, and their error, from points at these positions."""
         unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
         points = {place: self._point(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
@@ -185,7 +185,7 @@ class Preparation(ABC):
         return {name: x for name, x in slopes.items() if np.any(x)}, max(errors.values())
 
     def _point(self, parameter: Parameter, change: float) -> tuple[float, Arrays]:
-        """Return the change of a parameter as far as numbers allow, and the arrays for it."""
+        """Return the change of a parameter, as rounded in floating-point arithmetic, and the arrays for it."""
         value = parameter.value + change
         return value - parameter.value, self.at(parameter, value)
 
@@ -223,7 +223,7 @@ class _Derivatives:
 
 
 def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarray]]) -> np.ndarray | None:
-    """Return the slope of the line through the first and the last point; None if others are not on it."""
+    """Return the slope of the line through the first and the last point; None if the other points are not on it."""
     (x0, low), (x1, high) = points[min(points)], points[max(points)]
     slope = (high - low) / (x1 - x0)
     limit = LINEAR * np.finfo(float).eps * np.maximum(np.maximum(np.abs(high), np.abs(low)), np.abs(base))
@@ -234,7 +234,7 @@ def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarra
 
 @cache
 def weights(places: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the weights of ``f(x) - f(0)`` in the derivative at 0 of the polynomial through 0 and all places."""
+    """Return the weights of ``f(x) - f(0)`` in the derivative at 0 of the polynomial through 0 and all positions."""
     found = []
     for one in places:
         weight = Fraction(1, one)

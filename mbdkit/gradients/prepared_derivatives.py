@@ -65,8 +65,8 @@ class _RunPreparation(Preparation):
         spec = self.specs.spec([(parameter.path, value)])
         if knots_of(spec) != self.knots:
             raise SpecError(
-                f"a knot or corner of a motion moves with '{parameter.name}'; by such parameters a run has no "
-                "derivatives",
+                f"the time at which a motion, or its derivative, is discontinuous depends on '{parameter.name}'; "
+                f"there are no derivatives by such a parameter",
                 key="gradients",
             )
         self.require_same_form(self._numbers(spec), parameter)

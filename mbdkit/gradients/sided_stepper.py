@@ -1,10 +1,10 @@
-"""Runs with derivatives whose steps end where a force law has a corner or a jump.
+"""Differentiated runs whose steps end where a force law or its derivative is discontinuous (at a *corner*).
 
-A step across such a place is no smooth function of the parameters: its derivative misses the change of the time at
-which the place is reached, however small the step. Steps therefore end there, and each part of a step sees one side
-only (`mbdkit.gradients.law_corners`). Where the force jumps, the derivatives of the velocities jump by the difference
-of the accelerations before and after it, times the derivative of its time (P. C. Mueller, Calculation of Lyapunov
-exponents for dynamic systems with discontinuities, Chaos, Solitons & Fractals 5 (1995) 1671-1681).
+The result of a step across such a point is not a smooth function of the parameters: for any step size, its derivative
+lacks the change of the time at which the point is reached. Steps therefore end there, and each part of a step uses one
+side only (`mbdkit.gradients.law_corners`). Where the force is discontinuous, the derivatives of the velocities change
+by the difference of the accelerations before and after it, times the derivative of its time (P. C. Mueller, Calculation
+of Lyapunov exponents for dynamic systems with discontinuities, Chaos, Solitons & Fractals 5 (1995) 1671-1681).
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from mbdkit.stepping.run_plan import guard_limits, new_plan
 from mbdkit.stepping.run_state import MODIFIED
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
-"""Shares of a step at which conditions are looked at."""
+"""Shares of a step at which conditions are evaluated."""
 SAME = 1e-9
-"""Share of a step below which a corner counts as one at its start or end."""
+"""Share of a step below which a corner counts as being at its start or end."""
 AHEAD = 1e-6
-"""Share of a step by which the sides after a corner are looked ahead."""
+"""Share of a step after a corner at which the new sides are determined."""
 MOST_AT_ONCE = 8
-"""Number of corners at one time after which the run is given up."""
+"""Number of corners at the same time after which the run fails."""
 
 
 @dataclass(frozen=True)
 class Sides:
-    """Sides of force laws that are in use from some state of a run on.
+    """Sides of force laws that are valid from some state of a run on.
 
     Attributes
     ----------
@@ -161,7 +161,9 @@ class SidedStepper(DifferentiatedStepper):
         self._at_once = 0 if theta > SAME else self._at_once + 1
         if self._at_once > MOST_AT_ONCE:
             name = self.conditions[number].force
-            raise StepError("newton-failed", f"the force '{name}' begins and ends without end at t = {self.time:.6g} s")
+            raise StepError(
+                "newton-failed", f"the force '{name}' switches on and off repeatedly at t = {self.time:.6g} s"
+            )
         self._pass(number)
         return stretch if theta > SAME else self.advance()
 
@@ -187,7 +189,7 @@ class SidedStepper(DifferentiatedStepper):
         return min(found) if found else None
 
     def _root(self, step: StepTaken, wrong: np.ndarray, number: int) -> tuple[float, int] | None:
-        """Return where a condition changes; None if it does not, as seen by steps of the method."""
+        """Return where a condition changes; None if it does not, according to steps of the method."""
         side = float(self.sides[number])
 
         def value(theta: float) -> float:
@@ -244,7 +246,9 @@ class SidedStepper(DifferentiatedStepper):
         return np.where(later >= 0.0, 1.0, -1.0)
 
     def _pass(self, number: int) -> None:
-        """Change the sides at a corner, and the derivatives of the velocities and energies by the jump formula."""
+        """Change the sides at a corner, and the derivatives of the velocities and energies by the formula for
+        discontinuities.
+        """
         assert self.steps is not None
         before = self._here()
         _, slope, rate = self._conditions(before)
@@ -254,7 +258,11 @@ class SidedStepper(DifferentiatedStepper):
             moved = -slope[number] / rate[number]
         if not np.all(np.isfinite(moved)):
             name = self.conditions[number].force
-            raise StepError("newton-failed", f"the force '{name}' begins or ends by a touch at t = {self.time:.6g} s")
+            raise StepError(
+                "newton-failed",
+                f"the force '{name}' switches on or off tangentially (at zero rate of its condition) at t = "
+                f"{self.time:.6g} s",
+            )
         self.set_sides(sides)
         self.run_state.base_state[0] = self.steps.run.base_state[0] = MODIFIED
         self.method.forget()

@@ -1,1 +1,1 @@
-"""What happens in a run: preparation, the host of the step loop, recording, evidence, checks, checkpoints, lanes."""
+"""Execution of runs: preparation, the step loop, recording, evidence, accuracy checks, checkpoints, vectorized runs."""

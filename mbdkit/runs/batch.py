@@ -20,12 +20,13 @@ from mbdkit.stepping.warm_up import to_stderr
 
 @dataclass(frozen=True)
 class Refused:
-    """A run that has no results, because an exception was raised.
+    """A run without results, because an exception was raised.
 
     Parameters
     ----------
     status
-        ``failed`` if the run is to blame; ``missing`` if a resource was lacking, so that a second attempt may succeed.
+        ``failed`` if the run is the cause; ``missing`` if a resource was not available, so that a second attempt may
+        succeed.
     reason
         Code and sentence.
     """
@@ -35,7 +36,7 @@ class Refused:
 
 
 CHUNK = 8 * WIDTH
-"""Number of runs that are prepared before they are advanced; those that suit each other become lanes of one loop."""
+"""Number of runs that are prepared before they are advanced; similar ones are vectorized in one loop."""
 
 
 def simulate_batch(
@@ -48,15 +49,15 @@ def simulate_batch(
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
     The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs of explicit
-    methods, and with fixed steps of Gauss and Radau IIA methods, on index-1 equations are advanced in lanes
-    (`mbdkit.runs.lane_runs`), all others one after another.
+    methods, and with fixed steps of Gauss and Radau IIA methods, on index-1 equations are vectorized
+    (`mbdkit.runs.lane_runs`), all others are computed one after another.
 
     Parameters
     ----------
     notify
         Called with a message before long operations.
     begun
-        Called with the place of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
+        Called with the index of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
         runs are prepared before the first result is yielded.
     measures
         As for `simulate`. Runs whose measures have time integrals are advanced one after another.
@@ -80,7 +81,7 @@ def _ignored(place: int) -> None:
 
 
 def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:
-    """Yield the specs of runs, each after its place is noted."""
+    """Yield the specs of runs, after calling `begun` with the index of each."""
     for place, spec in chunk:
         begun(place)
         yield spec
@@ -97,7 +98,7 @@ def _alone(
 
 
 def refusal(error: BaseException) -> Refused:
-    """Return what an exception means for the run that raised it."""
+    """Return status and reason of a run that raised an exception."""
     match error:
         case SpecError():
             return Refused("failed", f"wrong-input: {error}")

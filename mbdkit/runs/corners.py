@@ -1,4 +1,4 @@
-"""Knots and corners of the motions and loads of a run: where its steps end, what is refused, and warnings."""
+"""Discontinuities of motions and loads of a run, and of their derivatives: stops of its steps, errors and warnings."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 MOST_STOPS = 5000
-"""Largest number of knots or corners of one motion at which steps end."""
+"""Largest number of points of a table, or of discontinuities, of one motion at which steps end."""
 
 ON_GRID = 1e-4
-"""A knot without a jump of the acceleration needs no stop if it is nearer to the end of a fixed step than this share of
-the step."""
+"""A point of a table with continuous acceleration needs no stop if it is closer to the end of a fixed step than this
+share of the step."""
 
 QUINTIC_ORDER = 4
-"""Highest order of methods whose fixed steps may cross the knots of a quintic spline."""
+"""Highest order of methods whose fixed steps may cross the points of a quintic spline."""
 
 OVERSHOOT = 0.1
-"""Share of the range of its values by which a table may leave it without a warning."""
+"""Overshoot of the spline of a table, as a share of the range of its values, above which there is a warning."""
 
 
 @dataclass(frozen=True)
 class Stops:
-    """Times at which steps end [s], their margins [s], and those of them at which the rate of a driver jumps."""
+    """Times at which steps end [s], their margins [s], and those times at which the velocity of a driver is
+    discontinuous.
+    """
 
     times: tuple[float, ...] = ()
     margins: tuple[float, ...] = ()
@@ -41,9 +43,10 @@ class Stops:
 
 
 def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
-    """Return where the steps of a run end, apart from the fixed grid; raises the errors of `RunSpec.mechanism`.
+    """Return the times at which the steps of a run end, apart from the fixed grid; raises the errors of
+    `RunSpec.mechanism`.
 
-    If `all_knots`, knots close to the grid are stops too, for a run of the same mechanism without this grid.
+    If `all_knots`, points of tables close to the grid are stops too, for a run of the same mechanism without this grid.
     """
     start, end = spec.time.start, spec.time.final
     found: list[tuple[Corner, bool]] = []
@@ -59,7 +62,9 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     for corner, is_impact in sorted(found, key=lambda item: item[0].time):
         if _is_at_end(corner, start, end):
             continue
-        if times and corner.time - times[-1] <= 2.0 * (corner.margin + margins[-1]):  # the same corner of two motions
+        if times and corner.time - times[-1] <= 2.0 * (
+            corner.margin + margins[-1]
+        ):  # two motions have a discontinuity at the same time
             margins[-1] = max(margins[-1], corner.time + corner.margin - times[-1])
         else:
             times.append(corner.time)
@@ -70,13 +75,15 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
 
 
 def knots_of(spec: RunSpec) -> tuple[float, ...]:
-    """Return the times of all knots and corners of the motions and loads of a run, its start and end included [s]."""
+    """Return the times of all points of tables and discontinuities of the motions and loads of a run, including its
+    start and end [s].
+    """
     start, end = spec.time.start, spec.time.final
     return tuple(sorted(corner.time for _, motion in _motions(spec) for corner in corners_of(motion, start, end)))
 
 
 def check_jumps(spec: RunSpec) -> None:
-    """Check that the motions of all drivers are continuous, and their rates too unless the spec allows impacts.
+    """Check that the motions of all drivers are continuous, and their velocities too unless the spec allows impacts.
 
     Raises
     ------
@@ -92,7 +99,7 @@ def check_jumps(spec: RunSpec) -> None:
 
 
 def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
-    """Raise SpecError if the value or the rate of the motion of a driver jumps."""
+    """Raise SpecError if the value or the velocity of the motion of a driver is discontinuous."""
     start, end = spec.time.start, spec.time.final
     for corner in corners_of(motion, start, end):
         if _is_at_end(corner, start, end):
@@ -113,7 +120,7 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
 
 
 def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return warnings about tables that overshoot, and motions with too many corners."""
+    """Return warnings about tables that overshoot, and motions with too many discontinuities."""
     warnings = []
     for key, motion in _motions(spec):
         if isinstance(motion, Table) and (share := overshoot(motion)) > OVERSHOOT:
@@ -126,14 +133,14 @@ def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
         if count > MOST_STOPS and not (isinstance(motion, Table) and not motion.period):
             what = "periodic table" if isinstance(motion, Table) else "expression"
             warnings.append(
-                f"the {what} at {key} has {count} corners, more than {MOST_STOPS}, so that steps do not end there; "
-                "methods of high order lose their order"
+                f"the {what} at {key} has {count} discontinuities of its value or derivatives, more than "
+                f"{MOST_STOPS}, so that steps do not end there; methods of high order lose their order"
             )
     return tuple(warnings)
 
 
 def _is_at_end(corner: Corner, start: float, end: float) -> bool:
-    """Return whether a corner and the start or the end of the run are the same but for rounding errors."""
+    """Return whether a discontinuity is at the start or the end of the run, up to rounding errors."""
     return min(corner.time - start, end - corner.time) <= SAME_TIME * corner.margin
 
 
@@ -147,11 +154,12 @@ def _is_driver(key: str) -> bool:
 
 
 def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
-    """Return whether steps have to end at a corner.
+    """Return whether steps have to end at a discontinuity.
 
-    They need not for fixed steps at knots that are close to the grid, nor at knots of quintic splines for methods of up
-    to order 4. Only the fifth derivative jumps there. It is the third derivative of accelerations if a driver follows
-    the spline, and a step across a jump of the third derivative has an error of order 4.
+    Fixed steps need not end at points of tables that are close to the grid, nor, for methods of up to order 4, at
+    points of quintic splines. Only the fifth derivative is discontinuous there. It is the third derivative of
+    accelerations if a driver follows the spline, and a step across a discontinuous third derivative has an error of
+    order 4.
     """
     step = spec.time.step
     if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):
@@ -165,7 +173,9 @@ def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
 
 
 def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: str) -> None:
-    """Raise SpecError if a motion jumps exactly at the start or end of the run and has its value from outside there."""
+    """Raise SpecError if a motion is discontinuous exactly at the start or end of the run and its value there is that
+    outside of the run.
+    """
     is_start = corner.time - start <= end - corner.time
     inner = corner.after if is_start else corner.before
     here = jet_of(motion, np.array([start if is_start else end])).derivatives[0]

@@ -1,4 +1,4 @@
-"""Collects the evidence from which a finished run is judged."""
+"""Collects the numbers on which the verdict on a finished run is based."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 
 
 class Recorded(Protocol):
-    """What has been recorded of a run; a `Recorder` is one."""
+    """Quantities recorded during a run; implemented by `Recorder`."""
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -56,7 +56,7 @@ def evidence_of_run(
     recorder
         The recorder, with all rows written.
     steps
-        What has been observed over all steps, recorded or not; None if the method could not be started.
+        Quantities observed over all steps, recorded or not; None if the method could not be started.
     ending
         Status and reason.
     misalignment_max
@@ -90,7 +90,7 @@ def evidence_of_run(
 def estimated_errors(
     recorder: Recorder, accuracy: Accuracy, position_error: float, missed: str = ""
 ) -> EstimatedErrors:
-    """Return the estimated errors of a checked run, as they are judged.
+    """Return the estimated errors of a checked run in the form used by the verdict.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def estimated_errors(
     position_error
         Largest estimated error of positions as a share of the mechanism's size; nan if nothing is known.
     missed
-        Why the accuracy that was asked is not reached, as a clause.
+        Reason why the requested accuracy is not reached, as a clause.
     """
     rows = ObservedRows.joined(recorder.kept or [])
     figures = accuracy.figures(recorder.workspace.mechanism.joints, rows.force)

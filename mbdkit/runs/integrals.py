@@ -1,7 +1,7 @@
-"""Time integrals that measures need, computed with the run by the weights of its method.
+"""Time integrals for measures, computed during the run with the weights of its method.
 
-The sum of the weighted values at the stages is what the method itself gives for an additional equation ``z' = f(t, q,
-v)``, so an integral has the order of the method, however few states are recorded.
+The weighted sum of the values at the stages is the result of the method for an additional equation ``z' = f(t, q, v)``,
+so that an integral has the order of the method for any number of recorded states.
 
 The values of an integrand that contains other integrals, as in ``rms(x - mean(x))``, are known at the end of the run
 only. The quantities that it reads are kept at all nodes until then.
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 BLOCK = 1024
-"""Number of nodes that are added up at once. The number of steps between two calls depends on wall time, and the last
-bits of the integrals must not."""
+"""Number of nodes that are summed together. It is fixed, because the number of steps between two calls depends on wall
+time, but the last bits of the integrals must not."""
 
 
 def integrands_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Integrand, ...]:
-    """Return what the measures of a run integrate over time.
+    """Return the integrands of the measures of a run.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class RunIntegrals:
     workspace
         The mechanism at its start. Accelerations and reactions are computed with pivots of their own.
     integrands
-        What is integrated.
+        The integrands.
     """
 
     def __init__(self, spec: RunSpec, workspace: Workspace, integrands: Sequence[Integrand]):
@@ -109,7 +109,7 @@ class RunIntegrals:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a checkpoint; raise ValueError if it does not fit."""
+        """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
         sums, low, size = state["sums"], state["low"], self._workspace.mechanism.size
         if state["texts"] != [one.text for one in self.integrands]:
             raise ValueError("it has other integrals")
@@ -126,7 +126,7 @@ class RunIntegrals:
         self._waiting, self._sums, self._low, self._kept = [waiting], sums, list(low), [kept]
 
     def _take(self, *, whole: bool) -> None:
-        """Add up the waiting nodes in blocks; if `whole`, those that do not fill a block wait."""
+        """Add up the waiting nodes in blocks; if `whole`, nodes that do not fill a block remain waiting."""
         nodes = Nodes.joined(self._waiting)
         count = len(nodes.time)
         done = count - count % BLOCK if whole else count
@@ -135,7 +135,9 @@ class RunIntegrals:
         self._waiting = [nodes.part(slice(done, None))]
 
     def _joined_kept(self) -> list[np.ndarray]:
-        """Return times, weights and quantities that nested integrands read at all nodes; empty arrays without them."""
+        """Return times, weights, and the quantities in nested integrands at all nodes; empty arrays if there are
+        none.
+        """
         if not self._kept:
             return [np.zeros(0), np.zeros(0), *(self._unknown(one, 0) for one in self._read)]
         return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]

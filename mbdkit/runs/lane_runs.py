@@ -1,4 +1,4 @@
-"""Runs specs in lanes: prepares each, advances those that differ in numbers only side by side, and finishes them."""
+"""Vectorized runs: prepares specs, advances those that differ only in numbers together, and finishes them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 _LOG = logger_of(__name__)
 
 MOST_GROUPS = 8
-"""Number of mechanisms and methods whose loops are kept for the next batch."""
+"""Number of loops (for one mechanism and method each) that are kept for the next batch."""
 
 
 LaneMethod = ExplicitRungeKutta | ImplicitRungeKutta
@@ -58,7 +58,7 @@ LaneMethod = ExplicitRungeKutta | ImplicitRungeKutta
 
 @dataclass(frozen=True)
 class LaneMember:
-    """A run that is ready to be advanced in lanes."""
+    """A prepared run that can be vectorized."""
 
     spec: RunSpec
     method: LaneMethod
@@ -70,13 +70,13 @@ class LaneMember:
     """Size of the mechanism at its start [m]."""
     warnings: tuple[str, ...]
     topology: tuple[object, ...]
-    """Equal for mechanisms that differ in numbers only."""
+    """Key that is equal for mechanisms that differ only in numbers."""
     seconds: float = 0.0
     """Wall time of the preparation [s]."""
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Equal for runs that can be advanced side by side and have the same arrays."""
+        """Key that is equal for runs that can share a loop and have the same arrays."""
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
         steps = table.interval if is_controlled(self.method) else table.steps
         return self.topology, self.method, pivots, steps, table.every, self.spec.output.recorded
@@ -93,7 +93,7 @@ class _Started:
 
 
 def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
-    """Return why runs with such settings are not advanced in lanes, as a clause; empty if they may be.
+    """Return the reason why runs with these settings are not vectorized, as a clause; empty if they can be.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         return "their measures contain integrals over time"
     method = make_method(spec)
     if not isinstance(method, LaneMethod) or spec.claims.adaptive != is_controlled(method):
-        return f"{spec.integrator_item.id} does not suit lanes with these options"
+        return f"{spec.integrator_item.id} cannot be vectorized with these options"
     return ""
 
 
@@ -135,12 +135,12 @@ def _sizes(started: Sequence[_Started | None]) -> list[float]:
 
 
 class LaneRuns:
-    """Runs members in lanes, and keeps the loops that it has met.
+    """Computes vectorized runs (members), and keeps the loops for further runs.
 
     Parameters
     ----------
     starts
-        Makes starts consistent, and keeps compiled mechanisms.
+        Computes consistent initial states, and keeps compiled mechanisms.
     measures
         Expressions that will be evaluated for the runs, beside the measures of their specs.
     """
@@ -153,7 +153,8 @@ class LaneRuns:
         self._settings: tuple[tuple[object, ...], LaneMethod | None] | None = None
 
     def members(self, specs: Iterable[RunSpec], notify: Callable[[str], None]) -> list[LaneMember | None]:
-        """Prepare runs for lanes; None for a run that does not suit them, or that fails: it is then run alone.
+        """Prepare runs for vectorization; None for a run that cannot be vectorized, or whose preparation fails, and is
+        then run alone.
 
         Parameters
         ----------
@@ -181,7 +182,9 @@ class LaneRuns:
         return [None if member is None else replace(member, seconds=seconds) for member in members]
 
     def _started(self, spec: RunSpec, notify: Callable[[str], None]) -> _Started | None:
-        """Make the start of a run consistent; None if it does not suit lanes. Raises the errors of a run alone."""
+        """Compute the consistent initial state of a run; None if it cannot be vectorized. Raises the errors of a single
+        run.
+        """
         method = self._method(spec)
         if method is None:
             return None
@@ -192,7 +195,9 @@ class LaneRuns:
         return _Started(spec, method, cautions, start)
 
     def _method(self, spec: RunSpec) -> LaneMethod | None:
-        """Return the method of a run; None if its settings do not suit lanes. Specs often share these."""
+        """Return the method of a run; None if its settings cannot be vectorized. Results are cached, because specs
+        often share settings.
+        """
         settings = (
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
             spec.integrator, spec.measures,
@@ -203,7 +208,7 @@ class LaneRuns:
         return self._settings[1]
 
     def _member(self, started: _Started, size: float) -> LaneMember | None:
-        """Return the member for a run that has started; None if it does not suit lanes."""
+        """Return the member for a run with its initial state; None if it cannot be vectorized."""
         spec, method, start = started.spec, started.method, started.start
         size = size or start.mechanism.length
         table = timetable(spec, guards(spec, size))
@@ -236,7 +241,7 @@ class LaneRuns:
 
     def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
         group = self._groups.pop(key, None) or _Group(first)
-        self._groups[key] = group  # the last one used is kept longest
+        self._groups[key] = group  # the loop used last is kept longest
         if len(self._groups) > MOST_GROUPS:
             self._groups.pop(next(iter(self._groups)))
         return group
@@ -244,7 +249,7 @@ class LaneRuns:
 
 @dataclass(frozen=True)
 class _RecordedRun:
-    """What has been recorded of one run; see `mbdkit.runs.evidence.Recorded`."""
+    """Quantities recorded during one run; see `mbdkit.runs.evidence.Recorded`."""
 
     mechanism: CompiledMechanism
     largest_angle: np.ndarray
@@ -253,11 +258,11 @@ class _RecordedRun:
 
 
 def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
-    """Return the places of similar runs in the order of their energy at the start, without that of springs.
+    """Return the indices of similar runs sorted by their initial energy, without that of springs.
 
-    The lanes of a loop wait for the one with the most steps, so their numbers of steps should be similar. In ensembles
-    of double pendulums with different starts, lanes are at work in 83 to 87 % of all turns of the loop; in 75 to 77 %
-    if runs are not sorted, and in 94 % if they are sorted by their numbers of steps, which are not known before.
+    A loop ends with the lane that has the most steps, so that the numbers of steps in its lanes should be similar. In
+    ensembles of double pendulums with different starts, lanes are busy in 83 to 87 % of all iterations of the loop;
+    without sorting, in 75 to 77 %; sorted by their numbers of steps, which are not known in advance, in 94 %.
     """
     starts = [members[place].start for place in places]
     mass, gravity, q, v = (
@@ -331,7 +336,9 @@ class _Group:
             own |= self._intervals(member.table, results, lane)
             made = self._run(member, own, recorded[lane], reached[lane], results.evidence[lane])
             counters = vars(results.counters[lane]).copy()
-            counters["factorizations"] += int(member.pivots is not None)  # that which chose them
+            counters["factorizations"] += int(
+                member.pivots is not None
+            )  # the mechanism for which the pivots were chosen
             timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
             finished.append(replace(made, stats={**counters, **timings, **made.stats}))
         return finished
@@ -364,7 +371,9 @@ class _Group:
     def _recorded(
         self, members: Sequence[LaneMember], results: LaneResults, states: States
     ) -> list[tuple[np.ndarray, _RecordedRun]]:
-        """Return the largest misalignments (J,) of each run over all steps, and what its recorded states show."""
+        """Return the largest misalignments (J,) of each run over all steps, and the quantities of its recorded
+        states.
+        """
         shape = results.time.shape
         misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
         worst = np.maximum(self.joints.misalignment_of_squares(results.worst), misalignment)
@@ -408,7 +417,7 @@ class _Group:
         return self._typed({f"steps/{name}": array for name, array in values.items()})
 
     def _typed(self, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return those of the arrays that are recorded, contiguous and of the type of the layout."""
+        """Return the recorded arrays, contiguous and with the types of the layout."""
         return {key: np.ascontiguousarray(arrays[key], self.types[key]) for key in arrays if key in self.types}
 
     def _run(
@@ -419,7 +428,7 @@ class _Group:
         reached: np.ndarray,
         steps: StepEvidence,
     ) -> FinishedRun:
-        """Judge a run and return it; its `stats` contain the time taken for that."""
+        """Compute the verdict on a run and return the run; its `stats` contain the time taken for that."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""

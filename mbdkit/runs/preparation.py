@@ -54,7 +54,7 @@ def build(
     notify
         Called with a message before long operations.
     starts
-        Keeps compiled mechanisms for further runs, if given.
+        Cache of compiled mechanisms for further runs, if given.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
 
 
 def rows_expected(spec: RunSpec) -> int | None:
-    """Return the number of rows that a run records; None if step control decides."""
+    """Return the number of rows that a run records; None if it depends on step-size control."""
     time, output = spec.time, spec.output
     if output.interval is not None:
         return math.ceil((time.final - time.start) / output.interval) + 1
@@ -184,7 +184,9 @@ def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False, nodes: 
 
 
 def plugin_failure(spec: RunSpec, error: BaseException) -> Failure:
-    """Return the failure of a run whose third-party integrator has raised an exception; raise that of another again."""
+    """Return the failure of a run whose third-party integrator has raised an exception; re-raise exceptions of other
+    integrators.
+    """
     item = spec.integrator_item
     if item.origin.distribution == "mbdkit":
         raise error

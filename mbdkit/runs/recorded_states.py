@@ -1,4 +1,4 @@
-"""The recorded states of a run, from which the columns of its archive are taken."""
+"""The recorded states of a run, from which the columns of its archive are computed."""
 
 from __future__ import annotations
 

@@ -26,15 +26,17 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Found
 
 APART = 1e-6
-"""Gap of a redundant row that round-off can explain, as a share of the characteristic length; of angles, in radians.
+"""Residual of a redundant row that round-off can explain, as a share of the characteristic length; for angles, in
+radians.
 
 A start is assembled to 1e-11 of the largest coordinate."""
 
 SECOND_ORDER = 1.0
-"""Multiple of the uncertainty returned by `unexplained_gaps` that the gap of a redundant row must exceed as well.
+"""Multiple of the uncertainty returned by `unexplained_gaps` that the residual of a redundant row must also exceed.
 
-Measured on parallelograms with spare rods, with seven methods in steps up to 0.3 s: while the joints hold, gaps stay
-below 0.1 of the uncertainty, near singular positions below 0.3; of drivers that part, they exceed it fivefold.
+Measured on parallelograms with redundant rods, with seven methods and steps up to 0.3 s: while the joints are
+consistent, residuals stay below 0.1 of the uncertainty, near singular positions below 0.3; for drivers whose motions
+diverge, they exceed five times the uncertainty.
 """
 
 
@@ -131,7 +133,9 @@ class Recorder:
     def _checked(
         self, stretch: Stretch, observed: Observed, singular: SingularState | None
     ) -> tuple[int, Failure | None]:
-        """Return the number of leading states that can be recorded, and the reason why the next one cannot."""
+        """Return the number of leading states that can be recorded, and the reason why the next one cannot be
+        recorded.
+        """
         mechanism = self.workspace.mechanism
         count, failure = len(stretch.time), None
         if singular is not None:
@@ -153,7 +157,7 @@ class Recorder:
         return count, failure
 
     def _contradiction(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state in which redundant joints contradict others, and the failure."""
+        """Return the row of the first state in which redundant joints are inconsistent with others, and the failure."""
         count = len(observed.phi)
         gaps, uncertainty = self._observer.gaps[:count], self._observer.gap_uncertainty[:count]
         apart = gaps > APART + SECOND_ORDER * uncertainty
@@ -168,10 +172,11 @@ class Recorder:
         return row, self._contradicting(pair, f"{gap:.2g} {unit} at {_at(stretch, row)}")
 
     def _contradicting(self, pair: int, gap: str) -> Failure:
-        """Return the failure of a redundant joint that is misaligned by `gap`, naming the joints that it contradicts.
+        """Return the failure of a redundant joint that is misaligned by `gap`, naming the joints with which it is
+        inconsistent.
 
-        Joints are redundant only if they agree at the start and in its neighborhood. On one branch they then agree
-        everywhere, unless drivers move them.
+        Joints count as redundant only if they are consistent at the start and in its neighborhood. They are then
+        consistent on the whole branch, unless drivers move them.
         """
         mechanism = self.workspace.mechanism
         joint, names = mechanism.joints[self._joints.joint[pair]], mechanism.redundancy.not_unique
@@ -219,7 +224,9 @@ class Recorder:
             self._start_energy = float(observed.kinetic[0] + observed.potential[0])
         states = recorded_states(self.mechanism, stretch, observed, self._start_energy, elapsed)
         self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
-        peaks = np.abs(observed.phi).max(axis=0, keepdims=True)  # of each pair, and a joint has one pair with an angle
+        peaks = np.abs(observed.phi).max(
+            axis=0, keepdims=True
+        )  # limits are given for pairs; a joint has one pair with an angle
         self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
         if len(observed.joints):
             coordinates = observed.joints[:, :, 0]
@@ -242,7 +249,7 @@ class Recorder:
             "iterations_max": iterations_max.astype(np.int64),
             "rejected": rejected.astype(np.int64),
         }
-        if stretch.corrections is not None:  # the layout selects those of the stabilization
+        if stretch.corrections is not None:  # the layout selects the columns of the stabilization
             projections, position, velocity, acceleration = stretch.corrections.T
             rows |= {
                 "projections": projections.astype(np.int64),
@@ -268,7 +275,7 @@ class Recorder:
         )
 
     def stored(self) -> dict[str, Any]:
-        """Return what later rows depend on, as plain values for a checkpoint."""
+        """Return the state on which later rows depend, as plain values for a checkpoint."""
         energies = self.energies
         return {
             "start_energy": self._start_energy,
@@ -283,7 +290,7 @@ class Recorder:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue after the rows of a checkpoint; raise ValueError if its values do not fit."""
+        """Continue after the rows of a checkpoint; raise ValueError if its values are not valid for this run."""
         self._start_energy = float(state["start_energy"])
         fill(self.largest, state["largest"])
         fill(self.largest_angle, state["largest_angle"])

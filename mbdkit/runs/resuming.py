@@ -1,7 +1,7 @@
-"""Continues a run that was killed, from the checkpoint beside its ``.part``, to the same bits.
+"""Continues a run that was killed from the checkpoint beside its ``.part``, with bitwise identical results.
 
 The rows up to the checkpoint are copied into a new file, which then takes the place of the ``.part``. The old file is
-not written to: after a crash, HDF5 may not know all places in it that are in use.
+not modified: after a crash, HDF5 may not know all parts of it that are in use.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from mbdkit.stepping.warm_up import to_stderr
 PART = f"{SUFFIX}.part"
 
 _NEEDED = ("mbdkit", "numpy", "scipy", "numba", "llvmlite", "processor")
-"""Entries of the provenance that must be the same for the same bits, besides the plugins."""
+"""Entries of the provenance that, besides the plugins, must be equal for bitwise identical results."""
 
 _ANEW = "run it anew"
 
@@ -55,9 +55,9 @@ _CHECKPOINT_0_2 = "checkpoint"
 
 
 def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None) -> Run:
-    """Continue a run that was killed, from the last checkpoint that it left beside its unfinished archive.
+    """Continue a run that was killed, from the last checkpoint beside its unfinished archive.
 
-    The spec is the one of the run. The result has the bits of the run that nobody disturbed.
+    The spec is that of the run. The results are bitwise identical to those of an uninterrupted run.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
         If the run cannot be continued: a file is damaged, there is no checkpoint, or another version of mbdkit or of a
         plugin wrote it. The files remain as they are.
     ResourceError
-        If the run is still going.
+        If the run is still in progress.
     """
     with progress_bar(Path(part).stem, quiet=progress is not None or not in_notebook()) as bar:
         return continue_run(Path(part), overwrite=overwrite, progress=progress or bar)
@@ -120,7 +120,7 @@ def final_path(part: Path) -> Path:
 
 @contextlib.contextmanager
 def _held(part: Path) -> Iterator[BinaryIO]:
-    """Hold a ``.part`` against runs that would replace it; yield its bytes."""
+    """Lock a ``.part`` against runs that would replace it; yield its bytes."""
     try:
         stream = part.open("rb")
     except OSError as error:
@@ -163,7 +163,7 @@ def _refused(part: Path, why: str, *, hint: str = _ANEW) -> SpecError:
 
 
 def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
-    """Give the archive of a run that had ended when it was killed its final name; raise SpecError if it had not."""
+    """If a run had ended when it was killed, give its archive the final name; otherwise raise SpecError."""
     with load(part) as run:
         if run.status == "running":
             spec = _same_spec(part, run.spec_json, run.run_id, run.provenance)
@@ -182,7 +182,9 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
 
 
 def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any]) -> RunSpec:
-    """Return the spec of a run; raise SpecError if it began with other versions: the bits may not be the same."""
+    """Return the spec of a run; raise SpecError if it began with other versions, because results may then differ
+    bitwise.
+    """
     check_plugins_of(part, then)
     try:
         spec = load_spec(json.loads(spec_json))
@@ -244,7 +246,7 @@ class _Unfinished:
             raise error.located(file=self.part) from error
 
     def _writer(self, spec: RunSpec, method: Method, start: tuple[Workspace, AssembledState]) -> ArchiveWriter:
-        """Begin the file that takes the place of the ``.part``."""
+        """Create the file that will replace the ``.part``."""
         workspace, _ = start
         then = self.checkpoint.head["provenance"]
         writer = ArchiveWriter(
@@ -286,7 +288,7 @@ class _Unfinished:
 
 
 def _word(key: str, provenance: Mapping[str, object]) -> str:
-    """Return what an entry of the provenance belongs to, such as the name of a plugin."""
+    """Return the name of the component to which an entry of the provenance belongs, such as a plugin."""
     kind, _, part = key.rpartition("_")
     if part == "version":
         return f"{provenance[kind]} {part}"

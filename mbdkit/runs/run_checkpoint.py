@@ -1,8 +1,9 @@
-"""What a run needs to continue to the same bits, collected from its parts and put back into them.
+"""The state of a run from which it can continue with bitwise identical results, collected from its parts and restored
+to them.
 
 A checkpoint is written between two stretches of steps, when all rows and crossings so far are in the tables of the
-archive. It holds the whole state of the stepper: positions and velocities with the low parts of their sums, step-size
-control, stage values, factors and pivots; and what the recorder and the watch for events keep from row to row.
+archive. It contains the complete state of the stepper: positions and velocities with the low parts of their sums,
+step-size control, stage values, factors and pivots; and the state of the recorder and of event detection.
 """
 
 from __future__ import annotations
@@ -70,12 +71,13 @@ class Parts:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Put a stored state into these parts, which are those of a run at its start.
+        """Restore a stored state to these parts, which are those of a run at its start.
 
         Raises
         ------
         SpecError
-            If it does not fit. The hash of a checkpoint excludes damage, so that someone has made this state.
+            If the state is not valid for the run. The hash of a checkpoint excludes damage, so that the state must have
+            been modified on purpose.
         """
         try:
             kept, workspace = state["workspace"], self.workspace
@@ -114,14 +116,16 @@ class Continuation:
 
     @property
     def times(self) -> dict[str, float]:
-        """The times ``setup_s``, ``wall_s`` and ``cpu_s`` that the run took so far [s]; 0 if a value is no number."""
+        """The times ``setup_s``, ``wall_s`` and ``cpu_s`` that the run took so far [s]; 0 if a value is not a
+        number.
+        """
         known = self.state.get("times")
         found = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
         return {name: float(one) if isinstance(one, float) else 0.0 for name, one in zip(TIMES, found, strict=True)}
 
 
 def why_without(spec: RunSpec, method: Method) -> str:
-    """Return why a run writes no checkpoints, as a clause; empty if it writes some."""
+    """Return the reason why a run writes no checkpoints, as a clause; empty if it writes checkpoints."""
     if spec.is_to_be_chosen:
         return "its method or step is chosen by pilot runs, whose results are not stored"
     if isinstance(method, SciPySolver):
@@ -151,7 +155,7 @@ class Checkpoints:
         self._due = time.monotonic() + INTERVAL
 
     def write_if_due(self) -> None:
-        """Write a checkpoint if the last one is old enough."""
+        """Write a checkpoint if enough time has passed since the last one."""
         begin = time.monotonic()
         if begin < self._due:
             return
@@ -171,7 +175,7 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
         "run": _kept(stepper.run_state),
         "method": _kept(method.pinned.bundle),
         "systems": stored(method.bundle.systems) if isinstance(method, CompiledCollocation) else None,
-        # a quantity of an event may have chosen new pivots, which the stepper does not use
+        # evaluating an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
         "impacts": [[one.time, one.energy, one.velocity] for one in stepper.impacts],
@@ -182,10 +186,10 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     workspace, method = stepper.workspace, stepper.method
     restore(_kept(stepper.run_state), state["run"])
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
-        raise ValueError("it has passed more stops than there are")
+        raise ValueError("it has passed more stops than exist")
     restore(_kept(method.pinned.bundle), state["method"])
     if isinstance(method, CompiledLobattoPair) and method.bundle.past.known[0] > MOST_PAST:
-        raise ValueError("it knows more steps than are stored")
+        raise ValueError("it refers to more steps than are stored")
     if isinstance(method, CompiledCollocation):
         _restore_systems(method, state["systems"])
     stepper._take_up_pivots()

@@ -1,4 +1,4 @@
-"""A run on its way: stretches of steps, what is recorded of them, and how the run ends."""
+"""A run in progress: its steps in stretches, the recording, and the end of the run."""
 
 from __future__ import annotations
 
@@ -57,19 +57,19 @@ if TYPE_CHECKING:
 Progress = Callable[[float, float], None]
 """Called with the time reached and the end time [s]; see `mbdkit.run`."""
 
-_LOG = logger_of("mbdkit.runs.simulation")  # one logger tells the start and the end of a run
+_LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
 
 _FINAL = ("wall-time", "max-steps", "plugin-error")
-"""Failures that smaller steps do not avoid."""
+"""Failures that smaller steps cannot avoid."""
 
 
 class _Told:
-    """Calls the callback of a user; if it raises an exception, the run is stopped and the callback not called again.
+    """Calls the callback of a user; if it raises an exception, the run is stopped and the callback is not called again.
 
     Parameters
     ----------
     stop
-        Stops the run, as Ctrl-C does.
+        Stops the run, like Ctrl-C.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class _Told:
 
 
 class SimulatedRun:
-    """A run on its way: the method on its mechanism, and the recorder that writes its archive.
+    """A run in progress: the method, the mechanism, and the recorder that writes the archive.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class SimulatedRun:
     warnings
         Warnings so far.
     choice
-        The method and step chosen for the accuracy asked, if they were.
+        The method and step chosen for the requested accuracy, if any.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class SimulatedRun:
             "wall_s": time.perf_counter() - wall,
             "cpu_s": time.process_time() - cpu,
         }
-        if isinstance(self.stepper, Replay):  # its steps were taken before
+        if isinstance(self.stepper, Replay):  # its steps have been computed already
             self.timings["wall_s"] += self.stepper.wall
             self.timings["cpu_s"] += self.stepper.cpu
         self.check_accuracy(told)
@@ -178,18 +178,18 @@ class SimulatedRun:
 
     @property
     def is_settled(self) -> bool:
-        """Whether smaller steps would not help: the accuracy is reached, or the user or a limit has ended the run."""
+        """Whether smaller steps are useless: the accuracy is reached, or the user or a limit has ended the run."""
         if self.interrupted or (self.failure is not None and self.failure.code in _FINAL):
             return True
         return self.failure is None and self.accuracy is not None and self.accuracy.is_reached
 
     @property
     def reached(self) -> float:
-        """Estimated error of positions in the measure of the accuracy asked; nan if it is not known to the end."""
+        """Estimated error of positions in the measure of the requested accuracy; nan if it is not known to the end."""
         return self.accuracy.reached if self.accuracy is not None and self.accuracy.is_complete else math.nan
 
     def merit(self) -> tuple[float, float]:
-        """Return a merit that orders attempts: the time until which errors are known, and their negative size."""
+        """Return a key for comparing attempts: the time until which errors are known, and their negative size."""
         if self.accuracy is None or math.isnan(self.accuracy.known_until):
             return -math.inf, -math.inf
         return self.accuracy.known_until, -self.accuracy.reached
@@ -219,7 +219,7 @@ class SimulatedRun:
 
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
-        """Convert whatever a third-party integrator raises, errors of mbdkit included, into a failure of the run."""
+        """Convert any exception of a third-party integrator, including errors of mbdkit, into a failure of the run."""
         try:
             yield
         except BaseException as error:
@@ -237,7 +237,7 @@ class SimulatedRun:
         return continuation.times
 
     def parts(self) -> Parts | None:
-        """Return the parts of the run whose state makes a checkpoint; None if it has parts that cannot be stored."""
+        """Return the parts of the run that a checkpoint stores; None if some of them cannot be stored."""
         stepper = self.stepper if self.watch is None else self.watch.stepper
         if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper):
             return None

@@ -71,10 +71,10 @@ def run(
     overwrite
         Whether an existing archive may be replaced.
     progress
-        Called with the time reached and the end time [s], several times per second; companion runs of a check begin
-        again at the start. If it raises KeyboardInterrupt, the run ends as by Ctrl-C, with the status ``interrupted``.
-        After any other exception, the archive is removed, and the exception is raised. By default, notebooks show a
-        progress bar.
+        Called with the time reached and the end time [s], several times per second; for the comparison runs of a check,
+        the time starts again from the beginning. If it raises KeyboardInterrupt, the run ends as by Ctrl-C, with the
+        status ``interrupted``. After any other exception, the archive is removed, and the exception is raised. By
+        default, notebooks show a progress bar.
     **sections
         Sections of the spec, such as ``integrator={"name": "gauss", "stages": 2}``; they replace those of `source`.
 
@@ -176,7 +176,7 @@ def simulate_arrays(
     notify, measures
         As for `simulate`.
     starts
-        Keeps compiled mechanisms for further runs, if given.
+        Cache of compiled mechanisms for further runs, if given.
     """
     begin = time.perf_counter()
     prepare = partial(
@@ -194,8 +194,8 @@ def _ended(
     notify: Callable[[str], None],
     progress: Progress | None,
 ) -> SimulatedRun:
-    """Carry out a spec to its end, and return the simulation, whose writer is finished."""
-    method = "a method to be chosen" if spec.choose == "method" else spec.integrator_item.id
+    """Run a spec to its end, and return the simulation with its finished writer."""
+    method = "the method is chosen during the run" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
     with one_thread_of_linear_algebra():
@@ -210,7 +210,8 @@ def _ended(
 def _with_accuracy(
     spec: RunSpec, prepare: Callable[..., SimulatedRun], notify: Callable[[str], None], progress: Progress | None
 ) -> SimulatedRun:
-    """Choose method and step for the accuracy of a spec, and run it; again with smaller steps while it is missed.
+    """Choose method and step for the accuracy of a spec, and run it; repeat with smaller steps while the accuracy is
+    not reached.
 
     If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
     """
@@ -228,9 +229,10 @@ def _with_accuracy(
             if simulation.is_settled or (following is None and best is choice):
                 simulation.finish()
                 return simulation
-        prepare = partial(prepare, notify=_silent)  # the warnings would be the same
+        prepare = partial(prepare, notify=_silent)  # warnings are shown only once
         if following is None:
-            # repeated, because only one archive is written at a time; the same settings give the same numbers
+            # the best attempt is repeated, because only one archive is written at a time; equal settings give equal
+            # results
             with _finished_or_abandoned(prepare(best.settle(spec), choice=best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [one for _, one in tried]
@@ -271,7 +273,7 @@ def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path |
 
 
 def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
-    """Return what keeps the rows of a run in memory."""
+    """Return a writer that keeps the rows of a run in memory."""
     workspace, assembled = start
     return ArrayWriter(
         archive_names(workspace.mechanism),
@@ -310,7 +312,7 @@ def _prepared(
     integrands = integrands_of(spec, measures)
     noted: list[bool] = []
     noting = interrupts_noted if begun is not _begun_arrays else _not_noted
-    with noting(lambda: noted.append(True)):  # an archive that nobody knows of could not be removed
+    with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed
         writer = begun(spec, method, (workspace, start))
         try:
             simulation = SimulatedRun(spec, workspace, method, writer, begin, (*cautions, *moves), choice)
@@ -324,14 +326,14 @@ def _prepared(
 
 
 def _warn(warnings: Iterable[str], notify: Callable[[str], None]) -> None:
-    """Tell and log warnings about a run."""
+    """Report and log warnings about a run."""
     for warning in warnings:
         notify(f"warning: {warning}")
         _LOG.warning("%s", shown(warning))
 
 
 def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
-    """Let Ctrl-C raise KeyboardInterrupt: there is no archive that keeps the rows of an interrupted run."""
+    """Let Ctrl-C raise KeyboardInterrupt, because there is no archive for the rows of an interrupted run."""
     return nullcontext()
 
 

@@ -1,4 +1,6 @@
-"""Warnings about values of a spec that are valid but probably not meant: angles in degrees, a start far from closed."""
+"""Warnings about values of a spec that are valid but probably unintended: angles in degrees, a start far from closed
+joints.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ DIGITS = 3
 """Angles above one turn with at most this many decimals look like degrees; radians rarely have so few."""
 
 FEWEST_PER_PERIOD = 2
-"""A step that has fewer in a period does not resolve an oscillation."""
+"""Smallest number of steps per period that resolves an oscillation."""
 
 LONGEST_TURN = 0.03
 """Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
@@ -36,7 +38,7 @@ _ANGLE = re.compile(r"\[rad( or m)?\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings of the model, and about angles in degrees, steps that are long, and parameters."""
+    """Return the warnings of the model, and about angles in degrees, long steps, and parameters."""
     return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
 
 
@@ -68,19 +70,19 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
     warning = (
         f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's size of "
         f"{size:.3g} m; check the positions and angles at {key} and its neighbours, because the mechanism may have "
-        "been closed in another way than meant (`mbdkit validate` lists all changes)"
+        f"been assembled in an unintended configuration (`mbdkit validate` lists all changes)"
     )
     return (warning,)
 
 
 def doubts(spec: RunSpec, warnings: Iterable[str]) -> tuple[str, ...]:
-    """Return the warnings of a run that question its result; what model and step leave out by design does not."""
+    """Return the warnings of a run that question its result, without those about intended limits of model and step."""
     known = _known(spec)
     return tuple(warning for warning in warnings if warning not in known)
 
 
 def _known(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings about what model and step leave out."""
+    """Return the warnings about effects that model and step do not include."""
     return (*spec.mechanism().warnings, *_unresolved_beams(spec))
 
 
@@ -102,7 +104,8 @@ def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...
                 first, last = table.span
                 warnings.append(
                     f"joint '{name}' turned to {angle:.6g} rad, beyond the table at model.joints.{name}.center.{key}, "
-                    f"which covers {first:.6g} rad to {last:.6g} rad and is continued there by its outer piece"
+                    f"which covers {first:.6g} rad to {last:.6g} rad and is extrapolated there by its first or last "
+                    f"polynomial"
                 )
     return tuple(warnings)
 
@@ -112,14 +115,14 @@ def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
         written = spec.written.get(path)
         used = [name for name in spec.parameters if name in names_in(written)]
         if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
-            continue  # a function of time, or an expression of numbers, which states that radians are meant
+            continue  # for functions of time and expressions of numbers, radians are assumed to be intended
         value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
         if abs(value) > 2.0 * math.pi and round(value, DIGITS) == value:
             origin = f" (from {listed((f'parameters.{name}' for name in used), 'and')})" if used else ""
             degrees = written or f"{value:g}"
             yield (
-                f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a turn; if degrees are meant, "
-                f"write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
+                f"the angle of {value:g} rad at {path_text(path)}{origin} is more than a full rotation; if degrees "
+                f"are intended, write degrees({degrees}), otherwise an expression such as {value / math.pi:.6g}*pi"
             )
 
 
@@ -159,7 +162,7 @@ def _long_step(spec: RunSpec) -> Iterator[str]:
     if spec.time.step is not None and spec.time.step > length * (1.0 + 1e-9):
         yield (
             f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s, which is then a "
-            "single shorter step"
+            f"single, shorter step"
         )
 
 
@@ -167,8 +170,8 @@ def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
     """Yield a warning for each beam with oscillations that the fixed steps of an implicit method do not resolve."""
     step, claims = spec.time.step, spec.claims
     if step is None or claims.adaptive or "tangents" not in claims.needs:
-        return  # step size control resolves them, and explicit methods fail
-    fate = "keeps the energy of faster ones, but not their frequencies" if claims.symmetric else "damps faster ones"
+        return  # step-size control resolves them, and explicit methods fail visibly
+    fate = "keeps the energy of faster motions, but not their frequencies" if claims.symmetric else "damps faster ones"
     for name, beam in spec.mechanism().beams.items():
         fastest, slowest = beam.highest_frequency, 2.0 * math.pi / (FEWEST_PER_PERIOD * step)
         if fastest > slowest:
@@ -179,7 +182,9 @@ def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
 
 
 def step_advice(spec: RunSpec, code: str) -> str:
-    """Return a sentence on a failure of a step, if the mechanism has beams that explain it; empty otherwise."""
+    """Return a sentence that explains the failure of a step by the beams of the mechanism; empty if it does not
+    apply.
+    """
     step = spec.time.step
     if code != "newton-failed" or step is None or not spec.mechanism().beams:
         return ""

@@ -73,7 +73,7 @@ def test_a_limit_or_a_bound_determines_one_of_two_springs() -> None:
 
 def test_a_variable_without_effect_is_named() -> None:
     given = design_of(swing(), variables={f"{BRACE}.damping": {"bounds": [0.0, 1.0]}}, minimize="final(shank.angle)")
-    assert "Nothing determines model.forces.brace.damping" in mbdkit.design(given).summary()
+    assert "model.forces.brace.damping is not determined" in mbdkit.design(given).summary()
 
 
 def test_least_squares_keeps_no_limits() -> None:

@@ -52,7 +52,7 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
         ({"model": {"name": "four-bar-knee", "flexion": 0.6, "thigh_angle": -90}}, "-90 rad at model.thigh_angle"),
         (
             {"parameters": {"tilt": 90}, "model__bodies__rod__angle": "tilt"},
-            "90 rad at model.bodies.rod.angle (from parameters.tilt) is more than a turn; if degrees are meant",
+            "90 rad at model.bodies.rod.angle (from parameters.tilt) is more than a full rotation",
         ),
         (
             {"parameters": {"a": 45, "b": "2*a"}, "model__bodies__rod__angle": "b + a"},
@@ -148,7 +148,11 @@ BEAM = {"a": [0, 0], "b": [1, 0], "elements": 20, "E": 2e11, "nu": 0.3, "A": 4e-
     ("integrator", "step", "expected"),
     [
         ({"name": "radau-iia", "stages": 2}, 1e-3, ("beam 'link'", "step of 0.001 s", "radau-iia damps faster ones")),
-        ({"name": "gauss", "stages": 2}, 1e-3, ("gauss keeps the energy of faster ones, but not their frequencies",)),
+        (
+            {"name": "gauss", "stages": 2},
+            1e-3,
+            ("gauss keeps the energy of faster motions, but not their frequencies",),
+        ),
         ({"name": "gauss", "stages": 2}, 1e-7, None),
         ({"name": "rk4"}, 1e-3, None),  # which fails
     ],

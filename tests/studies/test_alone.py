@@ -24,7 +24,7 @@ BASE: dict[str, Any] = {
         ({"stabilization": "projection"}, "their stabilization is projection"),
         ({"events": {"down": {"when": "rod1.angle"}}}, "they have events"),
         ({"integrator": {"name": "radau-iia"}, "formulation": "index-3"}, "their formulation is index-3"),
-        ({"integrator": {"name": "scipy-radau"}}, "mbdkit:scipy-radau does not suit lanes with these options"),
+        ({"integrator": {"name": "scipy-radau"}}, "mbdkit:scipy-radau cannot be vectorized with these options"),
         ({"measures": {"energy": "integral(energy.kinetic)"}}, "their measures contain integrals over time"),
         ({"check": True}, "their errors are estimated"),
     ],

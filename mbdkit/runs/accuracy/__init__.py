@@ -1,1 +1,1 @@
-"""Estimates of the error of a run, from companion runs of the same mechanism."""
+"""Estimates of the error of a run, from comparison runs (companions) of the same mechanism."""

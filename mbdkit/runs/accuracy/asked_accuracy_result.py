@@ -1,4 +1,4 @@
-"""Says whether a checked run reaches the accuracy that was asked, and why not."""
+"""Determines whether a checked run reaches the requested accuracy, and the reason if it does not."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Failure
 
 AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
-"""Reason of a choice that was made before."""
+"""Reason given if method and step were chosen before."""
 
 
 def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:
-    """Return the estimates with the accuracy that was asked, the one reached, and the choice.
+    """Return the estimates with the requested accuracy, the one reached, and the choice of method and step.
 
     Parameters
     ----------
@@ -49,9 +49,10 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
 
 
 def missed_because(accuracy: Accuracy, tried: Sequence[Choice], failure: Failure | None = None) -> str:
-    """Return why the accuracy asked is not reached, as a clause; empty if it is, or if nothing was chosen.
+    """Return the reason why the requested accuracy is not reached, as a clause; empty if it is reached, or if nothing
+    was chosen.
 
-    `failure` is why the run ended early, or None.
+    `failure` is the reason why the run ended early, or None.
     """
     if accuracy.is_reached or not tried:
         return ""
@@ -65,5 +66,5 @@ def missed_because(accuracy: Accuracy, tried: Sequence[Choice], failure: Failure
         why += f"; the best of {listed(methods, 'and')} is returned"
     if not accuracy.is_complete:
         until = "at any time" if math.isnan(accuracy.known_until) else f"after t = {accuracy.known_until:.4g} s"
-        return f"no estimate is confirmed {until}, as where the motion multiplies errors (chaos); {why}"
+        return f"no estimate is confirmed {until}, as is the case in chaotic motions, which amplify errors; {why}"
     return why

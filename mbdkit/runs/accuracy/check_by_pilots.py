@@ -1,4 +1,4 @@
-"""Checks the accuracy of a run by the coarser runs that have chosen its tolerance; see `coarser_estimate`."""
+"""Checks the accuracy of a run by the coarser runs from which its tolerance was chosen; see `coarser_estimate`."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
 
 FIRST_STEPS = 5
-"""Number of steps after which runs of different tolerance differ. The first step is often the same, and the next ones
-grow by the same largest factor."""
+"""Number of steps after which runs with different tolerances differ. The first step is often the same, and the next
+ones grow by the same largest factor."""
 
 
 def check_by_pilots(

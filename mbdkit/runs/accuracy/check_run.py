@@ -1,4 +1,4 @@
-"""Checks the accuracy of a run: runs its companions, and estimates its errors."""
+"""Checks the accuracy of a run: computes its companions, and estimates its errors."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def check_run(
     interrupted: Callable[[], bool],
     progress: Callable[[float, float], None] | None = None,
 ) -> Accuracy:
-    """Estimate the errors of a run by companion runs.
+    """Estimate the errors of a run by comparison runs.
 
-    A check costs 6 times the steps of the run, and those of the guard. If the spec limits wall time, all companions
-    together may take as long again.
+    A check takes 6 times the steps of the run, plus those of the guard (a run with another method). If the spec limits
+    wall time, the same limit applies to all companions together.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _guard(
     budget: Budget,
     progress: Callable[[float, float], None] | None,
 ) -> tuple[Companion, CompanionRows]:
-    """Return the first guard that reaches the end; the one that gets farthest if none does."""
+    """Return the first guard that reaches the end; if none does, the one that gets farthest."""
     best: tuple[Companion, CompanionRows] | None = None
     for companion in chosen.guards:
         found = run_companion(companion, workspace, times, budget.stopped, progress)
@@ -105,12 +105,12 @@ def _reached(found: CompanionRows) -> float:
 
 
 def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> str:
-    """Return how the estimate was made, and which companions stopped early."""
+    """Return a description of the estimate and of the companions that stopped early."""
     first, second = (companion.name for companion in chosen.finer)
     text = (
-        f"Richardson extrapolation from companion runs with {first} and {second}, confirmed by a run with "
-        f"{told[-1][0].name}; nan where neither the differences fall with the {chosen.what} nor the runs approach the "
-        "last one."
+        f"Richardson extrapolation from comparison runs with {first} and {second}, confirmed by a run with "
+        f"{told[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
+        f"converge to the last one."
     )
     for companion, found in told:
         if found.failure:

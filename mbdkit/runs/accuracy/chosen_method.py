@@ -1,14 +1,14 @@
-"""Chooses method and step for an accuracy that is asked, from pilot runs and a model of error and work.
+"""Chooses method and step for a requested accuracy, from pilot runs and a model of error and work.
 
-The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p near 1; C is the
-difference of two pilots, and p is observed where the model is used far from them. Work is the number of evaluations.
+The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p near 1; C follows from
+the difference of two pilots; p is observed if the model is extrapolated far. Work is the number of evaluations.
 
 Without a given integrator, DOP853 in adaptive steps is the first candidate. On smooth mechanisms no other built-in
 method needs less than about two thirds of its work, over all accuracies from 1e-3 to 1e-9, while pilots of many methods
-would cost more than that saves. If its steps hardly become shorter with the tolerance, they are limited by stability
-(stiff springs, dampers); then Radau IIA of order 9 is the second one.
+would cost more than they could save. If its steps hardly become shorter with the tolerance, they are limited by
+stability (stiff springs, dampers); Radau IIA of order 9 is then the second candidate.
 
-Everything is decided by counts, not by the clock: equal specs lead to equal choices on every machine.
+All decisions use counts instead of times, so that equal specs lead to equal choices on every machine.
 """
 
 from __future__ import annotations
@@ -32,55 +32,58 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.asked_accuracy import EXPLICIT, IMPLICIT
 
 MARGIN = 0.3
-"""The expected error, as a share of the error asked. A third costs 15 % more work in order 8; errors of regular motions
-follow the tolerance within this factor."""
+"""Target of the expected error, as a share of the requested accuracy. A third costs 15 % more work at order 8; errors
+of smooth motions follow the tolerance within this factor."""
 
 SATURATED = 0.2
-"""Differences above this share of the size say nothing about smaller steps. Those a little below are larger than the
-model expects, so that the choice is on the safe side."""
+"""Differences above this share of the size do not allow predictions for smaller steps. Those a little below are larger
+than the model expects, so that the choice is conservative."""
 
 FOLLOWS = 0.93
 """Expected exponent of the error of an adaptive method in its tolerance; below 1, because the prediction often spans
 several decades, and a missed accuracy costs another run."""
 
 TIGHTEST, LOOSEST = 1e-13, 1e-3
-"""Range of the tolerance: below the first, rounding errors dominate; above the second, errors do not follow it."""
+"""Range of the tolerance: rounding errors dominate below it, and errors are not proportional to it above."""
 
 ROUNDING = f"rounding errors dominate at tolerances below {TIGHTEST:g}"
-"""Why no smaller tolerance is possible."""
+"""Reason why no smaller tolerance is possible."""
 
 GAUSS: Mapping[str, Any] = {"name": "gauss", "stages": 6}
-"""Method of fixed steps that is tried where rounding errors limit adaptive ones."""
+"""Fixed-step method that is tried where rounding errors limit adaptive ones."""
 
 TENTH = 10.0
 """Factor between the tolerances of the first two pilots."""
 
 STIFF = 1.15
-"""Growth of the number of steps from one tolerance to a tenth of it below which stability limits the steps of DOP853;
-accuracy alone makes it 10^(1/8) = 1.33."""
+"""Factor by which the number of steps grows if the tolerance is divided by ten; below this value, stability limits the
+steps of DOP853. If accuracy limits them, it is 10^(1/8) = 1.33."""
 
 FIRST_STEPS = 20_000
-"""Most steps of the first pilots of a candidate; those of stiff mechanisms exceed it."""
+"""Largest number of steps of the first pilots of a candidate; those of stiff mechanisms exceed it."""
 
 IMPLICIT_STEP = 20.0 * IMPLICIT_WORK
-"""Least work of a step of Radau IIA with 5 stages, which iterates at least four times: 20 evaluations."""
+"""Smallest work of a step of Radau IIA with 5 stages, with at least four iterations: 20 evaluations."""
 
 MANY_STEPS = 2_000
-"""Number of steps up to which it does not matter that stability limits them: they take 0.1 s."""
+"""Number of steps up to which a limit by stability is accepted, because they take only 0.1 s."""
 
 APART = 100.0
 """Factor between the tolerances of the first two kept pilots. Errors of single runs scatter about the tolerance by a
-factor of up to 10, so that closer runs may differ by less than their errors; with 10 instead, runs cost 15 % more."""
+factor of up to 10, so that runs with closer tolerances may differ by less than their errors; a factor of 10 would cost
+15 % more."""
 
 AIM = 0.25
-"""The estimated error of a kept pilot, as a share of the error asked; a missed accuracy costs another one."""
+"""Target of the estimated error of a kept pilot, as a share of the requested accuracy; if it is missed, another pilot
+is needed."""
 
 MOST_ATTEMPTS = 3
-"""Most runs of the chosen method, if the check does not confirm the accuracy at once."""
+"""Largest number of runs of the chosen method, if the check does not confirm the accuracy at once."""
 
 FAR = {True: 1e5, False: 30.0}
-"""Ratio of the error asked to that of the last pilot over which the model is used without another pilot, of adaptive
-methods, whose errors follow the tolerance, and of fixed steps, whose observed order may be lower than the method's."""
+"""Largest ratio of errors over which the model is extrapolated from the last pilot without another pilot: for adaptive
+methods, whose errors follow the tolerance, and for fixed steps, whose observed order may be lower than that of the
+method."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen.
+    """The choice of method and tolerance or step.
 
     Attributes
     ----------
@@ -141,11 +144,12 @@ class Choice:
     work
         Work of all pilots, in evaluations.
     limited
-        Why no smaller setting is possible; empty if one is.
+        Reason why no smaller setting is possible; empty if one is possible.
     pilots
-        The last pilots of the same method, of which the errors of the run are estimated; empty: by companions.
+        The last pilots of the same method, from which the errors of the run are estimated; if empty, companions are
+        used.
     final
-        The pilot that is accurate enough to be the run, or None.
+        The pilot that is accurate enough to serve as the run, or None.
     """
 
     candidate: Candidate
@@ -163,7 +167,7 @@ class Choice:
         return self.candidate.name(self.setting)
 
     def settle(self, spec: RunSpec) -> RunSpec:
-        """Return the spec with what was chosen."""
+        """Return the spec with the chosen method and setting."""
         return self.candidate.settle(spec, self.setting, self.size)
 
     def tightened(self, spec: RunSpec, asked: float, reached: float) -> Choice:
@@ -174,10 +178,10 @@ class Choice:
         spec
             The spec.
         asked, reached
-            Accuracy that was asked, and the one estimated by the check; nan if it was not known to the end.
+            Requested accuracy, and the one estimated by the check; nan if it was not known to the end.
         """
         order, least = self.candidate.order, 3.0 if self.candidate.adaptive else 1.5
-        # a kept pilot checks the next attempt in turn; after that, companions do
+        # a kept pilot also serves to check the next attempt; further attempts are checked by companions
         pilots = () if self.final is None else (*self.pilots[-1:], self.final)
         factor = TENTH if pilots else 100.0 if self.candidate.adaptive else 4.0
         if math.isfinite(reached):
@@ -250,10 +254,10 @@ class _Search:
         return pilot
 
     def ladder(self, candidate: Candidate) -> Choice | None:
-        """Return the choice of a tolerance by kept pilots, each tighter than the one before, until one is good enough.
+        """Return the choice of a tolerance by kept pilots with decreasing tolerances, until one is accurate enough.
 
-        The last one is the run, and the ones before it estimate its error. None if the steps are limited by stability,
-        or too many to be kept.
+        The last one serves as the run, and its error is estimated from the previous ones. None if the steps are limited
+        by stability, or are too many to be kept.
         """
         runs: list[RecordedPilot] = []
         setting = min(max(_rounded(self.asked), APART * TIGHTEST), LOOSEST)
@@ -297,18 +301,18 @@ class _Search:
         return float(np.nan_to_num(np.max(share), nan=math.inf))
 
     def is_stiff(self, runs: list[RecordedPilot]) -> bool:
-        """Return whether stability limits the steps of the last pilots, and they are so many that it matters."""
+        """Return whether stability limits the steps of the last pilots, and their number is relevant."""
         return runs[-1].steps > MANY_STEPS and runs[-1].steps <= STIFF * runs[-2].steps
 
     def next_tolerance(self, runs: list[RecordedPilot], differences: list[float], error: float) -> float:
         """Return the tolerance of the next kept pilot."""
         if not differences[-1] <= SATURATED:
             return runs[-1].setting / APART
-        if len(differences) == 1:  # the difference is the error of the coarser one
+        if len(differences) == 1:  # the difference is the error of the coarser run
             wanted = runs[-2].setting * (AIM * self.asked / differences[-1]) ** (1 / FOLLOWS)
         else:
             wanted = runs[-1].setting * (AIM * self.asked / error) ** (1 / FOLLOWS)
-        return float(min(wanted, runs[-1].setting / 4))  # closer runs hardly differ
+        return float(min(wanted, runs[-1].setting / 4))  # runs with closer tolerances would hardly differ
 
     def why_last(self, runs: list[RecordedPilot], differences: list[float], error: float) -> str:
         """Return the sentence on the last of the kept pilots."""
@@ -319,11 +323,13 @@ class _Search:
         )
 
     def better(self, explicit: Candidate, implicit: Candidate) -> Choice:
-        """Return the better of both: the explicit one, unless stability limits its steps and the other needs less."""
+        """Return the better choice: the explicit method, unless stability limits its steps and the other one needs less
+        work.
+        """
         pilots = self.two(explicit, FIRST_STEPS)
         if pilots[-1].failure != "max-steps" and pilots[-1].steps > STIFF * pilots[0].steps:
             return self.of(explicit, pilots)
-        # stopped at half the work of the explicit one: less is not worth looking for
+        # stopped at half the work of the explicit method; a smaller gain is not worth another pilot
         budget = max(8, int(pilots[-1].work / (2 * IMPLICIT_STEP)))
         other = self.pilot(implicit, pilots[-1].setting, budget)
         name, rival = explicit.integrator["name"], implicit.integrator["name"]
@@ -345,7 +351,8 @@ class _Search:
         spec = self.spec
         if candidate.adaptive:
             given = candidate.integrator.get("rtol") if spec.choose == "step" else None
-            # pilots are looser than the run, so that they cost less; three decades of accuracy are one of tolerance
+            # pilots have larger tolerances than the run, so that they cost less: three decades of accuracy correspond
+            # to one of tolerance
             loose = LOOSEST * (self.asked / LOOSEST) ** (1 / 3)
             return min(max(_rounded(float(given or loose)), TENTH * TIGHTEST), LOOSEST), TENTH
         span = spec.time.final - spec.time.start
@@ -357,7 +364,7 @@ class _Search:
         runs = runs or self.two(candidate)
         _, factor = self.first(candidate)
         differences = [difference(runs[0], runs[1], self.measure)]
-        while not differences[-1] <= SATURATED:  # too coarse to tell
+        while not differences[-1] <= SATURATED:  # too coarse for a prediction
             setting = _setting(candidate, runs[-1].setting / (factor if candidate.adaptive else 2 * factor))
             if setting >= runs[-1].setting or _limited(self.spec, candidate, setting)[1]:
                 break
@@ -380,7 +387,7 @@ class _Search:
         )
 
     def predicted(self, candidate: Candidate, setting: float, error: float, order: float) -> float:
-        """Return the setting for `MARGIN` of the error asked, if the error at `setting` is `error`."""
+        """Return the setting for `MARGIN` times the requested accuracy, if the error at `setting` is `error`."""
         if not error > 0:
             return setting
         factor = math.pow(MARGIN * self.asked / max(min(error, 1.0), 1e-15), 1 / order)
@@ -406,7 +413,7 @@ class _Search:
 
 
 def _limited(spec: RunSpec, candidate: Candidate, setting: float) -> tuple[float, str]:
-    """Return a setting rounded within its limits, and which limit it meets."""
+    """Return a setting rounded within its limits, and a description of the limit that applies."""
     if candidate.adaptive:
         if setting <= TIGHTEST:
             return TIGHTEST, ROUNDING
@@ -435,7 +442,7 @@ def _shorter(step: float, *, up: bool = False) -> float:
 
 
 def _dividing(steps: float) -> int:
-    """Return the next number of steps whose ends include the samples, or that divides them."""
+    """Return the next larger number of steps that is a multiple or a divisor of the number of samples."""
     if steps >= SAMPLES:
         return SAMPLES * math.ceil(steps / SAMPLES - 1e-9)
     return 1 << max(3, math.ceil(math.log2(steps)))

@@ -1,14 +1,14 @@
 """Estimates errors of a run from coarser runs of the same method; arrays only.
 
-Runs with tolerances a > b > c have the errors C a^p, C b^p and C c^p. Their differences from the last one tell C and p,
-for every body and every joint, and thereby the error of the last one, ``d x / (1 - x)`` with d the difference of the
-last two and x = (c / b)^p. With a single coarser run p is not observed, and `ASSUMED` is taken: smaller than the p near
-1 of methods that control the error of each step, so that the estimate is too large rather than too small.
+Runs with tolerances a > b > c have the errors C a^p, C b^p and C c^p. Their differences from the last one determine C
+and p, for every body and every joint, and thereby the error of the last one, ``d x / (1 - x)`` with d the difference of
+the last two and x = (c / b)^p. With a single coarser run p is not observed, and `ASSUMED` is used. It is smaller than p
+of methods that control the error of each step, which is near 1, so that the estimate tends to be too large.
 
-This is weaker evidence than that of `error_estimate`, and costs nothing: the coarser runs have chosen the tolerance.
-The error lies below the differences that are seen, so that it is wrong by at most their ratio as long as the last run
-is the better one. What all runs would share, a pulse between two evaluations, is looked for in the loads themselves
-(`resolved_loads`).
+This is weaker evidence than that of `error_estimate`, but costs nothing, since the coarser runs were needed to choose
+the tolerance. The error is smaller than the observed differences, so that the estimate is wrong by at most their ratio
+if the last run is the more accurate one. An error that all runs share, such as a pulse between two evaluations, is
+detected in the loads themselves (`resolved_loads`).
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from mbdkit.runs.accuracy.error_estimate import (
 from mbdkit.runs.recorded_states import ObservedRows
 
 LEAST, ASSUMED = 0.25, 0.8
-"""Least exponent of the error in the tolerance, below which differences do not fall; and the exponent where it is not
-observed, or larger, as where a coarse run is exceptionally bad."""
+"""Smallest exponent of the error in the tolerance for which differences count as decreasing; and the exponent that is
+used if none is observed, or if the observed one is larger, as with an exceptionally inaccurate coarse run."""
 
 EXPECTED = 10.0
-"""Differences up to this many times the accuracy asked need not fall all the time: such a difference is expected of a
-run whose tolerance is larger by a factor of 10 or more."""
+"""Differences up to this many times the requested accuracy need not decrease at all times: such a difference is
+expected for a run whose tolerance is larger by a factor of 10 or more."""
 
 SAFETY = 4.0
 """Factor of all estimates. Errors of single runs scatter about the tolerance: in 99 % of the pairs of runs of 21
-mechanisms, tolerances 1e-2 to 1e-13, true errors are at most 4.1 times the estimate without this factor, whatever the
-ratio of the tolerances. With `ASSUMED` nearer to 1 this would grow with the ratio. That is the largest error over a
-run; at single times and of forces, true errors exceed the estimates more often, mostly at tolerances of 1e-6 and above,
-by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust)."""
+mechanisms, tolerances 1e-2 to 1e-13, true errors are at most 4.1 times the estimate without this factor, for any ratio
+of the tolerances. With `ASSUMED` nearer to 1 this would grow with the ratio. This holds for the largest error over a
+run; at single times, and for forces, true errors exceed the estimates more often, mostly at tolerances of 1e-6 and
+above, by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust)."""
 
 
 def estimate_from_coarser(
@@ -67,9 +67,9 @@ def estimate_from_coarser(
     units
         Natural units of the mechanism.
     asked
-        Accuracy that was asked; see `EXPECTED`.
+        Requested accuracy; see `EXPECTED`.
     settled
-        Row up to which the runs may have taken the same first steps, so that their differences say nothing.
+        Row up to which the runs may have taken the same first steps, so that their differences contain no information.
 
     Returns
     -------
@@ -92,7 +92,9 @@ def error_share(differences: Sequence[float], tolerances: Sequence[float]) -> fl
 
 
 def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the estimated error as a share of the difference of the last two runs, and whether differences fall."""
+    """Return the estimated error as a share of the difference of the last two runs, and whether differences
+    decrease.
+    """
     exponent = np.full(differences[-1].shape, ASSUMED)
     falls = np.full(differences[-1].shape, True)
     if len(differences) > 1:
@@ -101,7 +103,7 @@ def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> t
         falls = observed >= LEAST
         exponent = np.clip(np.nan_to_num(observed, nan=LEAST, posinf=ASSUMED, neginf=LEAST), LEAST, ASSUMED)
     ratio = (tolerances[-1] / tolerances[-2]) ** exponent
-    differs = ratio < 1.0  # else the runs are the same and tell nothing
+    differs = ratio < 1.0  # otherwise the runs are equal and contain no information
     return np.where(differs, SAFETY * ratio / np.where(differs, 1.0 - ratio, 1.0), math.inf), falls & differs
 
 
@@ -129,7 +131,7 @@ class _Quantity:
         small = norms[-1] <= LARGEST_ERROR * size + agreed
         finite = np.isfinite(np.add.reduce(norms))
         self._seen = np.minimum.accumulate(finite & (falls | tiny | minor) & small, axis=0)
-        # one factor for all times: that of small differences in the first steps varies by chance
+        # one factor for all times, because that of small differences in the first steps varies randomly
         last = np.maximum(np.sum(self._seen, axis=0) - 1, 0)[None]
         self._factor = np.broadcast_to(np.take_along_axis(factor, last, axis=0), factor.shape)
         self._settled = settled

@@ -1,4 +1,4 @@
-"""Companion runs: the same mechanism from the same start with another method, step or tolerance, at given times."""
+"""Companions: comparison runs of the same mechanism from the same start with another method, step or tolerance."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mbdkit.stepping.interface import SAME_TIME, Stepper, Timetable
 from mbdkit.stepping.start import start_method
 
 NEVER = 2**53
-"""`Timetable.every` of a companion whose rows are taken from within its steps."""
+"""`Timetable.every` of a companion whose rows are evaluated within its steps."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def run_companion(
     times
         (T,) times of the main run [s], the first one its start.
     stopped
-        Returns why the companion must stop now; empty if it need not.
+        Returns the reason why the companion must stop now; empty if it need not stop.
     progress
         Called with (time reached, end time) [s].
 
@@ -147,7 +147,9 @@ class _States:
 
 
 def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times of rows (T,), those at a stop moved to the side of it that they show, and which these are."""
+    """Return the times of rows (T,), with those at a stop shifted to the side that they show, and a mask of the
+    latter.
+    """
     table = companion.timetable
     moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
     for stop, margin in zip(table.stops, table.stop_margins, strict=True):
@@ -157,7 +159,7 @@ def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, 
 
 
 def _equal(a: float, b: float, times: np.ndarray) -> bool:
-    """Return whether two times are equal but for rounding."""
+    """Return whether two times are equal up to rounding errors."""
     return bool(abs(a - b) <= 1e-13 * max(abs(times[0]), abs(times[-1]), times[-1] - times[0]))
 
 
@@ -168,7 +170,7 @@ def _advance(
     stopped: Callable[[], str],
     progress: Callable[[float, float], None] | None,
 ) -> str:
-    """Advance to the last of the times; return why that failed, or nothing."""
+    """Advance to the last of the times; return the reason if this fails, otherwise an empty string."""
     while found.done < len(found.times):
         if stepper.finished:
             return ""
@@ -187,7 +189,7 @@ def _advance(
 
 
 def _observed(found: _States, workspace: Workspace) -> ObservedRows:
-    """Return the states with their reactions; rows from the first one that is missing or singular on are nan."""
+    """Return the states with their reactions; all rows after a missing or singular one are nan."""
     count = found.done
     finite = np.all(np.isfinite(found.q[:count]) & np.isfinite(found.v[:count]), axis=1)
     count = count if np.all(finite) else int(np.argmin(finite))
@@ -208,7 +210,7 @@ def _observed(found: _States, workspace: Workspace) -> ObservedRows:
 
 
 class Budget:
-    """Says when companions must stop: after a time, or if the user asks for it.
+    """Determines when companions must stop: after a time limit, or on an interrupt by the user.
 
     Parameters
     ----------
@@ -222,7 +224,7 @@ class Budget:
         self._begin, self._seconds, self._interrupted = time.perf_counter(), seconds, interrupted
 
     def stopped(self) -> str:
-        """Return why companions must stop now; empty if they need not."""
+        """Return the reason why companions must stop now; empty if they need not stop."""
         if self._interrupted():
             return "stopped by the user"
         if self._seconds is not None and time.perf_counter() - self._begin > self._seconds:

@@ -1,4 +1,4 @@
-"""Chooses the companions of a run: two finer runs of its own method, and guards of other methods."""
+"""Chooses the companions of a run: two finer runs of its own method, and *guards* with other methods."""
 
 from __future__ import annotations
 
@@ -18,34 +18,36 @@ from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Guards, Timetable
 
 HALVINGS = (2, 4)
-"""Factors by which the steps of the companions of a fixed-step run are shorter."""
+"""Factors by which the steps of a fixed-step run are divided for its companions."""
 
 TENTHS = (10.0, 100.0)
-"""Factors by which the tolerances of the companions of an adaptive run are tighter."""
+"""Factors by which the tolerances of an adaptive run are divided for its companions."""
 
 OTHER_TENTHS = (1e3, 1e5)
-"""The same for companions of another method than the run's: SciPy's Radau is up to 100 times as accurate as asked."""
+"""The same for companions with another method than the run: SciPy's Radau is up to 100 times more accurate than its
+tolerance."""
 
 TIGHTEST = 1e-13
 """Smallest tolerance of a companion; below it, rounding errors dominate."""
 
 GUARD_TOLERANCE = 1e-13
-"""Tolerance of the guard DOP853. Its error must be small beside that of the run, or the guard widens the estimate."""
+"""Tolerance of the guard DOP853. Its error must be small compared with that of the run; otherwise the estimate becomes
+too large."""
 
 IMPLICIT_GUARD_TOLERANCE = 1e-11
-"""Tolerance of an implicit guard, which takes more steps for it."""
+"""Tolerance of an implicit guard; larger, because implicit methods of lower order need more steps."""
 
 GUARD_STEPS = (20_000, 40)
-"""Most steps of a guard: a number, plus this number times the steps of the run. Stiff problems exceed it in explicit
-steps, and the next guard is tried. A limit on wall time would make the result depend on the machine."""
+"""Largest number of steps of a guard: a constant, plus a multiple of the steps of the run. Explicit guards exceed it on
+stiff problems, and the next guard is tried. A limit on wall time would make the result depend on the machine."""
 
 SINGLE_STEPS = (5_000, 10)
 """The same for companions that stop after each step, each of which takes about 0.1 ms more."""
 
 
 LOOKS = 2_000
-"""Least number of steps of a guard, unless the run itself has as many fixed steps. Adaptive steps of a body at rest
-grow without bound, and pass over a pulse at any tolerance."""
+"""Smallest number of steps of a guard, unless the run itself has as many fixed steps. Adaptive steps of a body at rest
+grow without limit and miss a pulse at any tolerance."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,8 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
 def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:
     """Return two companions of an adaptive run with tighter tolerances.
 
-    Methods of SciPy have no states inside steps that are as accurate as their ends, and of plugins the names of the
-    tolerances are not known. Their companions are runs of the adaptive Radau IIA method.
+    Dense output of SciPy's methods is less accurate than the ends of their steps, and the names of the tolerances of
+    plugins are not known. Their companions therefore use the adaptive Radau IIA method.
     """
     options, after = spec.integrator, spec.output.interval is not None
     own = _has_tolerances(spec, method)
@@ -152,19 +154,19 @@ def _has_tolerances(spec: RunSpec, method: Method) -> bool:
 def _guards(
     spec: RunSpec, method: Method, workspace: Workspace, within: Timetable, steps: int, interval: float | None
 ) -> tuple[Companion, ...]:
-    """Return guards by methods other than that of the run: explicit first, then implicit.
+    """Return guards with other methods than the run: explicit first, then implicit.
 
     Guards solve the index-1 equations and are projected onto the constraints, so that they also differ in drift, and
     pass singular positions on the right branch. The last one, for stiff methods, solves the index-2 equations: index-1
-    accelerations of stiff beams consist of round-off, and adaptive steps on them become small without end. It may be of
-    the family of the run, but has another order.
+    accelerations of stiff beams consist of round-off, so that adaptive steps become ever smaller. It may be of the same
+    family as the method of the run, but has another order.
     """
     name = method.tableau.name if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else ""
     within = replace(within, max_steps=LOOKS + _most(SINGLE_STEPS, steps))
     dense, longest = within, (within.end - within.start) / LOOKS
     tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE, longest, by_size=True)
     loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE, longest, by_size=True)
-    if interval is not None and steps >= LOOKS and not within.impacts:  # rows there may show either side
+    if interval is not None and steps >= LOOKS and not within.impacts:  # rows at stops may show either side
         dense = replace(within, every=1, interval=interval, single=False, max_steps=_most(GUARD_STEPS, steps))
         tight = replace(tight, max_step=None)
     candidates: Sequence[tuple[str, str, Callable[[], Method], Timetable]] = (
@@ -199,7 +201,7 @@ def _most(limits: tuple[int, int], steps: int) -> int:
 
 
 def _projected(workspace: Workspace) -> Stabilization:
-    """Return projection after every step, if there is anything to project onto."""
+    """Return projection after every step, if the mechanism has constraints."""
     return Stabilization("projection") if len(workspace.mechanism.rows) else NONE
 
 

@@ -3,12 +3,12 @@
 Three runs of one method with steps h, h/2 and h/4 differ by d01 and d12. If the error is C h^p, then d12 / d01 = 2^-p,
 and the error of the first run is ``|y0 - y2| / (1 - (d12 / d01)^2)`` (Richardson 1911; Hairer, Norsett and Wanner 1993,
 II.4). Nothing is assumed about p: stabilization, stiffness or dense output change it, and it differs between positions
-and reactions. It is observed, for every body and every joint. What is required is that the differences fall at all, to
-`LARGEST_RATIO` or less. The same holds for adaptive methods, with tolerances instead of steps.
+and reactions. It is observed, for every body and every joint. The only requirement is that the differences decrease, by
+a factor of `LARGEST_RATIO` or less. The same holds for adaptive methods, with tolerances instead of steps.
 
 Runs of one method may share an error, such as a pulse between two steps. A run by another method, the guard, must
-therefore agree with the most accurate one. Conversely, the step may be too long for the order to show, as in the sudden
-turns of a pendulum; then it is sufficient that the most accurate run is closer to the guard than the first one, by
+therefore agree with the most accurate one. Conversely, the step may be too long for an observed order, as in the sudden
+turns of a pendulum; it is then sufficient that the most accurate run is closer to the guard than the first one, by
 `CONFIRMED`.
 
 Where neither holds (chaos, another branch, a step too long for the motion), the estimate is nan. All differences are
@@ -27,32 +27,34 @@ import numpy as np
 from mbdkit.runs.recorded_states import ObservedRows
 
 LARGEST_RATIO = 0.6
-"""Largest d12 / d01 of differences that count as falling: a little above those of a method of order 1, 0.5."""
+"""Largest d12 / d01 of differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
 
 CONFIRMED = 0.25
 """Largest distance of the most accurate run from the guard, relative to that of the first one, that replaces an
 observed order: that of a method of order 1."""
 
 ROUND_OFF = 1e-9
-"""Differences from the guard below this share of the size of a quantity are explained by its own tolerance, and left
-out of the estimate."""
+"""Differences from the guard below this share of the size of a quantity are explained by its own tolerance, and not
+included in the estimate."""
 
 AGREED = 1e-5
-"""Differences of all four runs below this share need not fall. The step no longer matters where rounding errors
-dominate; chaos multiplies them, from 1e-13 at the start. The largest difference is then the estimate. For the same
-reason, the guard may then be less accurate than the run, and the difference from it widens the estimate."""
+"""Differences of all four runs below this share need not decrease. The step has no influence where rounding errors
+dominate; chaotic motions amplify them, from 1e-13 at the start. The largest difference is then the estimate. For the
+same reason, the guard may then be less accurate than the run, and the difference from it widens the estimate."""
 
 AT_REST = 1e-12
 """The same share of the natural unit of the quantity (`Units`), for mechanisms that hardly move."""
 
 MINOR = 0.05
-"""A body or joint whose differences are below this share of those of all bodies or joints need not show an order."""
+"""A body or joint whose differences are below this share of those of all bodies or joints need not have an observed
+order."""
 
 LARGEST_ERROR = 0.1
-"""Errors above this share of the size of a quantity count as unknown: they are no longer linear in the error before."""
+"""Errors above this share of the size of a quantity count as unknown: such errors no longer depend linearly on earlier
+errors."""
 
 GUARD_RATIO = 3.0
-"""Largest difference from the guard, relative to the estimate; a larger one means an error that the runs share."""
+"""Largest difference from the guard, relative to the estimate; a larger one indicates an error that the runs share."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +203,9 @@ def assemble(
 
 
 def size_of_motion(position: np.ndarray, length: float) -> float:
-    """Return how far a body moves at most [m], from positions (T, B, 3); angles count times `length`, up to 1 rad."""
+    """Return the largest displacement of a body [m], from positions (T, B, 3); angles are multiplied by `length`, and
+    counted up to 1 rad.
+    """
     moved = np.abs(position - position[:1])
     across = float(np.max(np.linalg.norm(moved[..., :2], axis=-1), initial=0.0))
     return max(across, length * min(float(np.max(moved[..., 2], initial=0.0)), 1.0))

@@ -1,4 +1,4 @@
-"""Pilot runs: a spec that is to be given a method is run with candidates, of which some positions are kept."""
+"""Pilot runs: trial runs of a spec with candidate methods, of which some positions are kept."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from mbdkit.stepping.start import start_method
 
 SAMPLES = 16
 """Intervals of equal length between the kept positions; fixed steps of pilots divide them. Dense output takes further
-evaluations in every adaptive step with a sample, so that more samples would cost as much as they tell."""
+evaluations in every adaptive step with a sample, so that more samples would not be worth their cost."""
 
 IMPLICIT_WORK = 2.0
 """Work of an implicit method for each of its evaluations, in evaluations of an explicit one: its linear systems cost as
-much again. Measured on mechanisms of 1 to 6 bodies, 1.8 to 2.3. A constant, and not the clock, so that the same spec
-always leads to the same choice."""
+much again. Measured on mechanisms of 1 to 6 bodies, 1.8 to 2.3. A constant instead of measured times, so that the same
+spec always leads to the same choice."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PilotRun:
     steps
         Number of accepted steps.
     work
-        Evaluations of the right side, those of implicit methods times `IMPLICIT_WORK`.
+        Evaluations of the right-hand side, multiplied by `IMPLICIT_WORK` for implicit methods.
     failure
         Code of its failure; empty if it reached the end.
     """
@@ -90,7 +90,7 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     while not (stepper.finished or stepper.failure):
         try:
             stretch = stepper.advance()
-        except (Exception, SystemExit) as error:  # the run itself will fail in the same way, and tell it
+        except (Exception, SystemExit) as error:  # the run itself will fail and report this in the same way
             failure = plugin_failure(spec, error)
             break
         if not len(stretch.time):
@@ -114,7 +114,7 @@ def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
     share = measure.share(a.position - b.position)
     common = np.isfinite(share)
     reached = [np.flatnonzero(np.all(np.isfinite(run.position), axis=(1, 2)))[-1] for run in (a, b)]
-    # beyond an event that would stop the run, both may fail; if only one does, it is wrong before
+    # beyond an event that would stop the run, both may fail; if only one fails, its states before are wrong
     if abs(reached[0] - reached[1]) > 1 or not np.any(common[1:]):
         return float("inf")
     return float(np.max(share[common]))

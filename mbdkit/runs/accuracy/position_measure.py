@@ -18,7 +18,7 @@ class PositionMeasure:
     """Measures errors of positions.
 
     The error of a body is that of its centre of mass, or the error of its angle times its `arm` if that is larger, so
-    that the ends of a rod count and a disc that turns about its centre has an error.
+    that the ends of a rod are included, and a disc that rotates about its centre has an error.
 
     Parameters
     ----------

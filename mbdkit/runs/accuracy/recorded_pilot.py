@@ -1,4 +1,4 @@
-"""Pilot runs that are kept in memory: they are compared at any time, and the last one is taken as the run."""
+"""Pilot runs that are kept in memory: they can be compared at any time, and the last one serves as the run."""
 
 from __future__ import annotations
 
@@ -110,8 +110,8 @@ class RecordedPilot:
 def can_be_recorded(spec: RunSpec) -> bool:
     """Return whether pilots of a spec are kept: an explicit method with tolerances, and no impulses of drivers.
 
-    States after an impulse are not those before it, and stiff mechanisms, which need implicit methods, have
-    accelerations that are too inaccurate to interpolate with.
+    Impulses make velocities discontinuous, and stiff mechanisms, which need implicit methods, have accelerations that
+    are too inaccurate for interpolation.
     """
     return (
         spec.claims.adaptive
@@ -122,7 +122,7 @@ def can_be_recorded(spec: RunSpec) -> bool:
 
 
 class Replay:
-    """Returns the stretches of a finished pilot; implements `Advancing`, for a pilot that is taken as the run."""
+    """Returns the stretches of a finished pilot that serves as the run; implements `Advancing`."""
 
     def __init__(self, pilot: RecordedPilot):
         self._pilot = pilot

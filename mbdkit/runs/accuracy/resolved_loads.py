@@ -1,8 +1,8 @@
 """Until when the steps of a run resolve its motions and loads: the expressions and tables of time in its spec.
 
-All runs of one method can pass over the same short pulse. Whether a pulse lies between the evaluations of a step is
-seen without integrating: the polynomial through the values of a motion at `NODES` times of a step must reproduce it
-between them.
+All runs of one method can pass over the same short pulse. A pulse between the evaluations of a step can be detected
+without integration: the polynomial through the values of a motion at `NODES` times of a step must reproduce it between
+them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from mbdkit.runs.corners import stops_of
 from mbdkit.spec import RunSpec
 
 NODES = 8
-"""Number of times in a step at which a motion counts as seen: those of the stages of DOP853, without repeated ones."""
+"""Number of times in a step at which a motion counts as evaluated: those of the stages of DOP853, without
+duplicates."""
 
 LOOKS, LOOKS_OF_STEP = 20_000, 16
-"""Number of samples over a run, and the least number in one step."""
+"""Number of samples over a run, and the smallest number in one step."""
 
 UNRESOLVED = 1e-3
 """Largest deviation from the polynomial, as a share of the range of the motion over the run."""
@@ -43,7 +44,7 @@ def resolved_until(spec: RunSpec, time: np.ndarray) -> float:
     if not varying or len(time) < 2:
         return math.inf
     margin = 4.0 * max(stops_of(spec).margins, default=4.0 * EPS * float(np.max(np.abs(time))))
-    begin, end = time[:-1] + margin, time[1:] - margin  # a motion may jump at the ends of a step
+    begin, end = time[:-1] + margin, time[1:] - margin  # a motion may be discontinuous at the ends of a step
     nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(NODES) / (NODES - 1))
     samples = (np.arange(max(LOOKS_OF_STEP, LOOKS // len(begin))) + 0.5) / max(LOOKS_OF_STEP, LOOKS // len(begin))
     through = np.linalg.solve(np.vander(2 * nodes - 1, NODES).T, np.vander(2 * samples - 1, NODES).T)  # (NODES, M)

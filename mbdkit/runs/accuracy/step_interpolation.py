@@ -17,12 +17,12 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.interface import SAME_TIME
 
 NODES = 4
-"""Number of ends of steps of one polynomial; fewer next to a corner of a motion."""
+"""Number of ends of steps of one polynomial; fewer next to a discontinuity of a motion."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepEnds:
-    """The ends of all steps of a run or of a part between two corners of motions.
+    """The ends of all steps of a run, or of a part between two discontinuities of motions.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class StepStates:
     time, q, v
         (N,), (N, 3 (B + 1)) ends of all steps, with the start.
     stops, margins
-        Times of corners of motions and loads, at which steps end [s], and their margins; see `Timetable`.
+        Times of discontinuities of motions and loads, at which steps end [s], and their margins; see `Timetable`.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class StepStates:
         self.parts: list[StepEnds] = []
         for begin, end in pairwise(borders):
             part = slice(begin, end + 1)
-            seen = time[part].copy()  # accelerations jump at a corner
+            seen = time[part].copy()  # accelerations are discontinuous there
             seen[0], seen[-1] = cuts[begin][1] if begin in cuts else seen[0], cuts[end][0] if end in cuts else seen[-1]
             out = observer.arrays(len(seen))
             ends = np.ascontiguousarray(q[part]), np.ascontiguousarray(v[part])
