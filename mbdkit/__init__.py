@@ -188,7 +188,7 @@ def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
 
 
 # Importing any module of the package runs this file first, so these functions are always available below.
-higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.registry_lookup", "RegistryLookup")
+higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
 higher_layers.symbolic_system = _of_higher_layer("mbdkit.symbolic.build", "build_system")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")
 higher_layers.gradients_json = _of_higher_layer("mbdkit.gradients.gradient", "gradients_json")

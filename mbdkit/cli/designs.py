@@ -23,7 +23,7 @@ from mbdkit.cli.common_options import (
 from mbdkit.cli.output_paths import stem
 
 if TYPE_CHECKING:
-    from mbdkit.spec.source_document import Document
+    from mbdkit.spec.reading import Document
 
 
 def design(

@@ -14,7 +14,7 @@ from mbdkit.cli.output_paths import check_new, stem
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.spec.source_document import Document
+    from mbdkit.spec.reading import Document
 
 
 def inverse(
@@ -103,7 +103,7 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     from mbdkit.base.text import shown
     from mbdkit.inverse_dynamics.inverse_run import compute_run
     from mbdkit.spec import load_inverse_spec
-    from mbdkit.spec.source_document import Document
+    from mbdkit.spec.reading import Document
 
     spec = load_inverse_spec(Document(before.spec, folder=archive.parent))
     folder = archive.parent.resolve()

@@ -116,11 +116,13 @@ def _tell(result: Run, *, as_json: bool, quiet: bool) -> None:
 def _check_accuracy(accuracy: float) -> None:
     """Raise SpecError for an accuracy that cannot be reached."""
     from mbdkit.base.errors import SpecError
-    from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST
+    from mbdkit.spec.run_spec import LARGEST_ACCURACY, SMALLEST_ACCURACY
 
-    if not SMALLEST <= accuracy <= LARGEST:  # also false for nan
-        why = f"; rounding errors dominate below {SMALLEST:g}" if accuracy < SMALLEST else ""
-        message = f"--accuracy should be a share of the mechanism's size from {SMALLEST:g} to {LARGEST:g}"
+    if not SMALLEST_ACCURACY <= accuracy <= LARGEST_ACCURACY:  # also false for nan
+        why = f"; rounding errors dominate below {SMALLEST_ACCURACY:g}" if accuracy < SMALLEST_ACCURACY else ""
+        message = (
+            f"--accuracy should be a share of the mechanism's size from {SMALLEST_ACCURACY:g} to {LARGEST_ACCURACY:g}"
+        )
         raise SpecError(f"{message}, not {accuracy:g}{why}")
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from mbdkit.designs.computing import plain_outcome
 from mbdkit.designs.evaluation import ScenarioRuns
 from mbdkit.spec import InverseSpec, RunSpec
-from mbdkit.spec.source_document import Document
+from mbdkit.spec.reading import Document
 from mbdkit.studies import worker
 
 

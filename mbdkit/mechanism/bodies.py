@@ -292,3 +292,7 @@ def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float
         f"[{body.position[0]:.6g}, {body.position[1]:.6g}]",
         key=key,
     )
+
+
+class Marker(AtPoint):
+    """A point of a body whose position and velocity are recorded; it does not affect the motion."""

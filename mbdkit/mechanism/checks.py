@@ -9,11 +9,10 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import found
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam, parts_of
-from mbdkit.mechanism.bodies import GROUND, Body
+from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import NO_BODY, Assembly
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table

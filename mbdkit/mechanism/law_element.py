@@ -25,7 +25,7 @@ class Law(Element):
     the installed laws.
     """
 
-    # The options of a law are fields of a subclass created by `mbdkit.spec.law_options.law_element`, which is strict.
+    # The options of a law are fields of a subclass created by `mbdkit.spec.choices.law_element`, which is strict.
     model_config = ConfigDict(extra="ignore")
 
     type: Literal["law"] = "law"

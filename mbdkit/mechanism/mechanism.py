@@ -15,12 +15,11 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import counted
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import Beam, parts_of
-from mbdkit.mechanism.bodies import GROUND, Body, Element
+from mbdkit.mechanism.bodies import GROUND, Body, Element, Marker
 from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
 from mbdkit.mechanism.named_coordinates import NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions

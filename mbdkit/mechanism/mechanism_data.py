@@ -9,10 +9,9 @@ from pydantic import BeforeValidator, Field, model_validator
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.beams import Beam
-from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.bodies import Body, Marker
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.named_coordinates import AnyNamedCoordinate
 from mbdkit.mechanism.values import Point, Positive, sequence
 

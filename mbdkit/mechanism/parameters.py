@@ -24,9 +24,8 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
-from mbdkit.mechanism.key_path import walk
 from mbdkit.mechanism.law_element import PluginLookup
-from mbdkit.mechanism.validation_errors import spec_error, value_path
+from mbdkit.mechanism.validation_errors import spec_error, value_path, walk
 from mbdkit.mechanism.values import TextForNumberError
 
 Validated = TypeVar("Validated")

@@ -46,10 +46,9 @@ from pydantic import Field
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import listed
-from mbdkit.mechanism.bodies import GROUND, Body
+from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint, Revolute
-from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData
 from mbdkit.mechanism.named_coordinates import NamedCoordinate

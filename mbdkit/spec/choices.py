@@ -1,20 +1,30 @@
-"""Selection of a model or an integrator by `name`: a discriminated union of the options of the installed plugins."""
+"""What plugins add to specs: models and integrators by `name`, and one class of elements for each force law.
+
+A model or integrator is a discriminated union of the options of the installed plugins.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
-from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError, create_model
 from pydantic_core import CoreSchema, core_schema
 
 from mbdkit.base.errors import SpecError, blaming
 from mbdkit.base.plain_data import found
+from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import listed
+from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Kind, Registered, Registry
-from mbdkit.registry.item_options import item_of, named_options
+from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_type, named_options
 from mbdkit.registry.manager import registry
+
+if TYPE_CHECKING:
+    from mbdkit.registry.catalogue import Registered
+    from mbdkit.registry.items import ForceLawPlugin
 
 
 @dataclass(frozen=True)
@@ -89,3 +99,59 @@ def registry_of(root: type[BaseModel]) -> Registry:
             if isinstance(extra, Choice):
                 return extra.registry
     return registry()
+
+
+@functools.cache
+def law_element(item: Registered) -> type[Law]:
+    """Return the strict, frozen class of elements of type ``law`` for one force law, with its options as fields."""
+    plugin: ForceLawPlugin = item.plugin  # type: ignore[assignment]
+    namespace = {
+        "__module__": __name__,
+        "model_config": ConfigDict(**STRICT, title=item.name, use_attribute_docstrings=False),
+        "force_law": plugin.law,
+        "law_id": item.id,
+        "law_options": plugin.options,
+        "__mbdkit_item__": item,
+    }
+    element: type[BaseModel] = create_model(
+        f"{class_name(item.name)}Law",
+        __base__=type("Options", (plugin.options, Law), namespace),
+        __doc__=plugin.summary,
+        law=(name_type(item), Field(description=plugin.summary)),
+    )
+    return cast("type[Law]", element)
+
+
+@dataclass(frozen=True)
+class RegistryLookup:
+    """The `PluginLookup` of a registry.
+
+    Parameters
+    ----------
+    registry
+        Function that returns the registry, called only if a law or an option is looked up.
+    """
+
+    registry: Callable[[], Registry] = registry
+
+    def law_element(self, name: str) -> type[Law]:
+        """Return the element class of the force law with this short or long name."""
+        return law_element(self.registry().get("force-law", name))
+
+    def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
+        """Return the options of an item; None unless `metadata` contains a `Choice`."""
+        for choice in metadata:
+            if isinstance(choice, Choice):
+                return next(named_options(known) for known in choice.registry.of_kind(choice.kind) if known.id == item)
+        return None
+
+    def owners_of(self, key: str, options: type[BaseModel]) -> str:
+        """Return a phrase that names the other items of the same kind with an option `key`; empty if there are none."""
+        if not is_of_item(options):
+            return ""
+        item = item_of(options)
+        items = self.registry().of_kind(item.kind)
+        others = [f"'{other.name}'" for other in items if key in other.plugin.options.model_fields]
+        if not others:
+            return ""
+        return f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"

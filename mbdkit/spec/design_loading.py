@@ -13,9 +13,8 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.design_spec import DesignSpec, Scenario, variable_path
 from mbdkit.spec.inverse_spec import InverseSpec, is_inverse
 from mbdkit.spec.loading import example_names, exists, read_source
-from mbdkit.spec.reading import parse_key, put, read_file, read_stdin, set_value
+from mbdkit.spec.reading import Document, parse_key, put, read_file, read_stdin, set_value
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_loading import base_source, by_text
 
 

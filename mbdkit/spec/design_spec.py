@@ -13,10 +13,10 @@ from mbdkit.base.plain_data import Path, found, path_text
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
 from mbdkit.spec.inverse_spec import InverseSpec
+from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import Count, Section
-from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.study_measures import DefinedMeasure, defined
 from mbdkit.spec.study_spec import Base, Overrides
 

@@ -14,9 +14,8 @@ from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.inverse_spec import InverseSpec, is_inverse, refused_as_inverse, refused_as_run
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.reading import read_file, read_stdin, read_text, set_value
+from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.source_document import Document
 
 VERSION = 1
 

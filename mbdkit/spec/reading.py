@@ -1,4 +1,4 @@
-"""Reading of spec files in YAML, JSON or TOML, and of assignments on the command line."""
+"""Reading of spec files in YAML, JSON or TOML, and of assignments on the command line, into documents."""
 
 from __future__ import annotations
 
@@ -7,14 +7,58 @@ import os
 import re
 import sys
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.plain_data import DEEPEST, Path, copied, found, parse_path, path_text, without_collection
-from mbdkit.spec.source_document import Document
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
+
+
+@dataclass
+class Document:
+    """Plain data and its origin.
+
+    Parameters
+    ----------
+    file
+        Name of the file it was read from; empty for data from Python.
+    lines
+        Function that returns the line numbers of key paths; called only if there is an error to locate.
+    overridden
+        Key paths set on the command line, with the text of each assignment.
+    keywords
+        Top-level sections replaced by Python keyword arguments.
+    folder
+        Folder that relative names of files in it count from; by default, the current folder.
+    """
+
+    data: dict[str, Any]
+    file: str = ""
+    lines: Callable[[], Mapping[Path, int]] = dict
+    overridden: dict[Path, str] = field(default_factory=dict)
+    keywords: frozenset[str] = frozenset()
+    folder: FilePath = FilePath()
+
+    @without_collection()
+    def place(self, error: SpecError) -> SpecError:
+        """Return the error with the file and line of its key, or with the command-line assignment that set the key."""
+        if error.file is not None:
+            return error
+        path = parse_path(error.key)
+        for length in range(len(path), 0, -1):
+            if path[:length] in self.overridden:
+                return error.located(file=f"--set {self.overridden[path[:length]]}")
+        if self.file and path and path[0] in self.keywords:
+            return error.located(file=f"keyword {path[0]}")
+        if not self.file or error.line is not None:
+            return error.located(file=self.file or None)
+        lines = self.lines()
+        nearest = next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), None)
+        return error.located(file=self.file, line=nearest)
+
 
 LARGEST_FILE = 16 * 2**20  # bytes
 STDIN = "<stdin>"

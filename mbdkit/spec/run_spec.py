@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -16,17 +16,67 @@ from mbdkit.engine.stabilization import Stabilization
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
-from mbdkit.spec.asked_accuracy import LARGEST, SMALLEST, asked
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.sections import LARGEST_COUNT, Event, Limits, Output, Time, named_events
-from mbdkit.spec.stabilization_section import UNSTABILIZED, stabilization_of
-from mbdkit.spec.stabilization_section import Choice as StabilizationChoice
+from mbdkit.spec.sections import (
+    LARGEST_COUNT,
+    UNSTABILIZED,
+    Event,
+    Limits,
+    Output,
+    StabilizationChoice,
+    Time,
+    named_events,
+    stabilization_of,
+)
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 if TYPE_CHECKING:
     from mbdkit.events.event_expression import RunExpression
     from mbdkit.mechanism.mechanism import Mechanism
+
+
+SMALLEST_ACCURACY, LARGEST_ACCURACY = 1e-12, 0.1
+"""Limits of `accuracy`: rounding errors dominate below the first, and no digit is right above the second."""
+
+FIRST_EXPLICIT: Mapping[str, Any] = {"name": "dop853", "adaptive": True}
+"""First method to try for `accuracy` if a spec names none; for stiff mechanisms another one is chosen."""
+
+FIRST_IMPLICIT: Mapping[str, Any] = {"name": "radau-iia", "stages": 5, "adaptive": True}
+"""The same for formulations other than index-1, which explicit methods do not support."""
+
+FIRST_SYMMETRIC: Mapping[str, Any] = {"name": "gauss", "stages": 3}
+"""The same for symmetric projection, which needs fixed steps."""
+
+
+def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the data of a run spec with the keys that follow from `accuracy`.
+
+    Raises
+    ------
+    SpecError
+        If `choose` is given without `accuracy`.
+    """
+    data = dict(data)
+    if data.get("accuracy") is None:
+        if data.get("choose") is not None:
+            raise SpecError("takes effect only with `accuracy`; leave it out", key="choose")
+        return data
+    if data.get("choose") is None:
+        data["choose"] = "step" if data.get("integrator") is not None else "method"
+    if data["choose"] == "method":
+        data["integrator"] = dict(_first_method(data))
+    return data
+
+
+def _first_method(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the method that is tried first."""
+    stabilization = data.get("stabilization")
+    if getattr(stabilization, "symmetric", False) or (
+        isinstance(stabilization, Mapping) and stabilization.get("symmetric")
+    ):
+        return FIRST_SYMMETRIC
+    return FIRST_EXPLICIT if data.get("formulation", "index-1") == "index-1" else FIRST_IMPLICIT
 
 
 _CHOSEN: tuple[Kind, ...] = ("model", "integrator")
@@ -78,7 +128,7 @@ class RunSpec(ModelSpec):
     """Limits that stop the run early."""
     check: bool = False
     """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
-    accuracy: Annotated[float, Field(ge=SMALLEST, le=LARGEST)] | None = None
+    accuracy: Annotated[float, Field(ge=SMALLEST_ACCURACY, le=LARGEST_ACCURACY)] | None = None
     """Accuracy of positions over the whole run, as a share of the mechanism's size. Pilot runs choose the method, or
     the step or tolerance of the given integrator, and an estimate of the errors confirms it: by the pilot runs where
     they suffice, otherwise and with `check` by companion runs."""
@@ -95,7 +145,7 @@ class RunSpec(ModelSpec):
     """The canonical JSON before and after the value of `model`, once it is needed."""
 
     def __init__(self, **data: Any):
-        super().__init__(**asked(data))
+        super().__init__(**_with_accuracy(data))
 
     @model_validator(mode="after")
     def _suits_the_method(self) -> RunSpec:

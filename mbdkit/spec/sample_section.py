@@ -2,15 +2,171 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path
-from mbdkit.spec.distributions import Distribution
+from mbdkit.base.plain_data import Path, found
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section, whole
+
+FORM = "{DISTRIBUTION: PARAMETERS}, such as {uniform: [-1, 1]} or {norm: {loc: 2, scale: 0.1}}"
+
+LIMITS = ("low", "high")
+"""Parameters of `uniform`, in whose place scipy.stats has the lower limit and the width."""
+_NORMAL = {"mean": "loc", "std": "scale"}
+"""Parameters of `normal`, which scipy.stats calls norm."""
+_LOCATION = ("loc", "scale")
+_SLOW = ("ksone", "kstwo")
+"""Distributions whose quantiles take milliseconds each, although scipy.stats has functions of their own for them."""
+
+
+def check_distribution(given: Any) -> Any:
+    """Check a distribution and return it unchanged.
+
+    Parameters
+    ----------
+    given
+        A mapping of one name to a list or a mapping of parameters.
+
+    Raises
+    ------
+    SpecError
+        If it is not a distribution, with the key within it.
+    """
+    frozen(given)
+    return given
+
+
+def frozen(given: Any) -> Any:
+    """Return the frozen distribution of ``scipy.stats`` for a distribution as written in a spec.
+
+    Raises
+    ------
+    SpecError
+        If it is not a distribution, with the key within it.
+    """
+    if not isinstance(given, Mapping) or len(given) != 1:
+        raise SpecError(f"should be {FORM}, not {found(given)}")
+    name, parameters = next(iter(given.items()))
+    try:
+        return _frozen(str(name), parameters)
+    except SpecError as error:
+        raise error.located(prefix=str(name)) from None
+
+
+def _frozen(name: str, given: Any) -> Any:
+    distribution = _distribution(name)
+    shapes = tuple(distribution.shapes.split(", ")) if distribution.shapes else ()
+    names = LIMITS if name == "uniform" else tuple(_NORMAL) if name == "normal" else (*shapes, *_LOCATION)
+    needed = names if name == "uniform" else shapes
+    values = _values(name, given, names, needed)
+    if name == "uniform":
+        low, high = values["low"], values["high"]
+        if not low < high:
+            raise SpecError(f"`low` should be less than `high`, but they are {low:g} and {high:g}")
+        if not math.isfinite(high - low):
+            raise SpecError("the range is too large for double precision")
+        values = {"loc": low, "scale": high - low}
+    values = {_NORMAL.get(key, key): value for key, value in values.items()}
+    if values.get("scale", 1.0) <= 0:
+        word = "std" if name == "normal" else "scale"
+        raise SpecError(f"`{word}` should be positive, not {values['scale']:g}")
+    made = distribution(
+        *(values[shape] for shape in shapes), **{key: values[key] for key in _LOCATION if key in values}
+    )
+    with np.errstate(all="ignore"):
+        known = np.isfinite(made.ppf([0.1, 0.5, 0.9]))
+    if not np.all(known):
+        told = ", ".join(f"{key} {value:g}" for key, value in values.items())
+        raise SpecError(f"the distribution does not exist for these parameters: {told}")
+    return made
+
+
+def _values(name: str, given: Any, names: Sequence[str], needed: Sequence[str]) -> dict[str, float]:
+    """Return the given parameters by name."""
+    told = f"'{name}' has the parameters {listed(names, 'and')}"
+    if isinstance(given, Mapping):
+        for key in given:
+            if key not in names:
+                raise SpecError(f"unknown parameter{did_you_mean(str(key), names)}; {told}", key=str(key))
+        values = dict(given)
+    elif isinstance(given, list | tuple):
+        if len(given) > len(names):
+            raise SpecError(f"has {len(given)} parameters, which are too many: {told}")
+        values = dict(zip(names, given, strict=False))
+    else:
+        raise SpecError(f"needs its parameters as a list or a mapping, not {found(given)}: {told}")
+    missing = [one for one in needed if one not in values]
+    if missing:
+        raise SpecError(f"needs {listed([f'`{one}`' for one in missing], 'and')}: {told}")
+    for key, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise SpecError(f"should be a number, not {found(value)}", key=str(key))
+    return {key: float(value) for key, value in values.items()}
+
+
+def _distribution(name: str) -> Any:
+    """Return a distribution of ``scipy.stats`` by its name."""
+    import scipy.stats
+
+    known = distribution_names()
+    found_there = getattr(scipy.stats, "norm" if name == "normal" else name, None)
+    if name in known:
+        return found_there
+    if isinstance(found_there, scipy.stats.rv_continuous):
+        raise SpecError(
+            "scipy.stats computes quantiles of this distribution too slowly for samples; choose another one"
+        )
+    if isinstance(found_there, scipy.stats.rv_discrete):
+        raise SpecError("is a discrete distribution; samples need continuous ones, and an axis takes a list of values")
+    hint = did_you_mean(name, known) or "; examples: uniform, normal, lognorm, triang, truncnorm"
+    raise SpecError(f"there is no continuous distribution '{name}' in scipy.stats{hint}")
+
+
+@cache
+def distribution_names() -> tuple[str, ...]:
+    """Return the names of the distributions that variables of a sample may have."""
+    import scipy.stats
+
+    generic = scipy.stats.rv_continuous
+    there = {name: getattr(scipy.stats, name) for name in dir(scipy.stats)}
+    fast = (
+        name
+        for name, one in there.items()
+        if isinstance(one, generic) and type(one)._ppf is not generic._ppf and name not in _SLOW
+    )
+    return (*sorted(fast), "normal")
+
+
+#: The distribution of a variable, as written in the spec.
+Distribution = Annotated[
+    Any,
+    BeforeValidator(check_distribution),
+    WithJsonSchema(
+        {
+            "type": "object",
+            "minProperties": 1,
+            "maxProperties": 1,
+            "additionalProperties": {
+                "anyOf": [
+                    {"type": "array", "items": {"type": "number"}},
+                    {"type": "object", "additionalProperties": {"type": "number"}},
+                ]
+            },
+            "description": f"The distribution of the key: {FORM}. The names and parameters are those of continuous "
+            "distributions of scipy.stats, in their order: first those of the shape, then loc and scale; but `uniform` "
+            "has the limits low and high, and `normal` has mean and std.",
+        }
+    ),
+]
+
 
 MOST_VARIABLES = 1000
 """Maximum number of variables; the Sobol sequence of scipy.stats.qmc has 21201 dimensions, two for each variable."""

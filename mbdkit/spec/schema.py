@@ -13,9 +13,9 @@ from pydantic.json_schema import models_json_schema
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
+from mbdkit.spec.choices import law_element
 from mbdkit.spec.design_spec import DesignSpec
 from mbdkit.spec.inverse_spec import inverse_spec_type
-from mbdkit.spec.law_options import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.study_spec import StudySpec
 

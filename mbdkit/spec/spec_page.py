@@ -13,10 +13,9 @@ from pydantic import BaseModel
 
 from mbdkit.mechanism.angle_function import AngleTable
 from mbdkit.mechanism.beams import Beam
-from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.bodies import Body, Marker
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.markers import Marker
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
 from mbdkit.mechanism.named_coordinates import NamedCoordinate
 from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
@@ -25,7 +24,7 @@ from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.describe import claim_texts, options_in
 from mbdkit.registry.manager import registry
 from mbdkit.spec.schema import run_schema
-from mbdkit.spec.stabilization_section import Baumgarte, NoStabilization, Projection
+from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
 from mbdkit.spec.study_spec import StudySpec
 
 WIDTH = 120

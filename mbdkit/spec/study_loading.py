@@ -15,9 +15,8 @@ from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.inverse_spec import is_inverse
 from mbdkit.spec.loading import example_names, exists, read_source
-from mbdkit.spec.reading import parse_key, read_assignment, read_file, read_stdin, read_text, set_value
+from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.sample_section import comparable
-from mbdkit.spec.source_document import Document
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.value_sets import sets_together
 

@@ -13,11 +13,10 @@ from pydantic_core import PydanticCustomError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text
 from mbdkit.base.text import listed
-from mbdkit.spec.reading import parse_key, put
+from mbdkit.spec.model_spec import StrictSpec
+from mbdkit.spec.reading import Document, parse_key, put
 from mbdkit.spec.sample_section import Sample, comparable
 from mbdkit.spec.sections import Section
-from mbdkit.spec.source_document import Document
-from mbdkit.spec.strict_spec import StrictSpec
 from mbdkit.spec.study_measures import ERRORS, SECOND_RUN, DefinedMeasure, Measures, built_in, defined
 from mbdkit.spec.value_sets import ValueSet, sets_together, size
 

@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mbdkit.base.plain_data import Path, copied, plain
-from mbdkit.spec.choices import registry_of
+from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.reading import put
-from mbdkit.spec.registry_lookup import RegistryLookup
 from mbdkit.spec.run_spec import RunSpec
 
 

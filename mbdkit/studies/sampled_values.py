@@ -8,8 +8,7 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import Path, path_text
-from mbdkit.spec.distributions import frozen
-from mbdkit.spec.sample_section import Sample
+from mbdkit.spec.sample_section import Sample, frozen
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import Members, StudySpec
 from mbdkit.studies import member_table

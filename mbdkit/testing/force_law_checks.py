@@ -17,7 +17,7 @@ from mbdkit.engine.jit.law_compiler import bind_law
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import ForceLawPlugin
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec.law_options import law_element
+from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned

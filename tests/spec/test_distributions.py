@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 from mbdkit import SpecError
-from mbdkit.spec.distributions import frozen
+from mbdkit.spec.sample_section import frozen
 from mbdkit.spec.study_loading import load_study_spec
 
 PROBABILITIES = np.linspace(0.01, 0.99, 25)

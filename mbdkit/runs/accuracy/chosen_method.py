@@ -29,7 +29,7 @@ from mbdkit.runs.accuracy.pilot_run import IMPLICIT_WORK, SAMPLES, PilotRun, dif
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.accuracy.recorded_pilot import RecordedPilot, can_be_recorded
 from mbdkit.spec import RunSpec
-from mbdkit.spec.asked_accuracy import EXPLICIT, IMPLICIT
+from mbdkit.spec.run_spec import FIRST_EXPLICIT, FIRST_IMPLICIT
 
 MARGIN = 0.3
 """Target of the expected error, as a share of the requested accuracy. A third costs 15 % more work at order 8; errors
@@ -214,9 +214,9 @@ def choose_method(
             return found
     if spec.choose == "step":
         return search.of(first)
-    if first.integrator["name"] != EXPLICIT["name"]:
+    if first.integrator["name"] != FIRST_EXPLICIT["name"]:
         return search.of(first)
-    second = replace(first, integrator=dict(IMPLICIT))
+    second = replace(first, integrator=dict(FIRST_IMPLICIT))
     return search.better(first, second)
 
 
