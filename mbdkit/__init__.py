@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from mbdkit.mechanics.modes import Linearization, Modes, linearize, modes
     from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw
     from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
-    from mbdkit.methods.step_method import StepMethod, StepState
+    from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, StepMethod, StepState
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
@@ -131,9 +130,9 @@ _HOME = {
     "RunSpec": "mbdkit.spec",
     "SpecError": "mbdkit.base.errors",
     "StepError": "mbdkit.base.errors",
-    "StepMethod": "mbdkit.methods.step_method",
+    "StepMethod": "mbdkit.methods.kinds",
     "EquationsOfMotion": "mbdkit.engine.equations_of_motion",
-    "StepState": "mbdkit.methods.step_method",
+    "StepState": "mbdkit.methods.kinds",
     "Study": "mbdkit.studies.study",
     "StudyPlugin": "mbdkit.registry.items",
     "StudySpec": "mbdkit.spec",

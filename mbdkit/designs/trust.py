@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import Path
 from mbdkit.designs.evaluation import Evaluator, Job, Outcome, Settings
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.spec import InverseSpec, RunSpec
 
 FINER = 2.0
@@ -148,7 +149,7 @@ def _changes(spec: Any) -> dict[str, Settings]:
         return {}
     step = spec.time.step
     other = RADAU if spec.integrator_item.name == "gauss" else GAUSS
-    if spec.formulation != "index-1":  # Gauss methods support no other formulation
+    if FORMULATIONS[spec.formulation].solves_multipliers:  # Gauss methods support no such formulation
         other = {**RADAU, "stages": 3 if getattr(spec.integrator, "stages", 0) == 5 else 5}
     try:
         adaptive = spec.claims.adaptive

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,14 +20,13 @@ from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import with_sides, with_unknown_corners
 from mbdkit.gradients.sided_stepper import SidedStepper
-from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
+from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper, NoDerivativeError
+from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
 from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants
 from mbdkit.stepping.interface import Stepper, Stretch, joined
-from mbdkit.stepping.start import start_method
-from mbdkit.stepping.start_differentiated import compiled_for_derivatives, require_derivatives
+from mbdkit.stepping.start import NoDerivativeError, compiled_method, require_derivatives, start_method
 
 
 @dataclass(frozen=True)
@@ -188,14 +188,15 @@ def _stepper(
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    sided = with_sides(workspace.mechanism) if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else None
-    is_sided = sided is not None and method.tolerances is None  # type: ignore[union-attr]
+    require_derivatives(method, workspace.stabilization)
+    compiled: Any  # one whose steps have derivatives
+    sided = with_sides(workspace.mechanism)
     try:
-        if sided is None or not is_sided:
-            compiled, control = compiled_for_derivatives(method, workspace)
+        if sided is None or method.traits.tolerances is not None:
+            compiled, control = compiled_method(method, workspace)
             return DifferentiatedStepper(compiled, workspace, table, control, seeds, with_nodes=with_nodes, sizes=sizes)
         own = replace(workspace, mechanism=sided.mechanism)
-        compiled, _ = compiled_for_derivatives(method, own)
+        compiled, _ = compiled_method(method, own)
         return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, with_nodes=with_nodes)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)

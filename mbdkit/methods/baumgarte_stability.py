@@ -13,7 +13,7 @@ from math import factorial
 import numpy as np
 
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
+from mbdkit.methods.kinds import Method
 from mbdkit.registry.items import Claims
 
 Growth = Callable[[float], float]
@@ -54,15 +54,16 @@ def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Grow
     root = np.sqrt(complex(alpha**2 - beta**2))
     eigenvalues = np.array([-alpha + root, -alpha - root])
     in_a_step = "each step multiplies constraint errors"
-    if isinstance(method, ImplicitRungeKutta) and method.stage_solver == "fixed-point":
-        mu = np.linalg.eigvals(method.tableau.floats()[0])
+    tableau = method.traits.tableau
+    if tableau is not None and method.traits.iterates_without_tangents:
+        mu = np.linalg.eigvals(tableau.floats()[0])
 
         def iterated(h: float) -> float:
             return float(np.max(np.abs(2 * alpha * h * mu + (beta * h * mu) ** 2)))
 
         return iterated, "each fixed-point iteration multiplies errors of the stages"
-    if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta):
-        a, b, _ = method.tableau.floats()
+    if tableau is not None:
+        a, b, _ = tableau.floats()
         one, unit = np.ones(len(b)), np.eye(len(b))
 
         def stepped(h: float) -> float:

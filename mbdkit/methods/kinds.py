@@ -1,17 +1,22 @@
 """Descriptions of integration methods. The `create` function of an integrator plugin returns one of these objects.
 
-`mbdkit.stepping.start.start_method` creates the stepper that executes them.
+Each has traits, by which the rest of mbdkit decides what can be done with it. `mbdkit.stepping.start.start_method`
+creates the stepper that executes it, by its family.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from mbdkit.methods.step_method import StepMethod
+from mbdkit.engine.formulation import Formulation
 from mbdkit.methods.tableau import ButcherTableau, TableauError
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.methods.embedded_estimate import EmbeddedPair
 
 
@@ -37,7 +42,80 @@ class Tolerances:
 
 
 @dataclass(frozen=True)
-class ExplicitRungeKutta:
+class LocalError:
+    """How a compiled method estimates the error of a step; see `mbdkit.stepping.step_control.Control`."""
+
+    order: int
+    estimate_order: int
+    estimates: int = 1
+    memory: float = 0.0
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What the rest of mbdkit knows about a method, whatever its class.
+
+    Parameters
+    ----------
+    family
+        Key of the method's algorithm in the tables of `mbdkit.stepping.start` and `mbdkit.stepping.lane_stepper`.
+    tableau
+        Its tableau; None if it is no Runge-Kutta method, or the tableau is not known.
+    tolerances
+        Tolerances of controlled steps; None for fixed steps.
+    local_error
+        How the error of a step is estimated, if compiled code controls the step size.
+    is_explicit
+        Whether a step takes accelerations at known states only. False for methods of which this is not known.
+    suits_stiff
+        Whether the method is chosen for stiff mechanisms, in which only implicit methods can verify it.
+    iterates_without_tangents
+        Whether stages are solved by fixed-point iteration.
+    own_multipliers
+        Whether the method computes multipliers itself: in runs of any formulation, of those that solve for them
+        together with the accelerations, or never.
+    has_lanes, has_derivatives
+        Whether runs can be advanced in lanes, and steps be differentiated by parameters.
+    can_be_projected
+        Whether states may be changed between the steps.
+    why_no_checkpoint
+        Why the state of a run cannot be stored, as a clause; empty if it can.
+    """
+
+    family: str
+    tableau: ButcherTableau | None = None
+    tolerances: Tolerances | None = None
+    local_error: LocalError | None = None
+    is_explicit: bool = False
+    suits_stiff: bool = False
+    iterates_without_tangents: bool = False
+    own_multipliers: Literal["always", "where solved for", "never"] = "never"
+    has_lanes: bool = False
+    has_derivatives: bool = False
+    can_be_projected: bool = True
+    why_no_checkpoint: str = ""
+
+    def carries_multipliers(self, formulation: Formulation) -> bool:
+        """Return whether the method computes multipliers itself in runs of a formulation."""
+        return self.own_multipliers == "always" or (
+            self.own_multipliers == "where solved for" and formulation.solves_multipliers
+        )
+
+
+class Method(ABC):
+    """Base of all descriptions of methods."""
+
+    @property
+    @abstractmethod
+    def traits(self) -> Traits:
+        """What the rest of mbdkit knows about the method."""
+
+    def require_formulation(self, formulation: Formulation) -> None:  # noqa: B027
+        """Raise TableauError unless the steps can be taken on a formulation that the claims allow."""
+
+
+@dataclass(frozen=True)
+class ExplicitRungeKutta(Method):
     """An explicit Runge-Kutta method for the index-1 equations, with fixed or controlled step size.
 
     Parameters
@@ -58,9 +136,25 @@ class ExplicitRungeKutta:
         if self.tolerances is not None and self.pair is None:
             raise TableauError(f"{self.tableau.name} has no error estimate, which tolerances require")
 
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        local_error = None
+        if self.tolerances is not None and self.pair is not None:
+            local_error = LocalError(self.tableau.order, self.pair.estimate_order, len(self.pair.error), memory=0.2)
+        return Traits(
+            "explicit",
+            tableau=self.tableau,
+            tolerances=self.tolerances,
+            local_error=local_error,
+            is_explicit=True,
+            has_lanes=True,
+            has_derivatives=True,
+        )
+
 
 @dataclass(frozen=True)
-class ImplicitRungeKutta:
+class ImplicitRungeKutta(Method):
     """An implicit Runge-Kutta method, whose stages are solved in second-order form.
 
     Parameters
@@ -96,9 +190,43 @@ class ImplicitRungeKutta:
         if self.tolerances is not None and not self.tableau.is_collocation:
             raise TableauError(f"{self.tableau.name} is not a collocation method, so its error cannot be estimated")
 
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        tableau, is_controlled = self.tableau, self.tolerances is not None
+        is_together = tableau.is_diagonalisable
+        in_python = f"the steps of {tableau.name} are taken in Python, and their state cannot be stored"
+        return Traits(
+            "collocation" if is_together else "diagonally-implicit",
+            tableau=tableau,
+            tolerances=self.tolerances,
+            local_error=LocalError(tableau.order, tableau.stages + 1) if is_controlled else None,
+            suits_stiff=True,
+            iterates_without_tangents=self.stage_solver == "fixed-point",
+            own_multipliers="where solved for",
+            has_lanes=is_together and not is_controlled,
+            has_derivatives=is_together,
+            why_no_checkpoint="" if is_together else in_python,
+        )
+
+    def require_formulation(self, formulation: Formulation) -> None:
+        """See `Method`."""
+        if not formulation.solves_multipliers:
+            return
+        refused = f"{self.tableau.name} cannot be used with the formulation {formulation.name!r}"
+        if not self.tableau.is_diagonalisable:
+            raise TableauError(
+                f"{refused}: its stages are solved one after the other, which is implemented for index-1"
+            )
+        if not self.tableau.is_stiffly_accurate or self.stage_solver != "newton":
+            raise TableauError(
+                f"{refused}, which requires a stiffly accurate tableau with a regular matrix, and the stage solver "
+                "'newton'"
+            )
+
 
 @dataclass(frozen=True)
-class LobattoPair:
+class LobattoPair(Method):
     """A partitioned Lobatto IIIA-IIIB pair with fixed steps; Phi = 0 and its derivative hold at the end of every step.
 
     Parameters
@@ -114,11 +242,15 @@ class LobattoPair:
     stages: int
     tolerance: float | None = None
     max_iterations: int | None = None
-    carries_multipliers: ClassVar[bool] = True
+
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        return Traits("partitioned", suits_stiff=True, own_multipliers="always")
 
 
 @dataclass(frozen=True)
-class SciPySolver:
+class SciPySolver(Method):
     """A solver class of ``scipy.integrate`` for the first-order form y = (q, v, work, dissipated).
 
     Parameters
@@ -140,5 +272,131 @@ class SciPySolver:
     max_step: float | None = None
     by_size: bool = False
 
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        return Traits(
+            "scipy",
+            tolerances=Tolerances(self.rtol, self.atol or self.rtol, self.max_step, self.by_size),
+            suits_stiff=True,
+            can_be_projected=False,
+            why_no_checkpoint="SciPy offers no way to store the state of its solvers",
+        )
 
-Method = ExplicitRungeKutta | ImplicitRungeKutta | LobattoPair | SciPySolver | StepMethod
+
+@dataclass(frozen=True, slots=True)
+class StepState:
+    """The state between two steps: everything that the next step needs. It can be copied, pickled and resumed from.
+
+    Parameters
+    ----------
+    q, v
+        (n,) positions [m, rad] and velocities [m/s, rad/s], n = 3 B: x, y, theta of each body in turn.
+    multipliers
+        (m,) multipliers computed by the method itself, in the order of ``/constraints``; None before the first step,
+        before a step that begins at a discontinuity of a motion or load, and for methods that compute none.
+    memory
+        Any other data that the method needs in its next step; None before the first step, and before a step that begins
+        at a discontinuity of a motion or load. Must not be modified in place.
+    work, dissipated
+        Work of loads and drivers, and dissipated energy, during the step that ends here, integrated with the weights
+        of the method [J]; with None the framework integrates them.
+    low
+        Low parts of the sums computed by `moved`; for internal use.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    multipliers: np.ndarray | None = None
+    memory: Any = None
+    work: float | None = None
+    dissipated: float | None = None
+    low: tuple[Any, Any] = (0.0, 0.0)
+
+    def moved(
+        self,
+        dq: np.ndarray,
+        dv: np.ndarray,
+        *,
+        multipliers: np.ndarray | None = None,
+        memory: Any = None,
+        work: float | None = None,
+        dissipated: float | None = None,
+    ) -> StepState:
+        """Return the state at ``q + dq``, ``v + dv``, computed by compensated (Kahan) summation.
+
+        Parameters
+        ----------
+        dq, dv
+            (n,) increments.
+        multipliers, memory, work, dissipated
+            Values of the new state.
+        """
+        low_q, low_v = self.low
+        dq, dv = dq + low_q, dv + low_v
+        q, v = self.q + dq, self.v + dv
+        return StepState(q, v, multipliers, memory, work, dissipated, (dq - (q - self.q), dv - (v - self.v)))
+
+
+class StepMethod(Method):
+    """Base of a method with fixed steps that is written in Python, one step at a time.
+
+    A subclass has its options as attributes and no attribute that changes: data that one step passes to the next belong
+    in the state. The method is used for the formulations named in its claims. If a run uses projection, the framework
+    changes positions and velocities between the steps and leaves the other fields of the state, including `memory`,
+    unchanged. If a method cannot work in this way, it does not claim projection among its `stabilizations`.
+
+    Attributes
+    ----------
+    carries_multipliers
+        Whether every state returned by `step` has `multipliers`. They are recorded as ``method_multiplier``; the row
+        of the start contains the index-1 multipliers.
+    hint
+        Advice to the user, added to the message when a step fails.
+
+    Examples
+    --------
+    >>> class SymplecticEuler(StepMethod):
+    ...     def step(self, equations, t, state, h):
+    ...         a, _ = equations.accelerations(t, state.q, state.v)
+    ...         return state.moved(h * (state.v + h * a), h * a)
+    """
+
+    carries_multipliers: ClassVar[bool] = False
+    hint: ClassVar[str] = "a smaller time.step may help"
+
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        return Traits(
+            "python",
+            own_multipliers="always" if self.carries_multipliers else "never",
+            why_no_checkpoint="the state of a method written in Python cannot be stored",
+        )
+
+    @abstractmethod
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        """Take one step.
+
+        Parameters
+        ----------
+        equations
+            The equations of motion of the mechanism; they count evaluations and solves.
+        t
+            Time at the beginning of the step [s].
+        state
+            State at `t`. It may be used for another step, so it must not be changed.
+        h
+            Size of the step [s]. Shorter steps occur at the end of a run, at discontinuities of motions or loads, and
+            when an event is located; the latter start from the beginning of the last step.
+
+        Returns
+        -------
+        StepState
+            The state at ``t + h``.
+
+        Raises
+        ------
+        mbdkit.StepError
+            If the step cannot be taken. Any other exception counts as a failure of the plugin.
+        """

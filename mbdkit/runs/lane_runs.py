@@ -7,6 +7,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.size import mechanism_sizes
-from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
+from mbdkit.methods.kinds import Method
 from mbdkit.quantities.array import FLOAT
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
@@ -39,7 +41,6 @@ from mbdkit.stepping.lane_stepper import (
     LaneResults,
     LaneStepper,
     PivotsAtStart,
-    is_controlled,
     suits_lanes,
     topology_of,
 )
@@ -53,15 +54,12 @@ MOST_GROUPS = 8
 """Number of loops (for one mechanism and method each) that are kept for the next batch."""
 
 
-LaneMethod = ExplicitRungeKutta | ImplicitRungeKutta
-
-
 @dataclass(frozen=True)
 class LaneMember:
     """A prepared run that can be vectorized."""
 
     spec: RunSpec
-    method: LaneMethod
+    method: Method
     start: MechanismAtStart
     table: Timetable
     pivots: StagePivots | None
@@ -78,7 +76,7 @@ class LaneMember:
     def key(self) -> tuple[object, ...]:
         """Key that is equal for runs that can share a loop and have the same arrays."""
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
-        steps = table.interval if is_controlled(self.method) else table.steps
+        steps = table.interval if self.method.traits.tolerances else table.steps
         return self.topology, self.method, pivots, steps, table.every, self.spec.output.recorded
 
 
@@ -87,7 +85,7 @@ class _Started:
     """A run at its start, which may or may not suit lanes."""
 
     spec: RunSpec
-    method: LaneMethod
+    method: Method
     cautions: tuple[str, ...]
     start: MechanismAtStart
 
@@ -101,7 +99,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         See `LaneRuns`.
     """
     reasons = (
-        (spec.formulation != "index-1", f"their formulation is {spec.formulation}"),
+        (FORMULATIONS[spec.formulation].solves_multipliers, f"their formulation is {spec.formulation}"),
         (spec.stabilized.kind != "none", f"their stabilization is {spec.stabilized.kind}"),
         (bool(spec.events), "they have events"),
         (spec.is_to_be_chosen, "their method or step is chosen for each"),
@@ -113,7 +111,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     if integrands_of(spec, measures):
         return "their measures contain integrals over time"
     method = make_method(spec)
-    if not isinstance(method, LaneMethod) or spec.claims.adaptive != is_controlled(method):
+    if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
     return ""
 
@@ -150,7 +148,7 @@ class LaneRuns:
         self._groups: dict[tuple[object, ...], _Group] = {}
         self._starts, self._pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
-        self._settings: tuple[tuple[object, ...], LaneMethod | None] | None = None
+        self._settings: tuple[tuple[object, ...], Method | None] | None = None
 
     def members(self, specs: Iterable[RunSpec], notify: Callable[[str], None]) -> list[LaneMember | None]:
         """Prepare runs for vectorization; None for a run that cannot be vectorized, or whose preparation fails, and is
@@ -194,7 +192,7 @@ class LaneRuns:
         start = self._starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
         return _Started(spec, method, cautions, start)
 
-    def _method(self, spec: RunSpec) -> LaneMethod | None:
+    def _method(self, spec: RunSpec) -> Method | None:
         """Return the method of a run; None if its settings cannot be vectorized. Results are cached, because specs
         often share settings.
         """
@@ -203,8 +201,7 @@ class LaneRuns:
             spec.integrator, spec.measures,
         )  # fmt: skip
         if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
-            method = None if why_alone(spec, self._measures) else make_method(spec)
-            self._settings = settings, method if isinstance(method, LaneMethod) else None
+            self._settings = settings, None if why_alone(spec, self._measures) else make_method(spec)
         return self._settings[1]
 
     def _member(self, started: _Started, size: float) -> LaneMember | None:
@@ -231,7 +228,7 @@ class LaneRuns:
             groups[member.key].append(place)
         for key, places in groups.items():
             group = self._group(key, members[places[0]])
-            if is_controlled(members[places[0]].method):
+            if members[places[0]].method.traits.tolerances:
                 places = _by_cost(members, places)
             for first in range(0, len(places), WIDTH):
                 some = places[first : first + WIDTH]
@@ -282,10 +279,11 @@ def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
 
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
     """Return the loop for runs like the first."""
-    if isinstance(first.method, ExplicitRungeKutta) and is_controlled(first.method):
-        return ControlledLaneStepper(first.method, workspace)
+    method: Any = first.method  # one that has lanes
+    if first.method.traits.tolerances:
+        return ControlledLaneStepper(method, workspace)
     rows = 1 + -(-first.table.steps // first.table.every)
-    return LaneStepper(first.method, workspace, rows, first.pivots)
+    return LaneStepper(method, workspace, rows, first.pivots)
 
 
 class _Group:

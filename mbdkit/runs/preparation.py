@@ -12,12 +12,13 @@ from mbdkit.base.errors import PluginError, SpecError, blaming, with_place
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
-from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
+from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import corner_warnings, stops_of
 from mbdkit.runs.warnings import spec_warnings
@@ -125,7 +126,7 @@ def make_method(spec: RunSpec) -> Method:
             f"integrator {spec.integrator_item.id} created an object of type {type(method).__name__}; it must "
             "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver or an instance of a StepMethod subclass"
         )
-    if isinstance(method, SciPySolver) and spec.stabilized.kind == "projection":
+    if not method.traits.can_be_projected and spec.stabilized.kind == "projection":
         raise PluginError(
             f"integrator {spec.integrator_item.id} claims to support projection, which SciPy's solvers do not: "
             'it should claim `stabilizations=("none", "baumgarte")`'
@@ -135,10 +136,7 @@ def make_method(spec: RunSpec) -> Method:
 
 def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> list[str]:
     """Return the paths of the optional arrays of the layout that a run records."""
-    if isinstance(method, ImplicitRungeKutta):
-        carries_multipliers = spec.formulation != "index-1"
-    else:
-        carries_multipliers = bool(getattr(method, "carries_multipliers", False))
+    carries_multipliers = method.traits.carries_multipliers(FORMULATIONS[spec.formulation])
     return [
         *(["constraints/method_multiplier"] if carries_multipliers else []),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),

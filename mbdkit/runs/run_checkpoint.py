@@ -20,8 +20,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
 from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
-from mbdkit.methods.kinds import ImplicitRungeKutta, Method, SciPySolver
-from mbdkit.methods.step_method import StepMethod
+from mbdkit.methods.kinds import Method
 from mbdkit.runs.integrals import RunIntegrals
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
@@ -128,12 +127,8 @@ def why_without(spec: RunSpec, method: Method) -> str:
     """Return the reason why a run writes no checkpoints, as a clause; empty if it writes checkpoints."""
     if spec.is_to_be_chosen:
         return "its method or step is chosen by pilot runs, whose results are not stored"
-    if isinstance(method, SciPySolver):
-        return "SciPy offers no way to store the state of its solvers"
-    if isinstance(method, StepMethod):
-        return "the state of a method written in Python cannot be stored"
-    if isinstance(method, ImplicitRungeKutta) and not method.tableau.is_diagonalisable:
-        return f"the steps of {method.tableau.name} are taken in Python, and their state cannot be stored"
+    if method.traits.why_no_checkpoint:
+        return method.traits.why_no_checkpoint
     if spec.estimates_errors and "joints" not in spec.output.recorded:
         return "the check of its accuracy needs the reactions of all rows, which it does not record"
     return ""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypedDict
 
+from mbdkit.engine.formulation import FormulationName
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.run_spec import RunSpec
@@ -31,7 +32,7 @@ class Sections(TypedDict, total=False):
     title: str
     parameters: Mapping[str, float | str]
     model: Section
-    formulation: Literal["index-1", "index-2", "index-3", "ggl"]
+    formulation: FormulationName
     stabilization: Section
     integrator: Section
     time: Section

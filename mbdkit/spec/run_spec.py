@@ -12,6 +12,7 @@ from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import canonical, canonical_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
+from mbdkit.engine.formulation import FORMULATIONS, FormulationName
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
@@ -76,7 +77,8 @@ def _first_method(data: Mapping[str, Any]) -> Mapping[str, Any]:
         isinstance(stabilization, Mapping) and stabilization.get("symmetric")
     ):
         return FIRST_SYMMETRIC
-    return FIRST_EXPLICIT if data.get("formulation", "index-1") == "index-1" else FIRST_IMPLICIT
+    formulation = FORMULATIONS.get(str(data.get("formulation", "index-1")))
+    return FIRST_IMPLICIT if formulation is None or formulation.solves_multipliers else FIRST_EXPLICIT
 
 
 _CHOSEN: tuple[Kind, ...] = ("model", "integrator")
@@ -106,7 +108,7 @@ class RunSpec(ModelSpec):
         "impacts",
     )
 
-    formulation: Literal["index-1", "index-2", "index-3", "ggl"] = "index-1"
+    formulation: FormulationName = "index-1"
     """Equations of motion with constraints on accelerations (index-1), velocities (index-2), positions (index-3), or on
     positions and velocities (ggl)."""
     stabilization: StabilizationChoice = UNSTABILIZED
@@ -188,7 +190,7 @@ class RunSpec(ModelSpec):
     def _check_stabilization(self, item: Registered, claims: Claims) -> None:
         """Raise SpecError if the stabilization is incompatible with the formulation or the integrator."""
         chosen = self.stabilized
-        if chosen.kind == "baumgarte" and self.formulation != "index-1":
+        if chosen.kind == "baumgarte" and FORMULATIONS[self.formulation].solves_multipliers:
             raise SpecError(
                 f"Baumgarte stabilization modifies the acceleration constraints, which the formulation "
                 f"'{self.formulation}' does not have; use index-1, or another stabilization",

@@ -1,8 +1,7 @@
 """Compiled collocation methods of any formulation, and other fully implicit Runge-Kutta methods.
 
 One step is the same for all formulations (`mbdkit.stepping.collocation_step`). A formulation gives the residual and the
-change of the stages, and the change that has to converge (`mbdkit.stepping.collocation_stages.StageKernels`); a new one
-is a file with these kernels and a line in `FORMULATIONS`.
+change of the stages, and the change that has to converge (`mbdkit.stepping.collocation_stages.StageKernels`).
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import classes_of
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.equations import GAMMA_V, STIFFNESS
@@ -35,9 +35,6 @@ if TYPE_CHECKING:
     from mbdkit.methods.kinds import ImplicitRungeKutta
     from mbdkit.stepping.step_control import Control
 
-FORMULATIONS = {"index-1": collocation_index1.FORMULATION, **collocation_constrained.FORMULATIONS}
-"""The stage equations by the name of the formulation."""
-
 
 class CompiledCollocation(CompiledMethod):
     """A fully implicit tableau on the formulation of a workspace.
@@ -59,7 +56,9 @@ class CompiledCollocation(CompiledMethod):
     def __init__(self, method: ImplicitRungeKutta, workspace: Workspace, control: Control | None):
         super().__init__(workspace)
         formulation = self.formulation = FORMULATIONS[workspace.formulation]
-        self.attempt, self.dense = formulation.attempt, formulation.dense
+        equations = collocation_constrained if formulation.solves_multipliers else collocation_index1
+        self.equations = equations.EQUATIONS
+        self.attempt, self.dense = self.equations.attempt, self.equations.dense
         self.carries_multipliers = formulation.solves_multipliers
         self.has_dense_output = method.tableau.is_collocation
         self.rk = coefficients_of(method.tableau)
@@ -73,9 +72,8 @@ class CompiledCollocation(CompiledMethod):
         self.bundle = new_stages(
             self.rk,
             workspace,
-            new_settings(formulation.code, solver, method.max_iterations, tolerance),
+            new_settings(formulation, solver, method.max_iterations, tolerance),
             _terms_by_position(workspace),
-            solves_multipliers=formulation.solves_multipliers,
         )
         self.pinned = PinnedBundle(self.bundle)
         if method.max_iterations is None:
@@ -102,7 +100,7 @@ class CompiledCollocation(CompiledMethod):
         self.forget()
         self._evaluate_tangents(run_state, t)
         fixed_point = stages.settings.solver[0] == FIXED_POINT
-        pattern, scatter = self.formulation.choose_pivots(workspace, None if fixed_point else self._rate(h))
+        pattern, scatter = self.equations.choose_pivots(workspace, None if fixed_point else self._rate(h))
         self.bundle = stages._replace(systems=new_systems(self.rk, pattern, scatter, workspace.unknowns))
         self.pinned.replace(self.bundle)
         return True

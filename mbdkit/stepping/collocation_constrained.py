@@ -28,11 +28,11 @@ iteration down.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
@@ -50,12 +50,11 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.collocation_stages import (
-    GGL,
-    INDEX_2,
-    INDEX_3,
-    StageFormulation,
+    StageEquations,
     StageKernels,
+    is_shifted,
     load_stages,
+    solves_positions_only,
 )
 from mbdkit.stepping.collocation_step import state_inside, try_step
 from mbdkit.stepping.convergence import (
@@ -112,7 +111,7 @@ def evaluate_residual(c, m, t, h):
                         for d in range(3):
                             lack[at + d] += w.jac[k, 6 * r + 3 * side + d] * m.lam[i, k, r]
                 m.constraints.phi[i, k, r] = w.phi[k, r]
-                in_position = m.settings.formulation[0] == INDEX_3
+                in_position = solves_positions_only(m)
                 lack[c.solver.row_index[k, r]] = w.phi[k, r] if in_position else m.pairs[k, r]
             copy(w.jac[k], m.constraints.jac[i, k])
     c.counts[RHS] += len(m.rk.c)
@@ -172,7 +171,7 @@ def change_shift(c, m, h, source, acc):
 @inlined
 def right_side(c, m, rate, z, b):
     """Write the transformed residual with its constraint rows scaled by ``rate = h mu``."""
-    scale = rate * rate if m.settings.formulation[0] == INDEX_3 else rate
+    scale = rate * rate if solves_positions_only(m) else rate
     n3 = len(c.q) - 3
     for d in range(n3):
         b[d] = z[d]
@@ -184,7 +183,7 @@ def right_side(c, m, rate, z, b):
 def _changes(c, m, t, h, rough):
     """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
     evaluate_residual(c, m, t, h)
-    if m.settings.formulation[0] == GGL:
+    if is_shifted(m):
         status = change_shift(c, m, h, c.w.source, m.tangent.acc)
         if status != OK:
             return status
@@ -199,7 +198,7 @@ def _changes(c, m, t, h, rough):
 @subkernel
 def _change_of_positions(c, m, h):
     """Write the change of every stage's positions into ``m.spread``."""
-    shifted = m.settings.formulation[0] == GGL
+    shifted = is_shifted(m)
     for i in range(len(m.rk.c)):
         for d in range(len(c.q) - 3):
             total = 0.0
@@ -231,7 +230,7 @@ def _sizes(c, m, h):
     bodies = len(c.top.mass) - 1
     _change_of_positions(c, m, h)
     now = moved = relative_to_state(m.spread, c.from_q, bodies)
-    if m.settings.formulation[0] != INDEX_3:
+    if not solves_positions_only(m):
         _change_of_velocities(c, m, h)
         now = max(now, relative_to_state(m.spread, m.v_stage[len(m.rk.c) - 1], bodies))
         moved = max(moved, h * relative_to_state(m.spread, c.from_q, bodies))
@@ -310,10 +309,11 @@ def dense(run, method, t, h, theta):
     return OK
 
 
-def _choose_pivots(row_share: float, workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
-    """Choose pivots for stage matrices whose rows of constraints have the factor ``row_share h mu`` of -gamma_v."""
+def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
+    """Choose pivots for stage matrices; rows of constraints on velocities have the factor ``h mu / 2`` of -gamma_v."""
     if rate is None:
         raise ValueError("stages on the constraints are solved by Newton's method only")
+    row_share = 0.5 if "velocity" in FORMULATIONS[workspace.formulation].holds else 0.0
     coefficients = np.zeros(6, dtype=type(rate))
     coefficients[[MASS, JACOBIAN, DAMPING, STIFFNESS]] = 1.0, 1.0, rate, rate**2
     coefficients[GAMMA_V] = -row_share * rate
@@ -323,14 +323,4 @@ def _choose_pivots(row_share: float, workspace: Workspace, rate: complex | None)
     return pivots.pattern, Scatter(*(np.ascontiguousarray(pivots.scatter[some, :2]) for some in chosen))
 
 
-def _formulation(code: int) -> StageFormulation:
-    return StageFormulation(
-        code=code,
-        attempt=attempt,
-        dense=dense,
-        choose_pivots=partial(_choose_pivots, 0.0 if code == INDEX_3 else 0.5),
-        solves_multipliers=True,
-    )
-
-
-FORMULATIONS = {"index-2": _formulation(INDEX_2), "index-3": _formulation(INDEX_3), "ggl": _formulation(GGL)}
+EQUATIONS = StageEquations(attempt, dense, _choose_pivots)

@@ -29,7 +29,7 @@ from mbdkit.engine.kernels.system import (
     solve_accelerations,
 )
 from mbdkit.engine.kernels.vectors import copy
-from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON, StageFormulation, StageKernels, load_stages
+from mbdkit.stepping.collocation_stages import NEWTON, StageEquations, StageKernels, load_stages
 from mbdkit.stepping.collocation_step import state_inside, try_step
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
@@ -158,10 +158,4 @@ def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern,
     return pattern, scatter
 
 
-FORMULATION = StageFormulation(
-    code=INDEX_1,
-    attempt=attempt,
-    dense=dense,
-    choose_pivots=_choose_pivots,
-    solves_multipliers=False,
-)
+EQUATIONS = StageEquations(attempt, dense, _choose_pivots)

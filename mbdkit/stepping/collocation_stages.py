@@ -11,7 +11,9 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
 from mbdkit.engine.example_workspace import example_workspace
+from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, State
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.system import Scatter
@@ -26,36 +28,29 @@ if TYPE_CHECKING:
 NEWTON, FIXED_POINT = range(2)
 """How the stage equations are solved."""
 
-INDEX_1, INDEX_2, INDEX_3, GGL = range(4)
-"""Codes of the formulations in kernels."""
+POSITION, VELOCITY = range(2)
+"""Items of `Settings.holds`."""
 
 
 @dataclass(frozen=True)
-class StageFormulation:
-    """A formulation of the stage equations: its compiled entries, and what Python has to know about it.
+class StageEquations:
+    """Stage equations of one or more formulations: their compiled entries, and how pivots are chosen.
 
     Parameters
     ----------
-    code
-        INDEX_1 and so on, as kernels see it in `Settings.formulation`.
     attempt, dense
         Compiled step, and compiled state inside it; see `mbdkit.stepping.driver`.
     choose_pivots
         Chooses pivots for the stage matrix by the tangents evaluated last, for ``h mu``, or without tangents for None.
-    solves_multipliers
-        Whether multipliers are unknowns of the stage equations, so that the method carries its own. Otherwise
-        multipliers follow from accelerations.
     """
 
-    code: int
     attempt: Entry
     dense: Entry
     choose_pivots: Callable[[Workspace, complex | None], tuple[Pattern, Scatter]]
-    solves_multipliers: bool
 
 
 class StageKernels(NamedTuple):
-    """The parts of a formulation that the shared kernels of `mbdkit.stepping.collocation_step` call.
+    """The parts of stage equations that the shared kernels of `mbdkit.stepping.collocation_step` call.
 
     Numba compiles the shared kernels once for each of these records. `c` is the bundle of the run, `m` that of the
     stages. All but `round_off`, `right_side` and `estimate_side` return a status.
@@ -163,10 +158,11 @@ def _stacked(pattern: Pattern, count: int, dtype: type) -> Factors:
 
 
 class Settings(NamedTuple):
-    """How the stage equations are set up and solved; arrays of one item."""
+    """How the stage equations are set up and solved; arrays of one item unless a shape is given."""
 
-    formulation: np.ndarray
-    """INDEX_1, INDEX_2, INDEX_3 or GGL."""
+    holds: np.ndarray
+    """(2,) whether the constraints are imposed on the positions and on the velocities of the stages; neither for
+    index-1. See `mbdkit.engine.formulation`."""
     solver: np.ndarray
     """NEWTON or FIXED_POINT."""
     limit: Annotated[IterationLimit, RECORD]
@@ -259,9 +255,25 @@ class Stages(NamedTuple):
     """(P, 2) scratch."""
 
 
-def new_stages(
-    rk: Coefficients, workspace: Workspace, settings: Settings, by_position: np.ndarray, *, solves_multipliers: bool
-) -> Stages:
+@inlined
+def solves_multipliers(m):
+    """Return whether multipliers are unknowns of the stage equations; otherwise they follow from accelerations."""
+    return m.settings.holds[POSITION] != 0 or m.settings.holds[VELOCITY] != 0
+
+
+@inlined
+def solves_positions_only(m):
+    """Return whether the constraints are imposed on the positions of the stages only (index 3)."""
+    return m.settings.holds[VELOCITY] == 0
+
+
+@inlined
+def is_shifted(m):
+    """Return whether the constraints are imposed on positions and velocities, so that positions are shifted (ggl)."""
+    return m.settings.holds[POSITION] != 0 and m.settings.holds[VELOCITY] != 0
+
+
+def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_position: np.ndarray) -> Stages:
     """Return the bundle of a method for a mechanism, without pivots.
 
     Parameters
@@ -274,13 +286,11 @@ def new_stages(
         How stage equations are set up and solved.
     by_position
         See `Constraints`.
-    solves_multipliers
-        Whether multipliers are unknowns of the stage equations.
     """
     s, size, pairs = len(rk.c), workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
-    width = workspace.unknowns if solves_multipliers else size - 3
-    constrained = s if solves_multipliers else 0
-    shifted = s if settings.formulation[0] == GGL else 0
+    width = workspace.unknowns if settings.holds.any() else size - 3
+    constrained = s if settings.holds.any() else 0
+    shifted = s if settings.holds.all() else 0
 
     def vectors(count: int) -> np.ndarray:
         return np.zeros((count, size))
@@ -307,10 +317,10 @@ def new_stages(
     )  # fmt: skip
 
 
-def new_settings(formulation: int, solver: int, most_iterations: int | None, tolerance: float) -> Settings:
+def new_settings(formulation: Formulation, solver: int, most_iterations: int | None, tolerance: float) -> Settings:
     """Return settings as kernels take them."""
     return Settings(
-        formulation=np.array([formulation], dtype=np.int64),
+        holds=np.array([level in formulation.holds for level in ("position", "velocity")], dtype=np.int64),
         solver=np.array([solver], dtype=np.int64),
         limit=new_limit(most_iterations),
         tolerance=np.array([float(tolerance)]),
@@ -322,7 +332,7 @@ def example_stages() -> Stages:
     midpoint = coefficients_of(ButcherTableau("midpoint", [["1/2"]], [1], ["1/2"], 2, ""))
     settings = new_settings(INDEX_1, NEWTON, 1, 0.0)
     by_position = np.zeros((0, 4), dtype=np.int64)
-    return new_stages(midpoint, example_workspace(), settings, by_position, solves_multipliers=False)
+    return new_stages(midpoint, example_workspace(), settings, by_position)
 
 
 load_stages = bundle_loader(example_stages)

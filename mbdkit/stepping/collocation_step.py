@@ -13,7 +13,7 @@ from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable, where
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
-from mbdkit.stepping.collocation_stages import INDEX_1, NEWTON, load_stages
+from mbdkit.stepping.collocation_stages import NEWTON, load_stages, solves_multipliers
 from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
     ROUGH_CHANGE,
@@ -67,7 +67,7 @@ def _predict(m, t, h):
         return True
     extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
     extrapolate(m.weights, m.acc, m.spread)
-    if m.settings.formulation[0] != INDEX_1:  # else multipliers follow from accelerations
+    if solves_multipliers(m):  # else multipliers follow from accelerations
         extrapolate_pairs(m.weights, m.lam, m.constraints.phi)
     return False
 
@@ -203,7 +203,7 @@ def _keep_first_acceleration(c, m):
         c.base_state[0] == AT_END_OF_LAST
         and first.known[0] != 0
         and m.rk.c[s - 1] == 1.0
-        and m.settings.formulation[0] == INDEX_1  # else stages do not satisfy the index-1 equations
+        and not solves_multipliers(m)  # else stages do not satisfy the index-1 equations
     ):
         for k in range(len(first.lam)):
             copy(m.lam[s - 1, k], first.lam[k])

@@ -20,7 +20,7 @@ from mbdkit.stepping.lane_collocation import StagePivots
 from mbdkit.stepping.lane_control import ENDED, accelerate, drive_controlled, new_lane_control
 from mbdkit.stepping.lane_stepper import AtStart, LaneResults, LaneStepper, by_run
 from mbdkit.stepping.run_plan import smallest_step
-from mbdkit.stepping.start import explicit_control
+from mbdkit.stepping.start import step_control
 from mbdkit.stepping.step_control import Control, control_data, first_size
 
 FEW_ROWS = 64
@@ -70,7 +70,7 @@ class ControlledLaneStepper(LaneStepper):
         return self.results(counters, rows, by_run(self.runs.row_work[: rows.max()], count))
 
     def _control(self, mechanism: CompiledMechanism) -> Control:
-        control = explicit_control(self.method, mechanism)
+        control = step_control(self.method.traits, mechanism)
         assert control is not None
         return control
 

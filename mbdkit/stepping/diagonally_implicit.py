@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit.methods.step_method import StepMethod, StepState
+from mbdkit.methods.kinds import StepMethod, StepState
 
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion

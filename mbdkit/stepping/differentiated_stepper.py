@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, StepError
+from mbdkit.base.errors import StepError
 from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.jit.law_compiler import law_for_duals
 from mbdkit.engine.kernels.bundle_types import STATE, kept
@@ -33,10 +33,6 @@ _CAUSES = {DIVERGED: "the iteration for them does not converge", NOT_FINITE: "a 
 
 ANY_ERROR = 1e30
 """Factor of the tolerances of the local error with which every step is accepted."""
-
-
-class NoDerivativeError(MbdkitError, ValueError):
-    """The steps of a method, formulation or stabilization cannot be differentiated."""
 
 
 def dual_laws(workspace: Workspace) -> np.ndarray:

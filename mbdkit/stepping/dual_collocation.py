@@ -17,7 +17,14 @@ from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
 from mbdkit.engine.jit.dual_types import with_value
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.stepping import collocation_constrained, collocation_index1
-from mbdkit.stepping.collocation_stages import GGL, INDEX_3, NEWTON, Stages, example_stages, load_stages
+from mbdkit.stepping.collocation_stages import (
+    NEWTON,
+    Stages,
+    example_stages,
+    is_shifted,
+    load_stages,
+    solves_positions_only,
+)
 from mbdkit.stepping.collocation_step import complete_step, evaluate_stages, keep_stages
 from mbdkit.stepping.dual_run import advance, load_dual_run, relative_change, take_base, with_derivatives
 from mbdkit.stepping.run_state import load_run_state
@@ -120,7 +127,7 @@ def _constrained_sizes(c, m, h):
     now = moved = 0.0
     for i in range(len(m.change)):
         moved = max(moved, relative_change(c, m.change[i], m.q_stage[i], h * h))
-        if m.settings.formulation[0] != INDEX_3:
+        if not solves_positions_only(m):
             now = max(now, relative_change(c, m.change[i], m.v_stage[i], h))
     for i in range(len(m.constraints.shift)):
         now = max(now, relative_change(c, m.constraints.shift_change[i], m.v_stage[i], 1.0))
@@ -149,7 +156,7 @@ def _index1_changes(c, n, m, k, t, h):
 def _constrained_changes(c, n, m, k, t, h):
     """Write the changes of the derivatives of the stages by one iteration, and change the multipliers."""
     collocation_constrained.evaluate_residual(c, m, t, h)
-    if m.settings.formulation[0] == GGL:
+    if is_shifted(m):
         status = collocation_constrained.change_shift(c, m, h, n.w.source, c.push)
         if status != OK:
             return status

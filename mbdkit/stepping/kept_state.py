@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.methods.step_method import StepState
+from mbdkit.methods.kinds import StepState
 
 
 def kept(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -17,7 +17,7 @@ from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
+from mbdkit.methods.kinds import Method
 from mbdkit.stepping.interface import StepEvidence, Timetable
 from mbdkit.stepping.lane_collocation import (
     StagePivoting,
@@ -90,20 +90,16 @@ def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
     return shapes, mechanism.order, mechanism.names, mechanism.has_power
 
 
-def suits_lanes(method: Any, mechanism: CompiledMechanism, table: Timetable) -> bool:
+def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
     """Return whether a run of index-1 equations without stabilization can be advanced in lanes.
 
-    Its method must be explicit, or have fixed steps and solve all stages together. Events are not possible, rows by
-    interval only with controlled step size, and the Schur complement must do.
+    Events are not possible, rows by interval only with controlled step size, and the Schur complement must do.
     """
-    is_collocation = (
-        isinstance(method, ImplicitRungeKutta) and method.tolerances is None and method.tableau.is_diagonalisable
-    )
     is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
         not JIT_DISABLED
-        and (isinstance(method, ExplicitRungeKutta) or is_collocation)
-        and (is_fixed or is_controlled(method))
+        and method.traits.has_lanes
+        and (is_fixed or method.traits.tolerances is not None)
         and not table.single
         and not table.stops
         and not mechanism.needs_pivots
@@ -111,9 +107,11 @@ def suits_lanes(method: Any, mechanism: CompiledMechanism, table: Timetable) -> 
     )
 
 
-def is_controlled(method: Any) -> bool:
-    """Return whether an explicit method controls its step size."""
-    return isinstance(method, ExplicitRungeKutta) and method.tolerances is not None
+IN_LANES: dict[str, tuple[Callable[[int], object], Callable[..., Any]]] = {
+    "explicit": (drive_explicit, lambda method, workspace, pivots: explicit_in_lanes(method, workspace)),
+    "collocation": (drive_collocation, collocation_in_lanes),
+}
+"""The loop over fixed steps in lanes, and what makes the bundle of a method for it, by the family of the method."""
 
 
 class LaneStepper:
@@ -133,18 +131,13 @@ class LaneStepper:
 
     def __init__(
         self,
-        method: ExplicitRungeKutta | ImplicitRungeKutta,
+        method: Method,
         workspace: Workspace,
         rows: int,
         pivots: StagePivots | None = None,
     ):
-        if isinstance(method, ExplicitRungeKutta):
-            self._drive = drive_explicit
-            self.run = new_lane_run(explicit_in_lanes(method, workspace), workspace, rows)
-        else:
-            assert pivots is not None
-            self._drive = drive_collocation
-            self.run = new_lane_run(collocation_in_lanes(method, workspace, pivots), workspace, rows)
+        self._drive, in_lanes = IN_LANES[method.traits.family]
+        self.run = new_lane_run(in_lanes(method, workspace, pivots), workspace, rows)
         self._pinned = PinnedBundle(self.run)
         self._topologies: list[Topology | None] = [None] * WIDTH
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
@@ -255,7 +248,7 @@ class PivotsAtStart:
         mbdkit.engine.elimination_order.SingularSystemError
             If the equations of the first step are singular, or need the pivoted solver.
         """
-        if isinstance(method, ExplicitRungeKutta):
+        if method.traits.is_explicit:
             return None
         assert table.step is not None
         shared = method, start.mechanism, table.start

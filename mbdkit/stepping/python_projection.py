@@ -15,7 +15,7 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF, nearest_positions, nearest_velocities
-from mbdkit.methods.step_method import StepState
+from mbdkit.methods.kinds import StepState
 from mbdkit.stepping.projected_step import MAX_TRIALS
 
 if TYPE_CHECKING:

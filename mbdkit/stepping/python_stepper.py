@@ -17,7 +17,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
 from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.step_method import StepMethod, StepState
+from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (

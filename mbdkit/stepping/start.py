@@ -1,24 +1,19 @@
-"""Starts a method on a mechanism: one function, dispatched on the class of the method."""
+"""Starts a method on a mechanism: tables of the algorithms by the family of a method."""
 
 from __future__ import annotations
 
 import math
-from functools import singledispatch
+from collections.abc import Callable
 from typing import Any
 
+from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import (
-    ExplicitRungeKutta,
-    ImplicitRungeKutta,
-    LobattoPair,
-    Method,
-    SciPySolver,
-    Tolerances,
-)
-from mbdkit.methods.step_method import StepMethod
-from mbdkit.methods.tableau import TableauError
+from mbdkit.methods.kinds import Method, Traits
 from mbdkit.stepping.collocation import CompiledCollocation
+from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.diagonally_implicit import DiagonallyImplicit
 from mbdkit.stepping.explicit import CompiledExplicit
@@ -28,51 +23,55 @@ from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
 
+COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
+    "explicit": lambda method, workspace, control: CompiledExplicit(method, workspace),
+    "collocation": CompiledCollocation,
+    "partitioned": lambda method, workspace, control: CompiledLobattoPair(method, workspace),
+}
+"""Compiled methods, which all have the same stepper, by family."""
 
-def _control(tolerances: Tolerances, mechanism: CompiledMechanism, **parameters: Any) -> Control:
-    """Return step-size control with the tolerances of a method and other `parameters` of `Control`."""
+IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
+    "diagonally-implicit": lambda method, *run: PythonStepper(DiagonallyImplicit(method), *run),
+    "scipy": SciPyStepper,
+    "python": PythonStepper,
+}
+"""Steppers of methods whose steps are taken in Python, by family."""
+
+
+class NoDerivativeError(MbdkitError, ValueError):
+    """The steps of a method, formulation or stabilization cannot be differentiated."""
+
+
+def step_control(traits: Traits, mechanism: CompiledMechanism) -> Control | None:
+    """Return the step-size control of a method with these traits on a mechanism; None for fixed steps."""
+    tolerances, local_error = traits.tolerances, traits.local_error
+    if tolerances is None or local_error is None:
+        return None
     return Control(
         tolerances.rtol,
         tolerances.atol,
+        order=local_error.order,
+        estimate_order=local_error.estimate_order,
+        estimates=local_error.estimates,
+        memory=local_error.memory,
         max_step=math.inf if tolerances.max_step is None else tolerances.max_step,
         length=unit_of_length(tolerances.by_size, mechanism),
-        **parameters,
     )
 
 
-def explicit_control(method: ExplicitRungeKutta, mechanism: CompiledMechanism) -> Control | None:
-    """Return the step-size control of an explicit method on a mechanism; None for fixed steps."""
-    if method.tolerances is None or method.pair is None:
-        return None
-    return _control(
-        method.tolerances,
-        mechanism,
-        order=method.tableau.order,
-        estimate_order=method.pair.estimate_order,
-        estimates=len(method.pair.error),
-        memory=0.2,
-    )
+def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMethod, Control | None]:
+    """Return a compiled method, and its step-size control, which is None for fixed steps.
+
+    Raises
+    ------
+    mbdkit.methods.tableau.TableauError
+        If it cannot be used with the formulation of the workspace.
+    """
+    method.require_formulation(FORMULATIONS[workspace.formulation])
+    control = step_control(method.traits, workspace.mechanism)
+    return COMPILED[method.traits.family](method, workspace, control), control
 
 
-def implicit_control(method: ImplicitRungeKutta, workspace: Workspace) -> Control | None:
-    """Return the step-size control of a collocation method; None for fixed steps."""
-    if method.tolerances is None:
-        return None
-    order, stages = method.tableau.order, method.tableau.stages
-    return _control(method.tolerances, workspace.mechanism, order=order, estimate_order=stages + 1)
-
-
-def require_stiffly_accurate(method: ImplicitRungeKutta, workspace: Workspace) -> None:
-    """Raise TableauError unless a method can be used with the formulation of a workspace."""
-    tableau = method.tableau
-    if workspace.formulation != "index-1" and not (tableau.is_stiffly_accurate and method.stage_solver == "newton"):
-        raise TableauError(
-            f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}, which requires a stiffly "
-            "accurate tableau with a regular matrix, and the stage solver 'newton'"
-        )
-
-
-@singledispatch
 def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> Stepper:
     """Return a stepper that runs a method.
 
@@ -92,40 +91,20 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     mbdkit.methods.tableau.TableauError
         If a tableau cannot be used with the formulation of the workspace.
     """
-    raise TypeError(f"{type(method).__name__} is not a method")
+    family = method.traits.family
+    if family in IN_PYTHON:
+        method.require_formulation(FORMULATIONS[workspace.formulation])
+        return IN_PYTHON[family](method, workspace, timetable)
+    compiled, control = compiled_method(method, workspace)
+    return CompiledStepper(compiled, workspace, timetable, control)
 
 
-@start_method.register
-def _(method: ExplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
-    control = explicit_control(method, workspace.mechanism)
-    return CompiledStepper(CompiledExplicit(method, workspace), workspace, timetable, control)
-
-
-@start_method.register
-def _(method: ImplicitRungeKutta, workspace: Workspace, timetable: Timetable) -> Stepper:
-    tableau = method.tableau
-    if not tableau.is_diagonalisable:
-        if workspace.formulation != "index-1":
-            raise TableauError(
-                f"{tableau.name} cannot be used with the formulation {workspace.formulation!r}: its stages are solved "
-                "one after the other, which is implemented for index-1"
-            )
-        return PythonStepper(DiagonallyImplicit(method), workspace, timetable)
-    require_stiffly_accurate(method, workspace)
-    control = implicit_control(method, workspace)
-    return CompiledStepper(CompiledCollocation(method, workspace, control), workspace, timetable, control)
-
-
-@start_method.register
-def _(method: LobattoPair, workspace: Workspace, timetable: Timetable) -> Stepper:
-    return CompiledStepper(CompiledLobattoPair(method, workspace), workspace, timetable)
-
-
-@start_method.register
-def _(method: SciPySolver, workspace: Workspace, timetable: Timetable) -> Stepper:
-    return SciPyStepper(method, workspace, timetable)
-
-
-@start_method.register
-def _(method: StepMethod, workspace: Workspace, timetable: Timetable) -> Stepper:
-    return PythonStepper(method, workspace, timetable)
+def require_derivatives(method: Method, stabilization: Stabilization) -> None:
+    """Raise NoDerivativeError unless the steps of a method can be differentiated."""
+    if not method.traits.has_derivatives:
+        raise NoDerivativeError(
+            "steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; "
+            "methods of SciPy, methods in Python and Lobatto pairs have none"
+        )
+    if stabilization.symmetric:
+        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")

@@ -65,7 +65,7 @@ def _collocation_compiled_apart() -> Iterator[Callable[[], bool]]:
     """
     process: subprocess.Popen[bytes] | None = None
     if sys.executable and (os.cpu_count() or 1) > 1 and is_shared() and not JIT_DISABLED:
-        code = "from mbdkit.stepping.collocation_index1 import FORMULATION; FORMULATION.attempt.address"
+        code = "from mbdkit.stepping.collocation_index1 import EQUATIONS; EQUATIONS.attempt.address"
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         none = subprocess.DEVNULL
         with suppress(OSError):
@@ -121,7 +121,7 @@ def _run_everything(check: Callable[[], None], is_done: Callable[[], bool]) -> N
     call_everything(EquationsOfMotion(replace(at_start)), check)
     for method in methods:
         check()
-        if isinstance(method, ImplicitRungeKutta):
+        if method.traits.family == "collocation":
             nearest_singularity(at_start, 0.0, at_start.q0)
             while not is_done():
                 check()

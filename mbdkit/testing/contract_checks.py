@@ -12,8 +12,7 @@ from pydantic import ValidationError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.methods.kinds import Method, SciPySolver
-from mbdkit.methods.step_method import StepMethod, StepState
+from mbdkit.methods.kinds import Method, StepMethod, StepState
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
@@ -42,11 +41,11 @@ def method(integrator: IntegratorUnderTest) -> Result:
         return failed(f"it created a {type(made).__name__}, which is not a method")
     if claims.order is None and not claims.adaptive:
         return failed("it claims neither an order nor adaptive steps")
-    if claims.adaptive != (isinstance(made, SciPySolver) or getattr(made, "tolerances", None) is not None):
+    if claims.adaptive != (made.traits.tolerances is not None):
         return failed(f"it claims adaptive = {claims.adaptive}, but its method is a {type(made).__name__}")
     if not claims.formulations:
         return failed("it claims no formulation")
-    if claims.multiplier_order is not None and not getattr(made, "carries_multipliers", False):
+    if claims.multiplier_order is not None and made.traits.own_multipliers == "never":
         return failed("it claims an order of multipliers, but has no multipliers of its own")
     if not integrator.plugin.references:
         return warned("it has no references")

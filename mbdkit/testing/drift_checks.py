@@ -10,6 +10,7 @@ from mbdkit.analysis.drift import worst_history
 from mbdkit.analysis.growth import growth_law
 from mbdkit.analysis.order import observed_order
 from mbdkit.archive.run import Run
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.testing.check import Check, Skip, check
 from mbdkit.testing.check_result import Figure, Result, failed, passed
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest
@@ -19,8 +20,8 @@ from mbdkit.testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
 
 EXACT = 1e-11
 """Misalignment [m, m/s] up to which rounding and converged residuals count as zero."""
-HELD = {"index-3": ("position",), "index-2": ("velocity",), "ggl": ("position", "velocity")}
-"""Levels at which a formulation enforces the constraints."""
+HELD = {name: one.holds for name, one in FORMULATIONS.items() if one.solves_multipliers}
+"""Levels at which a formulation enforces the constraints on the state."""
 ROUNDING = 1e-15
 COARSE = 0.1
 """Misalignment [m, m/s] too large to follow a power of the step: a tenth of the mechanism."""

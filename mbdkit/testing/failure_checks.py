@@ -12,7 +12,7 @@ from mbdkit.archive.layout import REASONS
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError, SpecError, StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.methods.step_method import StepMethod, StepState
+from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest

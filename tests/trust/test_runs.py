@@ -15,7 +15,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import attributes_sha256, data_sha256
 from mbdkit.archive.info import describe
-from mbdkit.methods.step_method import StepMethod, StepState
+from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.report.run_report import run_report
 from mbdkit.runs.preparation import guards, size_at_start
 from mbdkit.spec import example_names, load_spec

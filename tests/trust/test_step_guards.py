@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.methods.step_method import StepState
+from mbdkit.methods.kinds import StepState
 from tests.stepping.step_methods import RungeKutta, run_with
 
 from .mechanisms import cranks, spec

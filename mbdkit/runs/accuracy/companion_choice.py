@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods import dop853, gauss, radau_iia
-from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, LobattoPair, Method, SciPySolver, Tolerances
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.runs.preparation import make_method, timetable
 from mbdkit.spec import RunSpec
@@ -136,10 +136,8 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
 
 def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
     """Return the tolerances of an adaptive run; of a plugin's method, those of its options with the usual names."""
-    if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) and method.tolerances is not None:
-        return replace(method.tolerances, max_step=None)
-    if isinstance(method, SciPySolver):
-        return Tolerances(method.rtol, method.atol or method.rtol, by_size=method.by_size)
+    if method.traits.tolerances is not None:
+        return replace(method.traits.tolerances, max_step=None)
     rtol = getattr(spec.integrator, "rtol", None) or 1e-6
     atol = getattr(spec.integrator, "atol", None)
     return Tolerances(rtol, atol or rtol, by_size=atol is None)
@@ -147,8 +145,7 @@ def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
 
 def _has_tolerances(spec: RunSpec, method: Method) -> bool:
     """Return whether the companions of an adaptive run can be runs of its own method."""
-    known = "rtol" in type(spec.integrator).model_fields
-    return known and isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta)
+    return "rtol" in type(spec.integrator).model_fields and method.traits.tableau is not None
 
 
 def _guards(
@@ -161,7 +158,8 @@ def _guards(
     accelerations of stiff beams consist of round-off, so that adaptive steps become ever smaller. It may be of the same
     family as the method of the run, but has another order.
     """
-    name = method.tableau.name if isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) else ""
+    tableau, stiff = method.traits.tableau, method.traits.suits_stiff
+    name = "" if tableau is None else tableau.name
     within = replace(within, max_steps=LOOKS + _most(SINGLE_STEPS, steps))
     dense, longest = within, (within.end - within.start) / LOOKS
     tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE, longest, by_size=True)
@@ -174,7 +172,6 @@ def _guards(
         ("radau-iia", "radau-iia of order 9", partial(_radau, loose), within),
         ("gauss", "gauss of order 10", partial(_gauss, loose), within),
     )
-    stiff = isinstance(method, ImplicitRungeKutta | LobattoPair | SciPySolver)
     after = spec.output.interval is not None
     found = tuple(
         Companion(

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import ExplicitRungeKutta, Method
+from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import guards, make_method, plugin_failure, timetable
 from mbdkit.spec import RunSpec
@@ -106,7 +106,7 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
 
 def work_of(method: Method, evaluations: int) -> float:
     """Return the work of a number of evaluations of a method; see `PilotRun.work`."""
-    return evaluations * (1.0 if isinstance(method, ExplicitRungeKutta) else IMPLICIT_WORK)
+    return evaluations * (1.0 if method.traits.is_explicit else IMPLICIT_WORK)
 
 
 def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:

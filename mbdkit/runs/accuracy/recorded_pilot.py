@@ -13,7 +13,6 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.runs.accuracy.pilot_run import work_of
 from mbdkit.runs.accuracy.step_interpolation import StepStates
 from mbdkit.runs.preparation import guards, make_method, size_at_start, timetable
@@ -116,7 +115,7 @@ def can_be_recorded(spec: RunSpec) -> bool:
     return (
         spec.claims.adaptive
         and "rtol" in type(spec.integrator).model_fields
-        and isinstance(make_method(spec), ExplicitRungeKutta)
+        and make_method(spec).traits.is_explicit
         and not timetable(spec, guards(spec, 1.0)).impacts
     )
 

@@ -1,0 +1,48 @@
+"""Formulations of the equations of motion: what the stepped equations demand of the constraints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+FormulationName = Literal["index-1", "index-2", "index-3", "ggl"]
+"""Names of `FORMULATIONS`, as specs write them."""
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """One formulation.
+
+    Parameters
+    ----------
+    name
+        Its name in specs.
+    holds
+        Levels at which the stepped equations impose the constraints.
+    """
+
+    name: FormulationName
+    holds: tuple[Literal["position", "velocity", "acceleration"], ...]
+
+    @property
+    def solves_multipliers(self) -> bool:
+        """Whether multipliers are unknowns of their own. Otherwise they follow from the state, with the accelerations.
+
+        In the latter case the equations are ordinary differential equations, which every method can step, and
+        Baumgarte's terms have equations to modify.
+        """
+        return "acceleration" not in self.holds
+
+
+INDEX_1 = Formulation("index-1", ("acceleration",))
+
+FORMULATIONS: dict[str, Formulation] = {
+    one.name: one
+    for one in (
+        INDEX_1,
+        Formulation("index-2", ("velocity",)),
+        Formulation("index-3", ("position",)),
+        Formulation("ggl", ("position", "velocity")),
+    )
+}
+"""All formulations by name. The stage equations of each are those of `mbdkit.stepping.collocation`."""
