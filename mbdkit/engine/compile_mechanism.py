@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import marshal
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -143,49 +144,14 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
             row = pair.first_row + r
             rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
 
-    mass = np.ones((len(bodies) + 1, 3))
-    for i, body in enumerate(mechanism.bodies.values()):
-        mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
-    weight = 1 / mass
-    weight[ground] = 0.0
-    characteristic = _length(mechanism)
-    unit = min(1.0, characteristic)
-    row_units = np.full((len(pairs), 2), unit)
-    for one in rows:
-        if one.unit == "rad":
-            row_units[one.pair, one.place] = 1.0
+    length = _length(mechanism)
     topology = Topology(
-        mass=mass,
-        weight=weight,
-        gravity=np.array(mechanism.gravity, dtype=float),
-        pairs=np.array(
-            [(KINDS[pairs[k].kind], *pairs[k].bodies, pairs[k].motion) for k in order], dtype=np.int64
-        ).reshape(-1, 4),
-        rows=np.array([pairs[k].rows for k in order], dtype=np.int64),
-        length=np.array([unit]),
-        row_units=row_units,
-        pair_parameters=np.array([pairs[k].parameters for k in order], dtype=float).reshape(-1, 6),
-        spare=np.zeros((0, 2), dtype=np.int64),
-        spare_axes=np.zeros((0, 2)),
-        springs=np.array(forces.springs, dtype=np.int64).reshape(-1, 6),
-        spring_points=np.array(forces.spring_points, dtype=float).reshape(-1, 6),
-        couplings=np.array(forces.couplings, dtype=np.int64).reshape(-1, 2),
-        linear=np.array(forces.linear, dtype=float).reshape(-1, 3),
-        laws=np.array(forces.law_rows, dtype=np.int64).reshape(-1, 3),
-        law_parameters=np.array(forces.law_parameters, dtype=float),
-        loads=np.array(forces.loads, dtype=np.int64).reshape(-1, 5),
-        load_points=np.array(forces.load_points, dtype=float).reshape(-1, 2),
+        **_of_bodies(mechanism),
+        **_of_pairs([pairs[k] for k in order], rows, min(1.0, length)),
+        **forces.arrays(),
         sections=np.array(beams.sections, dtype=np.int64).reshape(-1, 2 + NODES),
         section_parameters=np.array(beams.parameters, dtype=float).reshape(-1, PARAMETERS),
-        force_place=np.array(forces.spring_places + forces.load_places, dtype=np.int64),
-        pair_joint=np.array([pairs[k].joint for k in order], dtype=np.int64),
-        joints=np.array(
-            [(ANGLE if joint.travel is None else TRAVEL, *(number[x] for x in joint.bodies)) for _, joint in joints],
-            dtype=np.int64,
-        ).reshape(-1, 3),
-        joint_lines=np.array([joint.travel or (0.0,) * 6 for _, joint in joints], dtype=float).reshape(-1, 6),
-        markers=np.array([number[marker.body] for marker in mechanism.markers.values()], dtype=np.int64),
-        marker_points=np.array([marker.held for marker in mechanism.markers.values()], dtype=float).reshape(-1, 2),
+        **_of_joints_and_markers(mechanism, number),
         centers=np.array([pair.bodies for pair in centered], dtype=np.int64).reshape(-1, 2),
         motion_start=np.array(motions.start, dtype=np.int64),
         motion_ops=np.array(motions.ops, dtype=np.int64),
@@ -205,13 +171,54 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         markers=tuple((name, marker.body) for name, marker in mechanism.markers.items()),
         drivers=frozenset(name for name, joint in joints if joint.is_driver),
         coordinates=sum(2 if body.inertia is None else 3 for body in mechanism.bodies.values()),
-        length=characteristic,
+        length=length,
         motions=tuple(motions.numbers),
         laws=tuple(forces.laws),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
     )
+
+
+def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
+    """Return the arrays of `Topology` about masses, the ground last."""
+    mass = np.ones((len(mechanism.bodies) + 1, 3))
+    for i, body in enumerate(mechanism.bodies.values()):
+        mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
+    weight = 1 / mass
+    weight[-1] = 0.0
+    return {"mass": mass, "weight": weight, "gravity": np.array(mechanism.gravity, dtype=float)}
+
+
+def _of_pairs(pairs: Sequence[_Pair], rows: Sequence[Row], unit: float) -> dict[str, np.ndarray]:
+    """Return the arrays of `Topology` about pairs of constraint rows in order of elimination; `unit` of lengths [m]."""
+    row_units = np.full((len(pairs), 2), unit)
+    for one in rows:
+        if one.unit == "rad":
+            row_units[one.pair, one.place] = 1.0
+    codes = [(KINDS[pair.kind], *pair.bodies, pair.motion) for pair in pairs]
+    return {
+        "pairs": np.array(codes, dtype=np.int64).reshape(-1, 4),
+        "rows": np.array([pair.rows for pair in pairs], dtype=np.int64),
+        "length": np.array([unit]),
+        "row_units": row_units,
+        "pair_parameters": np.array([pair.parameters for pair in pairs], dtype=float).reshape(-1, 6),
+        "spare": np.zeros((0, 2), dtype=np.int64),
+        "spare_axes": np.zeros((0, 2)),
+        "pair_joint": np.array([pair.joint for pair in pairs], dtype=np.int64),
+    }
+
+
+def _of_joints_and_markers(mechanism: Mechanism, number: dict[str, int]) -> dict[str, np.ndarray]:
+    """Return the arrays of `Topology` about recorded angles and travels of joints, and about markers."""
+    joints, markers = mechanism.joints.values(), mechanism.markers.values()
+    recorded = [(ANGLE if joint.travel is None else TRAVEL, *(number[x] for x in joint.bodies)) for joint in joints]
+    return {
+        "joints": np.array(recorded, dtype=np.int64).reshape(-1, 3),
+        "joint_lines": np.array([joint.travel or (0.0,) * 6 for joint in joints], dtype=float).reshape(-1, 6),
+        "markers": np.array([number[marker.body] for marker in markers], dtype=np.int64),
+        "marker_points": np.array([marker.held for marker in markers], dtype=float).reshape(-1, 2),
+    }
 
 
 def compiled_content(mechanism: Mechanism) -> bytes | None:
@@ -296,6 +303,20 @@ class _Forces:
         self.load_points: list[Numbers] = []
         for name, force in mechanism.forces.items():
             self.add(name, force)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of `Topology` about forces."""
+        return {
+            "springs": np.array(self.springs, dtype=np.int64).reshape(-1, 6),
+            "spring_points": np.array(self.spring_points, dtype=float).reshape(-1, 6),
+            "couplings": np.array(self.couplings, dtype=np.int64).reshape(-1, 2),
+            "linear": np.array(self.linear, dtype=float).reshape(-1, 3),
+            "laws": np.array(self.law_rows, dtype=np.int64).reshape(-1, 3),
+            "law_parameters": np.array(self.law_parameters, dtype=float),
+            "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
+            "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
+            "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
+        }
 
     def add(self, name: str, force: Force) -> None:
         match force:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack, cast
 
 import numpy as np
 
@@ -40,6 +40,19 @@ class Tangents:
     """(m, n) d gamma/dv = -2 d(Phi_q v + Phi_t)/dq, minus 2 alpha Phi_q with Baumgarte's terms."""
     residual_q: csr_array
     """(m, n) d(Phi_q a - gamma)/dq."""
+
+
+class Coefficients(TypedDict, total=False):
+    """Coefficients of the tangents in `EquationsOfMotion.iteration_matrix`."""
+
+    mass: complex
+    damping: complex
+    stiffness: complex
+    gamma_v: complex
+    residual_q: complex
+
+
+_DEFAULTS: dict[str, complex] = {"mass": 1.0, "damping": 0.0, "stiffness": 0.0, "gamma_v": 0.0, "residual_q": 0.0}
 
 
 class EquationsOfMotion:
@@ -198,12 +211,7 @@ class EquationsOfMotion:
         v: np.ndarray,
         a: np.ndarray,
         lam: np.ndarray,
-        *,
-        mass: complex = 1.0,
-        damping: complex = 0.0,
-        stiffness: complex = 0.0,
-        gamma_v: complex = 0.0,
-        residual_q: complex = 0.0,
+        **coefficients: Unpack[Coefficients],
     ) -> IterationMatrix:
         """Return the factorized matrix of a Newton iteration.
 
@@ -225,26 +233,28 @@ class EquationsOfMotion:
         ----------
         t, q, v, a, lam
             Time [s], state, accelerations and multipliers at which the tangents are evaluated.
-        mass, damping, stiffness, gamma_v, residual_q
-            Coefficients. The matrix is complex if any of them is complex.
+        coefficients
+            `mass` (default 1), `damping`, `stiffness`, `gamma_v`, `residual_q` (default 0). The matrix is complex if
+            any of them is complex.
         """
-        dtype = (
-            complex if any(isinstance(x, complex) for x in (mass, damping, stiffness, gamma_v, residual_q)) else float
-        )
-        coefficients = np.array([mass, 1.0, damping, stiffness, gamma_v, residual_q], dtype=dtype)
-        key = (dtype is complex, *(coefficients != 0).tolist())
+        given = {**_DEFAULTS, **cast("dict[str, complex]", coefficients)}
+        if unknown := given.keys() - _DEFAULTS.keys():
+            raise TypeError(f"iteration_matrix() got an unexpected keyword argument {min(unknown)!r}")
+        dtype = complex if any(isinstance(x, complex) for x in given.values()) else float
+        factors = np.array([given.pop("mass"), 1.0, *given.values()], dtype=dtype)
+        key = (dtype is complex, *(factors != 0).tolist())
         if key not in self._pivots:
-            self._choose_at_start(key, coefficients)
+            self._choose_at_start(key, factors)
         self._evaluate_tangents(t, q, v, a, lam)
         if key in self._pivots:
-            matrix = self._factorized(key, coefficients)
+            matrix = self._factorized(key, factors)
             if matrix.failed_at < 0:
                 return matrix
         try:
-            self._pivots[key] = chosen_pivots(self._workspace, self._classes, coefficients)
+            self._pivots[key] = chosen_pivots(self._workspace, self._classes, factors)
         except SingularSystemError as error:
             raise self._singular(error) from None
-        matrix = self._factorized(key, coefficients)
+        matrix = self._factorized(key, factors)
         if matrix.failed_at >= 0:
             raise self._singular(matrix.lost())
         return matrix

@@ -10,8 +10,10 @@ With ``h mu = 0`` this is the matrix of the index-1 system.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
@@ -94,99 +96,115 @@ class _Table:
 def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
-    """Return the terms of a mechanism with these integers; cached, because the runs of a study usually have the
-    same.
-    """
-    of_pairs, of_rows, spare, springs, couplings, loads, sections, row_index = (table.array for table in tables)
-    offsets = dict(places)
-    n3 = 3 * count
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
-
-    def add(source: np.ndarray, row: np.ndarray, column: np.ndarray, factor: int) -> None:
-        keep = ((row < n3) | (row >= n3 + 3)) & ((column < n3) | (column >= n3 + 3))
-        parts.append((source[keep], row[keep], column[keep], factor))
-
-    def coordinate(bodies: np.ndarray, column: int) -> np.ndarray:
-        return 3 * bodies[:, column // 3] + column % 3
-
-    def multiplier(members: np.ndarray, place: int) -> np.ndarray:
-        return (
-            row_index[members, place] + 3
-        )  # three columns are reserved for the coordinates of ground and removed below
-
-    diagonal = np.arange(n3)
-    add(diagonal, diagonal, diagonal, CONSTANT)
+    """Return the terms of a mechanism with these integers; cached, because runs of a study usually share them."""
+    pairs, rows, spare, springs, couplings, loads, sections, row_index = (table.array for table in tables)
+    terms = _Terms(3 * count, row_index, dict(places))
+    diagonal = np.arange(3 * count)
+    terms.add(diagonal, diagonal, diagonal, CONSTANT)
     for kind, code in KINDS.items():
-        members = np.flatnonzero(of_pairs[:, 0] == code)
-        bodies = of_pairs[members, 1:3]
+        terms.add_constraints(kind, np.flatnonzero(pairs[:, 0] == code), pairs, rows, spare, stabilized)
+    for path, code in PATHWAYS.items():
+        members = np.flatnonzero(springs[:, 0] == code)
+        bodies = springs[members, 1:3]
+        terms.add_tangents("spring", 36 * members, 6, (bodies, bodies), e.GRADIENT_ENTRIES[path])
+    sides = springs[couplings[:, 0], 1:3], springs[couplings[:, 1], 1:3]
+    terms.add_tangents("coupled", 36 * np.arange(len(couplings)), 6, sides, e.GRADIENT_ENTRIES[COUPLED])
+    for kind_of_load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
+        members = np.flatnonzero(loads[:, 0] == kind_of_load)
+        first = 3 * loads[members, 1]
+        for entry in entries:
+            terms.add(terms.offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, RATE_SQUARED)
+    for nodes in range(2, NODES + 1):
+        members = np.flatnonzero(sections[:, 1] == nodes)
+        bodies = sections[members, 2:]
+        terms.add_tangents("beam", 81 * members, 9, (bodies, bodies), range(3 * nodes))
+    return terms.joined()
+
+
+def _coordinate(bodies: np.ndarray, column: int) -> np.ndarray:
+    """Return the index of a coordinate of elements, by its number among the coordinates of their `bodies`."""
+    return 3 * bodies[:, column // 3] + column % 3
+
+
+class _Terms:
+    """Collects the terms of a mechanism with `n3` coordinates.
+
+    In its rows and columns, three columns after the coordinates are reserved for those of the ground, which `add` leaves
+    out and `joined` removes.
+    """
+
+    def __init__(self, n3: int, row_index: np.ndarray, offsets: dict[str, int]):
+        self.n3, self.row_index, self.offsets = n3, row_index, offsets
+        self.parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]] = []
+
+    def add(self, source: np.ndarray, row: np.ndarray, column: np.ndarray, factor: int) -> None:
+        n3 = self.n3
+        keep = ((row < n3) | (row >= n3 + 3)) & ((column < n3) | (column >= n3 + 3))
+        self.parts.append((source[keep], row[keep], column[keep], factor))
+
+    def add_constraints(
+        self, kind: str, members: np.ndarray, pairs: np.ndarray, rows: np.ndarray, spare: np.ndarray, stabilized: bool
+    ) -> None:
+        """Add the terms of the pairs of one kind of constraint."""
+        offsets, bodies = self.offsets, pairs[members, 1:3]
         reduced = np.isin(members, spare[:, 0])
-        for entry in range(12):
+
+        def is_listed(entry: int) -> np.ndarray:
             # If one of two rows is redundant, the other is a combination of both and has no structural zeros. A pair
             # without rows has no multiplier.
-            taken = np.where(reduced, (entry < 6) & (of_rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
+            return np.where(reduced, (entry < 6) & (rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
+
+        for entry in range(12):
+            taken = is_listed(entry)
             some, ends = members[taken], bodies[taken]
-            row, column = multiplier(some, entry // 6), coordinate(ends, entry % 6)
-            add(offsets["jac"] + 12 * some + entry, row, column, CONSTANT)
-            add(offsets["jac"] + 12 * some + entry, column, row, CONSTANT)
+            row, column = self._multiplier(some, entry // 6), _coordinate(ends, entry % 6)
+            self.add(offsets["jac"] + 12 * some + entry, row, column, CONSTANT)
+            self.add(offsets["jac"] + 12 * some + entry, column, row, CONSTANT)
             if stabilized:
-                add(offsets["gamma_v"] + 12 * some + entry, row, column, MINUS_RATE)
-                add(offsets["res_q"] + 12 * some + entry, row, column, RATE_SQUARED)
+                self.add(offsets["gamma_v"] + 12 * some + entry, row, column, MINUS_RATE)
+                self.add(offsets["res_q"] + 12 * some + entry, row, column, RATE_SQUARED)
         for entry in e.STIFFNESS_ENTRIES[kind]:
-            add(
-                offsets["stiff"] + 36 * members + entry,
-                coordinate(bodies, entry // 6),
-                coordinate(bodies, entry % 6),
-                RATE_SQUARED,
-            )
+            row, column = _coordinate(bodies, entry // 6), _coordinate(bodies, entry % 6)
+            self.add(offsets["stiff"] + 36 * members + entry, row, column, RATE_SQUARED)
         for name, written, factor in (
             ("gamma_v", e.GAMMA_V_ENTRIES, MINUS_RATE),
             ("res_q", e.RESIDUAL_Q_ENTRIES, RATE_SQUARED),
         ):
             for entry in written[kind]:
-                held = row_index[members, entry // 6] >= 0
+                held = self.row_index[members, entry // 6] >= 0
                 if stabilized:  # the entries of the Jacobian are listed above
-                    listed = entry in e.JACOBIAN_ENTRIES[kind]
-                    held &= ~np.where(reduced, (entry < 6) & (of_rows[members] == 1), listed)
-                add(
-                    offsets[name] + 12 * members[held] + entry,
-                    multiplier(members[held], entry // 6),
-                    coordinate(bodies[held], entry % 6),
-                    factor,
-                )
-    for path, code in PATHWAYS.items():
-        members = np.flatnonzero(springs[:, 0] == code)
-        bodies = springs[members, 1:3]
-        for i in e.GRADIENT_ENTRIES[path]:
-            for j in e.GRADIENT_ENTRIES[path]:
-                entry = 6 * i + j
-                add(
-                    offsets["spring_stiff"] + 36 * members + entry,
-                    coordinate(bodies, i),
-                    coordinate(bodies, j),
-                    RATE_SQUARED,
-                )
-                add(offsets["spring_damp"] + 36 * members + entry, coordinate(bodies, i), coordinate(bodies, j), RATE)
-    number = np.arange(len(couplings))
-    of_couplings = [springs[couplings[:, side], 1:3] for side in range(2)]
-    for i in e.GRADIENT_ENTRIES[COUPLED]:
-        for j in e.GRADIENT_ENTRIES[COUPLED]:
-            row, column, place = coordinate(of_couplings[0], i), coordinate(of_couplings[1], j), 36 * number + 6 * i + j
-            add(offsets["coupled_stiff"] + place, row, column, RATE_SQUARED)
-            add(offsets["coupled_damp"] + place, row, column, RATE)
-    for kind_of_load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
-        members = np.flatnonzero(loads[:, 0] == kind_of_load)
-        first = 3 * loads[members, 1]
-        for entry in entries:
-            add(offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, RATE_SQUARED)
-    for count in range(2, NODES + 1):
-        members = np.flatnonzero(sections[:, 1] == count)
-        nodes = sections[members, 2:]
-        for i in range(3 * count):
-            for j in range(3 * count):
-                row, column, place = coordinate(nodes, i), coordinate(nodes, j), 81 * members + 9 * i + j
-                add(offsets["beam_stiff"] + place, row, column, RATE_SQUARED)
-                add(offsets["beam_damp"] + place, row, column, RATE)
+                    held &= ~is_listed(entry)
+                row, column = self._multiplier(members[held], entry // 6), _coordinate(bodies[held], entry % 6)
+                self.add(offsets[name] + 12 * members[held] + entry, row, column, factor)
 
-    source, row, column = (np.concatenate([part[i] for part in parts]).astype(np.int64) for i in range(3))
-    factors = np.concatenate([np.full(len(part[0]), part[3], dtype=np.int64) for part in parts])
-    return MatrixTerms(source, np.where(row >= n3, row - 3, row), np.where(column >= n3, column - 3, column), factors)
+    def add_tangents(
+        self, name: str, first: np.ndarray, width: int, bodies: tuple[np.ndarray, np.ndarray], entries: Iterable[int]
+    ) -> None:
+        """Add the tangents by positions and velocities of one kind of force.
+
+        Parameters
+        ----------
+        name
+            Its arrays are `name` with ``_stiff`` and ``_damp``.
+        first
+            Place of the first tangent of each element in these arrays, by rows of `width`.
+        bodies
+            Bodies of each element on which the force acts, and by whose coordinates it is differentiated.
+        entries
+            Numbers of the coordinates that occur.
+        """
+        for i, j in product(entries, repeat=2):
+            place = first + width * i + j
+            row, column = _coordinate(bodies[0], i), _coordinate(bodies[1], j)
+            self.add(self.offsets[f"{name}_stiff"] + place, row, column, RATE_SQUARED)
+            self.add(self.offsets[f"{name}_damp"] + place, row, column, RATE)
+
+    def _multiplier(self, members: np.ndarray, place: int) -> np.ndarray:
+        return self.row_index[members, place] + 3
+
+    def joined(self) -> MatrixTerms:
+        n3, parts = self.n3, self.parts
+        source, row, column = (np.concatenate([part[i] for part in parts]).astype(np.int64) for i in range(3))
+        factors = np.concatenate([np.full(len(part[0]), part[3], dtype=np.int64) for part in parts])
+        row, column = (np.where(x >= n3, x - 3, x) for x in (row, column))
+        return MatrixTerms(source, row, column, factors)
