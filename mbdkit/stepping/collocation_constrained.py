@@ -56,7 +56,13 @@ from mbdkit.stepping.collocation_stages import (
     load_stages,
     solves_positions_only,
 )
-from mbdkit.stepping.collocation_step import state_inside, try_step
+from mbdkit.stepping.collocation_step import (
+    choose_tangent_state,
+    every_change_is_idle,
+    move_stages,
+    state_inside,
+    try_step,
+)
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
     PATIENCE,
@@ -74,8 +80,9 @@ if TYPE_CHECKING:
 
 
 @subkernel
-def _tangents(c, m, h, at_start):
-    """Evaluate and factorize the matrices of all eigenvalues at ``m.tangent``; return a status."""
+def _tangents(c, m, t, h, at_start, wanted):
+    """Evaluate and factorize the matrices of all eigenvalues; return a status."""
+    choose_tangent_state(c, m, t, h, at_start, wanted)
     top, w, tangent = c.top, c.w, m.tangent
     if not at_start:
         prepare(top, w, tangent.time[0], tangent.q)
@@ -180,7 +187,7 @@ def right_side(c, m, rate, z, b):
 
 
 @subkernel
-def _changes(c, m, t, h, rough):
+def _changes(c, m, t, h, before):
     """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
     evaluate_residual(c, m, t, h)
     if is_shifted(m):
@@ -280,7 +287,17 @@ def _estimate_side(c, m, z, b):
         b[d] = 0.0
 
 
-_KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, stage_powers, right_side, _estimate_side)
+_KERNELS = StageKernels(
+    _tangents,
+    _changes,
+    move_stages,
+    _sizes,
+    every_change_is_idle,
+    _round_off,
+    stage_powers,
+    right_side,
+    _estimate_side,
+)
 
 
 @entry

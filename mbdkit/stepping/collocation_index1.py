@@ -30,10 +30,17 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy
 from mbdkit.stepping.collocation_stages import NEWTON, StageEquations, StageKernels, load_stages
-from mbdkit.stepping.collocation_step import state_inside, try_step
+from mbdkit.stepping.collocation_step import (
+    choose_tangent_state,
+    every_change_is_idle,
+    move_stages,
+    state_inside,
+    try_step,
+)
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
     PATIENCE,
+    ROUGH_CHANGE,
     accelerations_are_round_off,
     relative_to_accelerations,
 )
@@ -47,8 +54,11 @@ if TYPE_CHECKING:
 
 
 @subkernel
-def _tangents(c, m, h, at_start):
-    """Evaluate and factorize the matrices of all eigenvalues at ``m.tangent``; return a status."""
+def _tangents(c, m, t, h, at_start, wanted):
+    """Evaluate and factorize the matrices of all eigenvalues unless Newton's method is not used; return a status."""
+    if m.settings.solver[0] != NEWTON:
+        return OK
+    choose_tangent_state(c, m, t, h, at_start, wanted)
     top, w, tangent = c.top, c.w, m.tangent
     evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
     for p in range(len(top.pairs)):
@@ -97,9 +107,9 @@ def right_side(c, m, rate, z, b):
 
 
 @subkernel
-def _changes(c, m, t, h, rough):
+def _changes(c, m, t, h, before):
     """Write the change of the stage accelerations by one iteration; return a status."""
-    status = evaluate_accelerations(c, m, t, h, not rough, False)
+    status = evaluate_accelerations(c, m, t, h, before < ROUGH_CHANGE, False)
     if status != OK:
         return status
     s, n3 = len(m.residual), len(c.q) - 3
@@ -137,7 +147,17 @@ def stage_powers(c, m, t, h):
     return evaluate_accelerations(c, m, t, h, True, True)
 
 
-KERNELS = StageKernels(_tangents, _changes, _sizes, _round_off, stage_powers, right_side, _lift)
+KERNELS = StageKernels(
+    _tangents,
+    _changes,
+    move_stages,
+    _sizes,
+    every_change_is_idle,
+    _round_off,
+    stage_powers,
+    right_side,
+    estimate_side=_lift,
+)
 
 
 @entry

@@ -50,28 +50,32 @@ class StageEquations:
 
 
 class StageKernels(NamedTuple):
-    """The parts of stage equations that the shared kernels of `mbdkit.stepping.collocation_step` call.
+    """The parts of stage equations that `mbdkit.stepping.stage_iteration` and a collocation step call.
 
-    Numba compiles the shared kernels once for each of these records. `c` is the bundle of the run, `m` that of the
-    stages. All but `round_off`, `right_side` and `estimate_side` return a status.
+    Numba compiles their kernels once for each of these records. `c` is the bundle of the run, `m` that of the stages.
+    `tangents`, `changes` and `powers` return a status.
     """
 
     tangents: Any
-    """``(c, m, h, at_start)``: evaluate and factorize the stage matrices at ``m.tangent``. If that is the start of the
-    step, its multipliers are those of all pairs."""
+    """``(c, m, t, h, at_start, wanted)``: evaluate and factorize the stage matrices, if there are any: at the start of
+    the step, whose multipliers are those of all pairs, or at the mean of the stages. In lanes only where `wanted`."""
     changes: Any
-    """``(c, m, t, h, rough)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
-    unknowns are changed at once. `rough`: accelerations need not be refined."""
+    """``(c, m, t, h, before)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
+    unknowns are changed at once. `before` is the relative change by the iteration before, infinite at first."""
+    move: Any
+    """``(c, m, h, active)``: change the accelerations, in lanes only where `active`, and evaluate the stages."""
     sizes: Any
     """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
+    counts_as_idle: Any
+    """``(now)``: return whether a stalled change of this size counts towards the patience of `round_off`."""
     round_off: Any
     """``(c, m, h, now, moved, idle)``: return whether a stalled change is round-off; `idle` counts such changes."""
-    powers: Any
+    powers: Any = None
     """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
-    right_side: Any
+    right_side: Any = None
     """``(c, m, rate, z, b)``: write the right side of the system of an eigenvalue, with ``rate = h mu``, for the
     transformed residual `z`."""
-    estimate_side: Any
+    estimate_side: Any = None
     """``(c, m, z, b)``: write the right side that filters an estimate `z` of the error of velocities."""
 
 

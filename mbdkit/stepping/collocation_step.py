@@ -10,24 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
-from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable, where
+from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
 from mbdkit.stepping.collocation_stages import NEWTON, load_stages, solves_multipliers
-from mbdkit.stepping.convergence import (
-    FEWEST_WITH_ONE_TANGENT,
-    ROUGH_CHANGE,
-    SLOW,
-    STEADY,
-    has_failed,
-    is_converged,
-    is_stalled,
-    loses_steadiness,
-    predicts_failure,
-    report_divergence,
-    stays_near,
-)
-from mbdkit.stepping.lane_hold import hold_counts, hold_finished
+from mbdkit.stepping.convergence import stays_near
 from mbdkit.stepping.run_state import (
     AT_END_OF_LAST,
     AT_START_OF_LAST,
@@ -38,6 +25,7 @@ from mbdkit.stepping.run_state import (
     load_run_state,
 )
 from mbdkit.stepping.simplified_newton import filter_estimate, leading
+from mbdkit.stepping.stage_iteration import iterate
 from mbdkit.stepping.stage_polynomials import (
     dense_gains,
     extrapolate,
@@ -85,7 +73,7 @@ def evaluate_stages(c, m, h):
 
 
 @subkernel
-def _choose_tangent_state(c, m, t, h, at_start, wanted):
+def choose_tangent_state(c, m, t, h, at_start, wanted):
     """Choose the state where the tangents are taken: the start of the step, or the mean of all stages.
 
     In lanes it changes only where `wanted`; tangents that are evaluated again at the same state have the same bits.
@@ -109,24 +97,24 @@ def _choose_tangent_state(c, m, t, h, at_start, wanted):
     stage_mean_of_pairs(m.lam, tangent.lam, wanted)
 
 
+@subkernel
+def move_stages(c, m, h, active):
+    """Change the accelerations of the stages, in lanes only where `active`, and evaluate the stages."""
+    for i in range(len(m.rk.c)):
+        for d in range(len(c.q) - 3):
+            m.acc[i, d] = renewed(m.acc[i, d] + m.change[i, d], m.acc[i, d], active)
+    evaluate_stages(c, m, h)
+
+
+@subkernel
+def every_change_is_idle(now):
+    """Return that any change that stalls counts towards the patience of an iteration."""
+    return now < np.inf
+
+
 @inlined
-def iterate(c, m, t, h, careful, kernels):
-    """Solve the stage equations; return a status.
-
-    Simplified Newton, or fixed-point iteration. The tangents are evaluated at the mean of the predicted stages; again
-    after the first iteration from free flight, and where the iteration contracts slowly. This takes the fewest
-    iterations, but for stiff forces it can lead to another solution of the stage equations: the predicted stages may
-    be anywhere, and tangents that follow the iteration find the solution nearest to them.
-
-    A `careful` iteration therefore keeps the tangents of the start of the step, as RADAU5 does, and ends as soon as its
-    rate predicts that it will not converge (`predicts_failure`). It can only converge to the solution that belongs to
-    the start. With step size control, a step that fails is repeated with a smaller one.
-
-    In lanes, the iteration goes on until every lane has converged. A lane that has keeps its stages, so that each takes
-    the iterations of its single run; the accelerations of a lane that fails become NaN.
-    """
-    s = len(m.rk.c)
-    n3 = len(c.q) - 3
+def solve_stages(c, m, t, h, careful, kernels):
+    """Solve the stage equations by simplified Newton, or fixed-point iteration; return a status."""
     if m.solved_apart[0] > 0:
         c.counts[ITERATIONS] += m.solved_apart[0]
         m.solved_apart[0] = 0
@@ -136,55 +124,10 @@ def iterate(c, m, t, h, careful, kernels):
     free_flight = _predict(m, t, h)
     m.previous.begin[0], m.previous.size[0] = t, np.nan  # if this attempt fails, its stages are not extrapolated
     evaluate_stages(c, m, h)
-    active = stale = True
-    taken_at = idle = 0.0
-    n = 0
-    before = earlier = np.inf
-    peak = 0.0
-    limit, tolerance = m.settings.limit, m.settings.tolerance[0]
-    while True:
-        if m.settings.solver[0] == NEWTON and any_of(stale):
-            _choose_tangent_state(c, m, t, h, careful, stale)
-            status = kernels.tangents(c, m, h, careful)
-            if status != OK:
-                return status
-            hold_counts(c, m, stale)
-            taken_at = renewed(float(n), taken_at, stale)
-        status = kernels.changes(c, m, t, h, not before < ROUGH_CHANGE)
-        if status != OK:
-            return status
-        c.counts[ITERATIONS] += 1
-        n += 1
-        hold_finished(c, m, active)
-        for i in range(s):
-            for d in range(n3):
-                m.acc[i, d] = renewed(m.acc[i, d] + m.change[i, d], m.acc[i, d], active)
-        evaluate_stages(c, m, h)
-        now, moved = kernels.sizes(c, m, h)
-        ratio = now / before
-        done = is_converged(n, now, ratio, tolerance)
-        stalled = (not done) & is_stalled(n, now, ratio)
-        if any_of(stalled):
-            idle = idle + where(stalled, 1.0, 0.0)
-            done = done | (stalled & kernels.round_off(c, m, h, now, moved, idle))
-        active = active & (not done)
-        if not any_of(active):
-            break
-        peak = max(peak, now)
-        fails = has_failed(n, limit.most[0], now, ratio) | loses_steadiness(n, limit, peak, earlier, tolerance)
-        if careful:
-            fails = fails | predicts_failure(n, limit.most[0], now, ratio, tolerance)
-        goes_on = not (active & fails)
-        if is_refused(goes_on):
-            report_divergence(c, n, m.change, s)
-            return DIVERGED
-        m.acc[0, 0] = usable(m.acc[0, 0], goes_on)
-        active = active & goes_on
-        if n % STEADY == 0:
-            earlier, peak = peak, 0.0
-        contracts_slowly = (n - taken_at >= FEWEST_WITH_ONE_TANGENT) & (ratio > SLOW)
-        stale = active & (not careful) & (contracts_slowly | (free_flight and n == 1))
-        before = now
+    settings = m.settings
+    status = iterate(c, m, t, h, (settings.limit, settings.tolerance[0]), (careful, free_flight), kernels)
+    if status != OK:
+        return status
     near = stays_near(c, m.acc, h)
     if is_refused(near):
         c.report[0] = np.inf
@@ -309,7 +252,7 @@ def try_step(c, m, t, h, want_error, kernels):
             status = _first_acceleration(c, m, t)
             if status != OK:
                 return status
-        status = iterate(c, m, t, h, careful, kernels)
+        status = solve_stages(c, m, t, h, careful, kernels)
         if status != DIVERGED or careful or m.settings.solver[0] != NEWTON:
             break
         careful = True

@@ -37,7 +37,7 @@ from mbdkit.stepping.collocation_stages import (
     example_stages,
     new_systems,
 )
-from mbdkit.stepping.collocation_step import complete_step, iterate
+from mbdkit.stepping.collocation_step import complete_step, solve_stages
 from mbdkit.stepping.lane_driver import drive
 from mbdkit.stepping.lane_run import LaneRun, new_lane_run, widened
 from mbdkit.stepping.step_guards import distance_by_pivots
@@ -159,7 +159,7 @@ def load_stage_pivots(m: LaneStages, pivots: Sequence[StagePivots]) -> None:
 @inlined
 def _take_step(c, m, t, h, n):
     """Solve the stages of a step and write its increments; see `mbdkit.stepping.lane_driver.drive`."""
-    iterate(c, m, t, h, False, KERNELS)
+    solve_stages(c, m, t, h, False, KERNELS)
     complete_step(c, m, t, h, KERNELS)
     if c.has_power[0] != 0 and c.watch.has_loops[0] != 0:  # else it is that of the last iteration
         c.watch.distance[0] = distance_by_pivots(c.solver.schur)

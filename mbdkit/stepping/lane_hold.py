@@ -1,7 +1,7 @@
 """What a lane keeps once its stage iteration has converged, while the iteration goes on in others.
 
 A single run has nothing to keep: it ends its iteration. For lanes, the values that an iteration writes in place are
-restored where a mask does not hold; see `mbdkit.stepping.collocation_step.iterate`.
+restored where a mask does not hold; see `mbdkit.stepping.stage_iteration.iterate`.
 """
 
 from __future__ import annotations

@@ -28,7 +28,6 @@ from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
-    DIVERGED,
     NOT_FINITE,
     OK,
     evaluate_powers,
@@ -39,25 +38,21 @@ from mbdkit.engine.kernels.system import (
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
 from mbdkit.methods.lobatto_pair import coefficients
+from mbdkit.stepping.collocation_stages import StageKernels
 from mbdkit.stepping.collocation_step import keep_stages
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.convergence import (
     NEGLIGIBLE_CHANGE,
     PATIENCE,
-    STEADY,
     TOLERANCE,
     IterationLimit,
     describe_divergence,
-    has_failed,
-    is_converged,
-    is_stalled,
-    loses_steadiness,
     moves_by_roundings,
     new_limit,
     relative_to_state,
-    report_divergence,
 )
-from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, RHS, load_run_state
+from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
+from mbdkit.stepping.stage_iteration import iterate
 from mbdkit.stepping.stage_polynomials import stage_states
 
 if TYPE_CHECKING:
@@ -111,7 +106,7 @@ class Pair(NamedTuple):
     gap: np.ndarray
     """(s - 1, P, 2) Phi of the stages after the first."""
     change: np.ndarray
-    """(s, 3 (B + 1)) change of accelerations."""
+    """(s - 1, 3 (B + 1)) change of accelerations."""
     spread: np.ndarray
     """(s, 3 (B + 1)) scratch."""
     pairs: np.ndarray
@@ -153,6 +148,7 @@ def _predict(m, t, h):
                 m.acc[i, d] = x0[i, d]
             else:
                 m.acc[i, d] = 0.0
+    m.acc[len(m.rk.c) - 1, :] = 0.0  # it follows when the others are known
 
 
 @subkernel
@@ -174,73 +170,81 @@ def _keep(m, t, h):
 
 
 @subkernel
-def _iterate(c, m, t, h):
-    """Solve for the stages before the last; return a status."""
+def _no_tangents(c, m, t, h, at_start, wanted):
+    """Return OK: the iteration has no tangents."""
+    return OK
+
+
+@subkernel
+def _changes(c, m, t, h, before):
+    """Write the change of the accelerations of the stages before the last by one iteration; return a status."""
     top, w = c.top, c.w
     s = len(m.rk.c)
-    bodies = len(top.mass) - 1
     has_forces = any_forces(top)
-    _predict(m, t, h)
-    n = idle = 0
-    before = earlier = np.inf
-    peak = 0.0
-    while True:
-        m.acc[s - 1, :] = 0.0
-        stage_states(c, m, h)
-        for i in range(1, s):
-            position_rows(top, w, t + m.rk.c[i] * h, m.q_stage[i])
-            for k in range(len(top.pairs)):
-                m.gap[i - 1, k, 0], m.gap[i - 1, k, 1] = w.phi[k, 0], w.phi[k, 1]
-        for j in range(s - 1):
-            prepare(top, w, t + m.rk.c[j] * h, m.q_stage[j])
-            if has_forces:
-                applied_forces(top, w, m.q_stage[j], m.v_stage[j])
-            solved_rows(top, w, m.q_stage[j], m.v_stage[j])
-            w.gamma[:, :] = 0.0
-            rate_rows(top, w.jac, w.gamma, m.acc[j], m.pairs)
-            for k in range(len(top.pairs)):
-                for r in range(top.rows[k]):
-                    total = m.pairs[k, r]
-                    for i in range(s - 1):
-                        total -= m.rk.inverse[j, i] / (h * h) * m.gap[i, k, r]
-                    w.gamma[k, r] = total
-            status = solve_system(top, w, c.solver, has_forces, m.change[j], m.lam[j], n > 0)
-            if status != OK:
-                return status
-            for d in range(3 * bodies):
-                m.change[j, d] -= m.acc[j, d]
-        c.counts[RHS] += s - 1
-        c.counts[FACTORIZATIONS] += s - 1
-        c.counts[ITERATIONS] += 1
-        n += 1
-        for i in range(s):
-            for d in range(3 * bodies):
-                total = 0.0
-                for j in range(s - 1):
-                    total += h * h * m.rk.a2[i, j] * m.change[j, d]
-                m.spread[i, d] = total
-        for j in range(s - 1):
-            for d in range(3 * bodies):
-                m.acc[j, d] += m.change[j, d]
-        now = relative_to_state(m.spread, c.from_q, bodies)
-        ratio = now / before
-        if is_converged(n, now, ratio, m.tolerance[0]):
-            return OK
-        if is_stalled(n, now, ratio):
-            if moves_by_roundings(now):
-                return OK
-            # A contraction of O(h) can be slow without being stalled, so only small changes count here.
-            if now <= NEGLIGIBLE_CHANGE:
-                idle += 1
-                if idle >= PATIENCE:
-                    return OK
-        peak = max(peak, now)
-        if has_failed(n, m.limit.most[0], now, ratio) or loses_steadiness(n, m.limit, peak, earlier, m.tolerance[0]):
-            report_divergence(c, n, m.change, s - 1)
-            return DIVERGED
-        if n % STEADY == 0:
-            earlier, peak = peak, 0.0
-        before = now
+    for i in range(1, s):
+        position_rows(top, w, t + m.rk.c[i] * h, m.q_stage[i])
+        for k in range(len(top.pairs)):
+            m.gap[i - 1, k, 0], m.gap[i - 1, k, 1] = w.phi[k, 0], w.phi[k, 1]
+    for j in range(s - 1):
+        prepare(top, w, t + m.rk.c[j] * h, m.q_stage[j])
+        if has_forces:
+            applied_forces(top, w, m.q_stage[j], m.v_stage[j])
+        solved_rows(top, w, m.q_stage[j], m.v_stage[j])
+        w.gamma[:, :] = 0.0
+        rate_rows(top, w.jac, w.gamma, m.acc[j], m.pairs)
+        for k in range(len(top.pairs)):
+            for r in range(top.rows[k]):
+                total = m.pairs[k, r]
+                for i in range(s - 1):
+                    total -= m.rk.inverse[j, i] / (h * h) * m.gap[i, k, r]
+                w.gamma[k, r] = total
+        is_refined = before < np.inf
+        status = solve_system(top, w, c.solver, has_forces, m.change[j], m.lam[j], is_refined)
+        if status != OK:
+            return status
+        for d in range(len(c.q) - 3):
+            m.change[j, d] -= m.acc[j, d]
+    c.counts[RHS] += s - 1
+    c.counts[FACTORIZATIONS] += s - 1
+    return OK
+
+
+@subkernel
+def _move(c, m, h, active):
+    """Change the accelerations of the stages before the last, and evaluate the stages."""
+    for j in range(len(m.rk.c) - 1):
+        for d in range(len(c.q) - 3):
+            m.acc[j, d] += m.change[j, d]
+    stage_states(c, m, h)
+
+
+@subkernel
+def _sizes(c, m, h):
+    """Return the relative change of the positions, which has to converge."""
+    s = len(m.rk.c)
+    for i in range(s):
+        for d in range(len(c.q) - 3):
+            total = 0.0
+            for j in range(s - 1):
+                total += h * h * m.rk.a2[i, j] * m.change[j, d]
+            m.spread[i, d] = total
+    now = relative_to_state(m.spread, c.from_q, len(c.top.mass) - 1)
+    return now, now
+
+
+@subkernel
+def _is_small(now):
+    """Return whether a stalled change is small: a contraction of O(h) can be slow without being stalled."""
+    return now <= NEGLIGIBLE_CHANGE
+
+
+@subkernel
+def _round_off(c, m, h, now, moved, idle):
+    """Return whether a change that no longer shrinks is round-off."""
+    return moves_by_roundings(now) or (now <= NEGLIGIBLE_CHANGE and idle >= PATIENCE)
+
+
+_KERNELS = StageKernels(_no_tangents, _changes, _move, _sizes, _is_small, _round_off)
 
 
 @subkernel
@@ -249,8 +253,6 @@ def _finish(c, m, t, h):
     top, w = c.top, c.w
     s = len(m.rk.c)
     has_forces = any_forces(top)
-    m.acc[s - 1, :] = 0.0
-    stage_states(c, m, h)
     end, known = m.q_stage[s - 1], m.spread[0]
     copy(c.from_v, known)
     for j in range(s - 1):
@@ -276,7 +278,9 @@ def attempt(run, method, t, h, want_error):
     top, w = c.top, c.w
     s = len(m.rk.c)
     n3 = len(c.q) - 3
-    status = _iterate(c, m, t, h)
+    _predict(m, t, h)
+    stage_states(c, m, h)
+    status = iterate(c, m, t, h, (m.limit, m.tolerance[0]), (False, False), _KERNELS)
     if status == OK:
         status = _finish(c, m, t, h)
     if status != OK:
@@ -322,14 +326,14 @@ def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
     a, bar, b, c = (np.array(x, dtype=float) for x in coefficients(method.stages))
     a2 = a @ bar
     s, size, pairs = method.stages, workspace.mechanism.size, len(workspace.mechanism.topology.pairs)
-    acc, q_stage, v_stage, change, spread = (np.zeros((s, size)) for _ in range(5))
+    acc, q_stage, v_stage, spread = (np.zeros((s, size)) for _ in range(4))
     past = PastSteps(np.zeros((MOST_PAST, s, size)), np.zeros(1), np.zeros(1), np.zeros(1, dtype=np.int64))
     return Pair(
         rk=PairCoefficients(bar, a2, np.ascontiguousarray(np.linalg.inv(a2[1:, :-1])), b, c),
         limit=new_limit(method.max_iterations),
         tolerance=np.array([method.tolerance if method.tolerance is not None else TOLERANCE]),
         acc=acc, lam=np.zeros((s, pairs, 2)), past=past,
-        q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)), change=change, spread=spread,
+        q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)), change=np.zeros((s - 1, size)), spread=spread,
         pairs=np.zeros((pairs, 2)), power=np.zeros((s, 2)),
     )  # fmt: skip
 

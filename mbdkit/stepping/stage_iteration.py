@@ -1,0 +1,99 @@
+"""The iteration for the stages of a step, the same for collocation methods and Lobatto pairs, single runs and lanes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.jit.decorators import inlined
+from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable, where
+from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.stepping.convergence import (
+    FEWEST_WITH_ONE_TANGENT,
+    SLOW,
+    STEADY,
+    has_failed,
+    is_converged,
+    is_stalled,
+    loses_steadiness,
+    predicts_failure,
+    report_divergence,
+)
+from mbdkit.stepping.lane_hold import hold_counts, hold_finished
+from mbdkit.stepping.run_state import ITERATIONS
+
+
+@inlined
+def iterate(c, m, t, h, until, strategy, kernels):
+    """Solve the equations of the stages, which have been predicted and evaluated; return a status.
+
+    The tangents are evaluated at the mean of the predicted stages; again after the first iteration from free flight,
+    and where the iteration contracts slowly. This takes the fewest iterations, but for stiff forces it can lead to
+    another solution of the stage equations: the predicted stages may be anywhere, and tangents that follow the
+    iteration find the solution nearest to them.
+
+    A careful iteration therefore keeps the tangents of the start of the step, as RADAU5 does, and ends as soon as its
+    rate predicts that it will not converge (`predicts_failure`). It can only converge to the solution that belongs to
+    the start. With step size control, a step that fails is repeated with a smaller one.
+
+    In lanes, the iteration goes on until every lane has converged. A lane that has keeps its stages, so that each takes
+    the iterations of its single run; the accelerations of a lane that fails become NaN.
+
+    Parameters
+    ----------
+    c, m
+        Bundles of the run and of the stages.
+    t, h
+        Start of the step and its size [s].
+    until
+        The `IterationLimit`, and the relative change at which the iteration ends.
+    strategy
+        Whether the iteration is careful, and whether the stages are predicted by free flight.
+    kernels
+        The equations of the stages (`mbdkit.stepping.collocation_stages.StageKernels`).
+    """
+    limit, tolerance = until
+    careful, free_flight = strategy
+    active = stale = True
+    taken_at = idle = 0.0
+    n = 0
+    before = earlier = np.inf
+    peak = 0.0
+    while True:
+        if any_of(stale):
+            status = kernels.tangents(c, m, t, h, careful, stale)
+            if status != OK:
+                return status
+            hold_counts(c, m, stale)
+            taken_at = renewed(float(n), taken_at, stale)
+        status = kernels.changes(c, m, t, h, before)
+        if status != OK:
+            return status
+        c.counts[ITERATIONS] += 1
+        n += 1
+        hold_finished(c, m, active)
+        kernels.move(c, m, h, active)
+        now, moved = kernels.sizes(c, m, h)
+        ratio = now / before
+        done = is_converged(n, now, ratio, tolerance)
+        stalled = (not done) & is_stalled(n, now, ratio)
+        if any_of(stalled):
+            idle = idle + where(stalled & kernels.counts_as_idle(now), 1.0, 0.0)
+            done = done | (stalled & kernels.round_off(c, m, h, now, moved, idle))
+        active = active & (not done)
+        if not any_of(active):
+            return OK
+        peak = max(peak, now)
+        fails = has_failed(n, limit.most[0], now, ratio) | loses_steadiness(n, limit, peak, earlier, tolerance)
+        if careful:
+            fails = fails | predicts_failure(n, limit.most[0], now, ratio, tolerance)
+        goes_on = not (active & fails)
+        if is_refused(goes_on):
+            report_divergence(c, n, m.change, len(m.change))
+            return DIVERGED
+        m.acc[0, 0] = usable(m.acc[0, 0], goes_on)
+        active = active & goes_on
+        if n % STEADY == 0:
+            earlier, peak = peak, 0.0
+        contracts_slowly = (n - taken_at >= FEWEST_WITH_ONE_TANGENT) & (ratio > SLOW)
+        stale = active & (not careful) & (contracts_slowly | (free_flight and n == 1))
+        before = now
