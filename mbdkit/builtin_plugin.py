@@ -17,7 +17,7 @@ def mbdkit_models() -> list[ModelPlugin]:
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Return the integrators that mbdkit ships."""
-    from mbdkit.methods.discovery import integrators
+    from mbdkit.methods import integrators
 
     return integrators()
 

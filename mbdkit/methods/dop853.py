@@ -9,16 +9,15 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
-from mbdkit.methods.common_claims import HAIRER_NORSETT_WANNER, embedded_claims
 from mbdkit.methods.kinds import ExplicitRungeKutta
-from mbdkit.methods.method_options import ControlledOptions
+from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, ControlledOptions, embedded_claims
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.items import IntegratorPlugin
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from mbdkit.methods.embedded_estimate import EmbeddedPair
+    from mbdkit.methods.tableau import EmbeddedPair
 
 STAGES = 12
 
@@ -254,7 +253,7 @@ def pair() -> EmbeddedPair:
     """Return its error estimates and dense output."""
     import numpy as np
 
-    from mbdkit.methods.embedded_estimate import EmbeddedPair, nested_polynomials
+    from mbdkit.methods.tableau import EmbeddedPair, nested_polynomials
 
     a, c = _matrix(_A, len(_A)), np.array(_C)
     b = a[STAGES]

@@ -9,14 +9,13 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
-from mbdkit.methods.common_claims import embedded_claims
 from mbdkit.methods.kinds import ExplicitRungeKutta
-from mbdkit.methods.method_options import ControlledOptions
+from mbdkit.methods.method_options import ControlledOptions, embedded_claims
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.items import IntegratorPlugin
 
 if TYPE_CHECKING:
-    from mbdkit.methods.embedded_estimate import EmbeddedPair
+    from mbdkit.methods.tableau import EmbeddedPair
 
 REFERENCE = """@article{dormand1980,
   author = {Dormand, John R. and Prince, Peter J.},
@@ -63,7 +62,7 @@ def pair() -> EmbeddedPair:
     """Return its error estimate and dense output."""
     import numpy as np
 
-    from mbdkit.methods.embedded_estimate import EmbeddedPair, nested_polynomials
+    from mbdkit.methods.tableau import EmbeddedPair, nested_polynomials
 
     a, b, c = tableau().floats()
     first, last = np.eye(7)[0], np.eye(7)[6]

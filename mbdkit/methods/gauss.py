@@ -12,8 +12,7 @@ from typing import Annotated
 import mpmath
 from pydantic import Field
 
-from mbdkit.methods.common_claims import ORDER_DRIFT, TOLERANCE_DRIFT
-from mbdkit.methods.method_options import ImplicitOptions
+from mbdkit.methods.method_options import ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
-    from mbdkit.methods.embedded_estimate import EmbeddedPair
+    from mbdkit.methods.tableau import EmbeddedPair
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,24 @@ Positions and velocities satisfy the constraints at the end of every step. The p
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
-from mbdkit.methods.common_claims import JAY, lobatto_pair_claims
+from pydantic import Field
+
 from mbdkit.methods.kinds import LobattoPair
-from mbdkit.methods.rattle import RattleOptions
-from mbdkit.registry.items import IntegratorPlugin
+from mbdkit.methods.method_options import Options
+from mbdkit.registry.items import Claims, IntegratorPlugin
+
+JAY = """@article{jay1996,
+  author = {Jay, Laurent},
+  title = {Symplectic partitioned {R}unge-{K}utta methods for constrained {H}amiltonian systems},
+  journal = {SIAM Journal on Numerical Analysis}, volume = {33}, number = {1}, pages = {368--387}, year = {1996},
+  doi = {10.1137/0733019}}"""
+ANDERSEN = """@article{andersen1983,
+  author = {Andersen, Hans C.},
+  title = {{RATTLE}: a ``velocity'' version of the {SHAKE} algorithm for molecular dynamics calculations},
+  journal = {Journal of Computational Physics}, volume = {52}, number = {1}, pages = {24--34}, year = {1983},
+  doi = {10.1016/0021-9991(83)90014-1}}"""
 
 Row = tuple[Fraction, ...]
 
@@ -34,6 +46,18 @@ def coefficients(stages: int) -> tuple[tuple[Row, ...], tuple[Row, ...], Row, Ro
     return a, partner, b, tuple(sum(row, Fraction(0)) for row in a)
 
 
+class RattleOptions(Options):
+    """Options of the iteration that solves for positions on the constraints."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("max_iterations",)
+
+    tolerance: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] | None = None
+    """Stop when the expected relative change of positions is below this value; by default, at stagnation."""
+    max_iterations: Annotated[int, Field(ge=2, le=10_000)] | None = None
+    """Largest number of iterations in one step, after which the step fails; by default 50, or up to 500 for a fixed
+    step that would fail otherwise, as long as the iteration contracts steadily."""
+
+
 class PairOptions(RattleOptions):
     """A pair of Lobatto IIIA and IIIB."""
 
@@ -41,14 +65,37 @@ class PairOptions(RattleOptions):
     """Number of stages s; the order is 2 s - 2. Two stages make RATTLE."""
 
 
+def _claims(stages: int) -> Claims:
+    """Return the claims of a pair: Jay (1996) on constrained Hamiltonian systems."""
+    return Claims(
+        order=2 * stages - 2,
+        multiplier_order=stages - 1,
+        symmetric=True,
+        symplectic=True,
+        stages=stages,
+        drift="positions and velocities satisfy the joints to round-off at the end of every step",
+        constraints_hold=("position", "velocity"),
+        needs=("accelerations",),
+        formulations=("index-3",),
+    )
+
+
 FAMILY = "partitioned"
 INTEGRATORS = (
+    IntegratorPlugin(
+        name="rattle",
+        summary="RATTLE: order 2, symmetric, symplectic, holds positions and velocities on the joints, fixed steps.",
+        options=RattleOptions,
+        create=lambda options: LobattoPair(2, options.tolerance, options.max_iterations),
+        claims=lambda options: _claims(2),
+        references=(ANDERSEN, JAY),
+    ),
     IntegratorPlugin(
         name="lobatto-pair",
         summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, holds joints, fixed steps.",
         options=PairOptions,
         create=lambda options: LobattoPair(options.stages, options.tolerance, options.max_iterations),
-        claims=lambda options: lobatto_pair_claims(options.stages),
+        claims=lambda options: _claims(options.stages),
         references=(JAY,),
     ),
 )

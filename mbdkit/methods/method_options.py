@@ -1,10 +1,11 @@
-"""Bases of the options of integration methods, as a spec writes them under ``integrator:``.
+"""What several methods share: bases of their options, as a spec writes them under ``integrator:``, claims, references.
 
-Options of one method only are in the file of that method.
+What belongs to one method only is in the file of that method.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -13,6 +14,23 @@ from pydantic_core import PydanticCustomError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.registry.items import Claims
+
+ORDER_DRIFT = "constraints hold at acceleration level only: drift of the method's order, growing with time"
+"""Drift of methods in fixed steps on the index-1 equations."""
+
+TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
+"""Drift of methods in adaptive steps on the index-1 equations."""
+
+HAIRER_NORSETT_WANNER = """@book{hairer1993,
+  author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
+  title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
+  edition = {2}, publisher = {Springer}, year = {1993}, doi = {10.1007/978-3-540-78862-1}}"""
+
+HAIRER_WANNER = """@book{hairer1996,
+  author = {Hairer, Ernst and Wanner, Gerhard},
+  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
+  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
 
 MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
 """Largest step [s]; None: no limit."""
@@ -77,3 +95,23 @@ class ImplicitOptions(ControlledOptions):
     def method(self, tableau: ButcherTableau) -> ImplicitRungeKutta:
         """Return the method with this tableau and these options."""
         return ImplicitRungeKutta(tableau, self.stage_solver, self.tolerance, self.max_iterations, self.tolerances())
+
+
+def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Claims]:
+    """Return the claims of an explicit method in fixed steps."""
+    return lambda options: Claims(order=order, stages=stages, drift=ORDER_DRIFT, needs=("accelerations",))
+
+
+def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Claims]:
+    """Return the claims of an explicit method with an error estimate, in fixed or adaptive steps."""
+
+    def claims(options: ControlledOptions) -> Claims:
+        return Claims(
+            order=None if options.adaptive else order,
+            stages=stages,
+            adaptive=options.adaptive,
+            drift=TOLERANCE_DRIFT if options.adaptive else ORDER_DRIFT,
+            needs=("accelerations",),
+        )
+
+    return claims

@@ -11,8 +11,7 @@ from typing import Literal
 
 import mpmath
 
-from mbdkit.methods.common_claims import HAIRER_WANNER, ORDER_DRIFT, TOLERANCE_DRIFT
-from mbdkit.methods.method_options import ImplicitOptions
+from mbdkit.methods.method_options import HAIRER_WANNER, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
 

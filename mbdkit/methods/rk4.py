@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from functools import cache
 
-from mbdkit.methods.common_claims import explicit_claims
 from mbdkit.methods.kinds import ExplicitRungeKutta
-from mbdkit.methods.method_options import ExplicitOptions
+from mbdkit.methods.method_options import ExplicitOptions, explicit_claims
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.items import IntegratorPlugin
 

@@ -7,9 +7,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from mbdkit.methods.common_claims import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT
 from mbdkit.methods.kinds import SciPySolver
-from mbdkit.methods.method_options import MaxStep, Options
+from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT, MaxStep, Options
 from mbdkit.registry.items import Claims, IntegratorPlugin
 
 SCIPY = """@article{scipy2020,

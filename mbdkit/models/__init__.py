@@ -1,22 +1,12 @@
-"""The built-in models; each module builds a mechanism from a few parameters."""
+"""The built-in models; each builds a mechanism from a few parameters."""
 
-from mbdkit.models import double_pendulum, four_bar_knee, free_form, leg, n_four_bar, n_pendulum, single_pendulum
+from mbdkit.models import four_bar_knee, free_form, leg, n_four_bar, pendulums
 from mbdkit.registry.items import ModelPlugin
 
 MODELS = (
-    ModelPlugin(
-        "single-pendulum",
-        single_pendulum.SUMMARY,
-        single_pendulum.SinglePendulumOptions,
-        single_pendulum.build,
-    ),
-    ModelPlugin(
-        "double-pendulum",
-        double_pendulum.SUMMARY,
-        double_pendulum.DoublePendulumOptions,
-        double_pendulum.build,
-    ),
-    ModelPlugin("n-pendulum", n_pendulum.SUMMARY, n_pendulum.NPendulumOptions, n_pendulum.build),
+    ModelPlugin("single-pendulum", pendulums.SINGLE_SUMMARY, pendulums.SinglePendulumOptions, pendulums.build_single),
+    ModelPlugin("double-pendulum", pendulums.DOUBLE_SUMMARY, pendulums.DoublePendulumOptions, pendulums.build_double),
+    ModelPlugin("n-pendulum", pendulums.N_SUMMARY, pendulums.NPendulumOptions, pendulums.build_n),
     ModelPlugin("n-four-bar", n_four_bar.SUMMARY, n_four_bar.NFourBarOptions, n_four_bar.build, n_four_bar.REFERENCES),
     ModelPlugin(
         "four-bar-knee",

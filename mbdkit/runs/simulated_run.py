@@ -28,11 +28,10 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.take import take_all
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.asked_accuracy_result import missed_because, with_asked
-from mbdkit.runs.accuracy.check_by_pilots import check_by_pilots
-from mbdkit.runs.accuracy.check_run import check_run
+from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run
 from mbdkit.runs.accuracy.chosen_method import Choice
+from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.accuracy.recorded_pilot import Replay
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals
 from mbdkit.runs.preparation import (

@@ -333,8 +333,8 @@ def new_pair(method: LobattoPair, workspace: Workspace) -> Pair:
         limit=new_limit(method.max_iterations),
         tolerance=np.array([method.tolerance if method.tolerance is not None else TOLERANCE]),
         acc=acc, lam=np.zeros((s, pairs, 2)), past=past,
-        q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)), change=np.zeros((s - 1, size)), spread=spread,
-        pairs=np.zeros((pairs, 2)), power=np.zeros((s, 2)),
+        q_stage=q_stage, v_stage=v_stage, gap=np.zeros((s - 1, pairs, 2)),
+        change=np.zeros((s - 1, size)), spread=spread, pairs=np.zeros((pairs, 2)), power=np.zeros((s, 2)),
     )  # fmt: skip
 
 

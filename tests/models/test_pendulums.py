@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.models import double_pendulum, n_pendulum, single_pendulum
+from mbdkit.models import pendulums
 
 EPSILON = np.finfo(float).eps
 
@@ -30,7 +30,7 @@ def gaps(m: Mechanism) -> tuple[float, float]:
 
 
 def test_single_pendulum_is_a_uniform_rod_unless_told_otherwise():
-    m = single_pendulum.build(single_pendulum.SinglePendulumOptions(length=2, mass=3, angle=-math.pi / 2, rate=0.5))
+    m = pendulums.build_single(pendulums.SinglePendulumOptions(length=2, mass=3, angle=-math.pi / 2, rate=0.5))
     assert list(m.bodies) == ["rod1"]
     assert list(m.joints) == ["J1"]
     rod = m.bodies["rod1"]
@@ -39,19 +39,19 @@ def test_single_pendulum_is_a_uniform_rod_unless_told_otherwise():
     assert rod.velocity == pytest.approx((0.5, 0), abs=1e-15)
     assert m.joints["J1"].bodies == ("ground", "rod1")
     assert m.gravity == (0.0, -9.81)
-    assert single_pendulum.build(single_pendulum.SinglePendulumOptions(inertia=0.7)).bodies["rod1"].inertia == 0.7
+    assert pendulums.build_single(pendulums.SinglePendulumOptions(inertia=0.7)).bodies["rod1"].inertia == 0.7
 
 
 def test_defaults_are_one_metre_one_kilogram_level_and_at_rest():
-    m = double_pendulum.build(double_pendulum.DoublePendulumOptions())
+    m = pendulums.build_double(pendulums.DoublePendulumOptions())
     assert [body.position for body in m.bodies.values()] == [(0.5, 0.0), (1.5, 0.0)]
     assert all(body.mass == 1 and body.angle == 0 and body.angular_velocity == 0 for body in m.bodies.values())
     assert m.description() == "2 bodies, 2 joints, 0 drivers, 0 forces; 4 constraint rows"
 
 
 def test_angles_and_rates_of_a_chain_are_absolute():
-    options = double_pendulum.DoublePendulumOptions(lengths=[1, 2], angles=[0.3, -0.4], rates=[2, -3], masses=[1, 5])
-    m = double_pendulum.build(options)
+    options = pendulums.DoublePendulumOptions(lengths=[1, 2], angles=[0.3, -0.4], rates=[2, -3], masses=[1, 5])
+    m = pendulums.build_double(options)
     second = m.bodies["rod2"]
     assert second.angle == -0.4
     assert second.angular_velocity == -3
@@ -65,10 +65,10 @@ def test_angles_and_rates_of_a_chain_are_absolute():
 @pytest.mark.parametrize("n", [1, 3, 1000])
 def test_chain_starts_with_joints_that_meet_to_round_off(n):
     generator = np.random.default_rng(2)
-    options = n_pendulum.NPendulumOptions(
+    options = pendulums.NPendulumOptions(
         lengths=generator.uniform(0.1, 2, n), angles=generator.uniform(-4, 4, n), rates=generator.uniform(-3, 3, n)
     )
-    m = n_pendulum.build(options)
+    m = pendulums.build_n(options)
     assert list(m.bodies) == [f"rod{k + 1}" for k in range(n)]
     assert list(m.joints) == [f"J{k + 1}" for k in range(n)]
     largest = max(max(map(abs, (*body.position, *body.velocity, 1))) for body in m.bodies.values())
@@ -78,7 +78,7 @@ def test_chain_starts_with_joints_that_meet_to_round_off(n):
 
 def test_a_straight_chain_of_ten_thousand_rods_is_placed_to_the_last_bits():
     n, angle = 10_000, -math.radians(40)
-    m = n_pendulum.build(n_pendulum.NPendulumOptions(n=n, angle=angle, length=0.3))
+    m = pendulums.build_n(pendulums.NPendulumOptions(n=n, angle=angle, length=0.3))
     m.validate()
     x, y = m.bodies[f"rod{n}"].position
     assert x == pytest.approx(0.3 * math.cos(angle) * (n - 0.5), rel=4 * EPSILON)
@@ -87,17 +87,17 @@ def test_a_straight_chain_of_ten_thousand_rods_is_placed_to_the_last_bits():
 
 
 def test_equal_rods_and_lists_of_equal_numbers_are_the_same_chain():
-    one = n_pendulum.NPendulumOptions(n=3, length=0.5, mass=2, inertia=0.1, angle=0.2, rate=1)
-    many = n_pendulum.NPendulumOptions(
+    one = pendulums.NPendulumOptions(n=3, length=0.5, mass=2, inertia=0.1, angle=0.2, rate=1)
+    many = pendulums.NPendulumOptions(
         lengths=[0.5] * 3, masses=[2] * 3, inertias=[0.1] * 3, angles=[0.2] * 3, rates=[1] * 3
     )
-    assert n_pendulum.build(one).to_spec() == n_pendulum.build(many).to_spec()
+    assert pendulums.build_n(one).to_spec() == pendulums.build_n(many).to_spec()
 
 
 def test_two_rods_of_a_chain_are_the_double_pendulum():
     values = {"lengths": [1, 2], "masses": [3, 4], "angles": [0.1, 0.2], "rates": [0.3, 0.4]}
-    double = double_pendulum.build(double_pendulum.DoublePendulumOptions(**values))
-    assert double.to_spec() == n_pendulum.build(n_pendulum.NPendulumOptions(n=2, **values)).to_spec()
+    double = pendulums.build_double(pendulums.DoublePendulumOptions(**values))
+    assert double.to_spec() == pendulums.build_n(pendulums.NPendulumOptions(n=2, **values)).to_spec()
 
 
 @pytest.mark.parametrize(
@@ -119,10 +119,10 @@ def test_two_rods_of_a_chain_are_the_double_pendulum():
 )
 def test_wrong_chains_are_refused(values, words):
     with pytest.raises(ValidationError, match=words):
-        n_pendulum.NPendulumOptions(**values)
+        pendulums.NPendulumOptions(**values)
 
 
 @pytest.mark.parametrize("values", [{"lengths": [1]}, {"masses": [1, 2, 3]}, {"angles": [0, math.nan]}, {"rates": 1}])
 def test_wrong_double_pendulums_are_refused(values):
     with pytest.raises(ValidationError):
-        double_pendulum.DoublePendulumOptions(**values)
+        pendulums.DoublePendulumOptions(**values)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit.methods import gauss, radau_iia, rk4, rk_gill
-from mbdkit.methods.discovery import integrators
+from mbdkit.methods import gauss, integrators, radau_iia, rk4, rk_gill
 from mbdkit.methods.tableau import ButcherTableau, TableauError, collocation, rooted_trees
 
 SHIPPED = {"rk4": rk4.tableau(), "rk-gill": rk_gill.tableau()} | {f"gauss-{s}": gauss.tableau(s) for s in range(1, 7)}

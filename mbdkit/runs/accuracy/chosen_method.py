@@ -25,9 +25,16 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.runs.accuracy.coarser_estimate import error_share
-from mbdkit.runs.accuracy.pilot_run import IMPLICIT_WORK, SAMPLES, PilotRun, difference, run_pilot
+from mbdkit.runs.accuracy.pilot_run import (
+    IMPLICIT_WORK,
+    SAMPLES,
+    PilotRun,
+    RecordedPilot,
+    can_be_recorded,
+    difference,
+    run_pilot,
+)
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.accuracy.recorded_pilot import RecordedPilot, can_be_recorded
 from mbdkit.spec import RunSpec
 from mbdkit.spec.run_spec import FIRST_EXPLICIT, FIRST_IMPLICIT
 

@@ -1,18 +1,30 @@
-"""Pilot runs: trial runs of a spec with candidate methods, of which some positions are kept."""
+"""Pilot runs: trial runs of a spec with candidate methods.
+
+Some positions of a pilot are kept. A recorded pilot keeps the ends of all steps: it can be compared with another one
+at any time, and the last one is used as the run.
+"""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.preparation import guards, make_method, plugin_failure, timetable
+from mbdkit.runs.accuracy.step_interpolation import StepStates
+from mbdkit.runs.preparation import guards, make_method, plugin_failure, size_at_start, timetable
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Failure
+from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
 from mbdkit.stepping.start import start_method
 
 SAMPLES = 16
@@ -118,3 +130,151 @@ def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
     if abs(reached[0] - reached[1]) > 1 or not np.any(common[1:]):
         return float("inf")
     return float(np.max(share[common]))
+
+
+MOST_VALUES = 20_000_000
+"""Largest number of positions that are kept, 320 MB with the velocities; longer runs are checked by companions."""
+
+
+class RecordedPilot:
+    """A pilot run with the ends of all of its steps.
+
+    Parameters
+    ----------
+    spec
+        The spec with the method and its tolerance: `RunSpec.settled`.
+    setting
+        The tolerance.
+    workspace
+        Workspace of the run. Its mechanism and start are shared; working arrays are not.
+    most_steps
+        Steps after which the pilot stops with the failure ``max-steps``.
+    progress
+        Called with (time reached, end time) [s].
+
+    Raises
+    ------
+    SingularSystemError
+        If the equations are singular at the start.
+    """
+
+    def __init__(
+        self,
+        spec: RunSpec,
+        setting: float,
+        workspace: Workspace,
+        most_steps: int,
+        progress: Callable[[float, float], None] | None = None,
+    ):
+        self.setting = setting
+        self.workspace = workspace.for_another_run(spec.formulation, spec.stabilized)
+        method = make_method(spec)
+        given = timetable(spec, guards(spec, size_at_start(spec, workspace)))
+        kept = MOST_VALUES // len(workspace.q0)
+        self.timetable = replace(
+            given, every=1, interval=None, single=False, max_steps=min(given.max_steps, most_steps, kept)
+        )
+        #: Whether this pilot records what the run of the spec records, and can be the run.
+        self.is_run = replace(self.timetable, max_steps=given.max_steps) == given and spec.limits.wall_time is None
+        self.stepper: Advancing = start_method(method, self.workspace, self.timetable)
+        begin, busy = time.perf_counter(), time.process_time()
+        self.stretches: list[Stretch] = []
+        while not (self.stepper.finished or self.stepper.failure):
+            stretch = self.stepper.advance()
+            if len(stretch.time):
+                self.stretches.append(stretch)
+            if progress is not None:
+                progress(self.stepper.time, self.timetable.end)
+        self.wall, self.cpu = time.perf_counter() - begin, time.process_time() - busy
+        self.failure = self.stepper.failure.code if self.stepper.failure else ""
+        self.steps = self.stepper.counters.steps
+        self.work = work_of(method, self.stepper.counters.rhs_evaluations)
+        start = (np.array([workspace.t0]), workspace.q0[None], workspace.v0[None])
+        ends = [(one.time, one.q, one.v) for one in self.stretches]
+        self.time, self.q, self.v = (np.concatenate(parts) for parts in zip(start, *ends, strict=True))
+
+    @cached_property
+    def _states(self) -> StepStates:
+        table = self.timetable
+        return StepStates(self.workspace, self.time, self.q, self.v, table.stops, table.stop_margins)
+
+    def positions(self, times: np.ndarray) -> np.ndarray:
+        """Return the positions of the bodies (T, B, 3) at times of another run [s]; nan where it has none."""
+        return self._states.at(times)[0][:, :-3].reshape(len(times), -1, 3)
+
+    def rows(self, times: np.ndarray) -> ObservedRows:
+        """Return states and reactions at times of another run [s]; nan where it has none."""
+        q, v = self._states.at(times)
+        count = int(np.sum(np.minimum.accumulate(np.all(np.isfinite(q) & np.isfinite(v), axis=1))))
+        observer = StateObserver(self.workspace.with_own_pivots())
+        out = observer.arrays(count)
+        singular = observer.observe(times[:count], q[:count], v[:count], out)
+        count = count if singular is None else singular.row
+        wrench = np.full((len(times), len(self.workspace.mechanism.joints), 3), np.nan)
+        wrench[:count] = JointSums(self.workspace.mechanism).sum(out.reactions)[:count]
+        q[count:] = v[count:] = np.nan
+        position, velocity = (x[:, :-3].reshape(len(times), -1, 3) for x in (q, v))
+        return ObservedRows(times, position, velocity, wrench[..., :2], wrench[..., 2])
+
+
+def can_be_recorded(spec: RunSpec) -> bool:
+    """Return whether pilots of a spec are kept: an explicit method with tolerances, and no impulses of drivers.
+
+    Impulses make velocities discontinuous, and stiff mechanisms, which need implicit methods, have accelerations that
+    are too inaccurate for interpolation.
+    """
+    return (
+        spec.claims.adaptive
+        and "rtol" in type(spec.integrator).model_fields
+        and make_method(spec).traits.is_explicit
+        and not timetable(spec, guards(spec, 1.0)).impacts
+    )
+
+
+class Replay:
+    """Returns the stretches of a finished pilot that serves as the run; implements `Advancing`."""
+
+    def __init__(self, pilot: RecordedPilot):
+        self._pilot = pilot
+        self._left: Sequence[Stretch] = list(pilot.stretches)
+        self.wall, self.cpu = pilot.wall, pilot.cpu
+        self.time = float(pilot.time[0])
+
+    def advance(self) -> Stretch:
+        """See `Advancing.advance`."""
+        first, *self._left = self._left
+        self.time = float(first.time[-1])
+        return first
+
+    @property
+    def finished(self) -> bool:
+        """See `Advancing.finished`."""
+        return not self._left and self._pilot.stepper.finished
+
+    @property
+    def failure(self) -> Failure | None:
+        """See `Advancing.failure`."""
+        return None if self._left else self._pilot.stepper.failure
+
+    @property
+    def counters(self) -> Counters:
+        """See `Advancing.counters`."""
+        return self._pilot.stepper.counters
+
+    @property
+    def worst_pairs(self) -> np.ndarray:
+        """See `Advancing.worst_pairs`."""
+        return self._pilot.stepper.worst_pairs
+
+    @property
+    def evidence(self) -> StepEvidence:
+        """See `Advancing.evidence`."""
+        return self._pilot.stepper.evidence
+
+    def last_state(self) -> Stretch:
+        """See `Advancing.last_state`."""
+        return self._pilot.stepper.last_state()
+
+    def taken_nodes(self) -> Nodes:
+        """See `Advancing.taken_nodes`; pilots keep none."""
+        return self._pilot.stepper.taken_nodes()
