@@ -129,8 +129,8 @@ def _coordinate(bodies: np.ndarray, column: int) -> np.ndarray:
 class _Terms:
     """Collects the terms of a mechanism with `n3` coordinates.
 
-    In its rows and columns, three columns after the coordinates are reserved for those of the ground, which `add` leaves
-    out and `joined` removes.
+    Among its rows and columns, three are reserved for the coordinates of the ground, before those of multipliers; `add`
+    leaves out their terms, and `joined` removes them.
     """
 
     def __init__(self, n3: int, row_index: np.ndarray, offsets: dict[str, int]):
