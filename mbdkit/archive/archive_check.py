@@ -23,6 +23,7 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed, one_line, shown
 from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import AXES, COORDINATES
+from mbdkit.quantities.table import KINDS
 from mbdkit.trust.criteria import LEVELS
 
 
@@ -340,35 +341,19 @@ class _Checker:
                     self.say(f"{path} is negative or decreases")
 
     def names(self) -> None:
-        fixed = (
-            ("accuracy/coordinate", COORDINATES),
-            ("trajectory/coordinate", COORDINATES),
-            ("events/coordinate", COORDINATES),
-            ("joints/axis", AXES),
-            ("markers/axis", AXES),
-        )
-        for path, wanted in fixed:
-            if path in self.file and tuple(self.file[path].asstr()[:]) != wanted:
+        homes = {kind.axis: f"{kind.group}/{kind.axis}" for kind in KINDS}
+        for path, array in BY_PATH.items():
+            if path not in self.file or not array.is_scale or array.dtype != TEXT:
+                continue
+            names = list(self.file[path].asstr()[:])
+            wanted = {"coordinate": COORDINATES, "axis": AXES}.get(array.name)
+            if wanted is not None and tuple(names) != wanted:
                 self.say(f"{path} is not {', '.join(wanted)}")
-        for path in (
-            "trajectory/body",
-            "joints/joint",
-            "forces/force",
-            "markers/marker",
-            "beams/element",
-            "constraints/constraint",
-        ):
-            if path in self.file:
-                names = list(self.file[path].asstr()[:])
-                if len(set(names)) < len(names):
-                    self.say(f"{path} has a name twice")
-        for path, of in (
-            ("events/body", "trajectory/body"),
-            ("accuracy/body", "trajectory/body"),
-            ("accuracy/joint", "joints/joint"),
-        ):
-            if path in self.file and list(self.file[path][:]) != list(self.file[of][:]):
-                self.say(f"{path} differs from {of}")
+            if wanted is None and len(set(names)) < len(names):
+                self.say(f"{path} has a name twice")
+            home = homes.get(array.name, path)
+            if home in self.file and names != list(self.file[home].asstr()[:]):
+                self.say(f"{path} differs from {home}")
 
     def misalignment(self) -> None:
         if self.status == "running" or "joints/joint" not in self.file:

@@ -1,10 +1,11 @@
-"""Histories of single bodies, joints and constraint rows: named columns of the archive's arrays."""
+"""Histories of single bodies, joints and constraint rows: named columns, which follow from the table of quantities."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, later
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.quantities.array import MIXED
+from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
+from mbdkit.quantities.table import BY_GROUP
 
 
 class UnknownNameError(MbdkitError, KeyError):
@@ -63,8 +65,21 @@ class Source(Protocol):
         """Return whether the run recorded the array at `path`."""
         ...
 
-    def column(self, path: str, index: int | None, part: slice | int | None) -> np.ndarray:
-        """Return the array at `path` for one `index` of its second axis and a `part` of its third."""
+    def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
+        """Return the array at `path` at one `index` of its second axis and a `part` of its third."""
+        ...
+
+    def text(self, path: str, index: int | slice | None) -> str:
+        """Return one of the texts at `path`; empty if the archive lacks them."""
+        ...
+
+    def objects(self, kind: Kind) -> Sequence[str]:
+        """Return the name of the object of each element along the axis of a kind."""
+        ...
+
+    @property
+    def joint_misalignments(self) -> np.ndarray:
+        """Largest misalignment of each joint over all steps."""
         ...
 
 
@@ -73,20 +88,19 @@ class Column:
 
     Parameters
     ----------
+    array
+        The array.
     part
-        Selected part of the last axis of a three-dimensional array.
+        Selected part of its last axis, if it has three.
+    is_sum
+        Whether its elements are summed.
     what
-        Docstring with shape and unit; by default built from the layout.
+        Docstring with shape and unit.
     """
 
-    def __init__(self, path: str, part: slice | int | None = None, what: str = ""):
-        array = BY_PATH[path]
-        self.path = path
-        self.part = part
-        units = "units by row" if array.units == MIXED else array.units
-        rows = "N" if array.dims[0] == "interval" else "T"
-        shape = f"({rows}, 2)" if array.dims[-1] == "axis" else f"({rows},)"
-        self.__doc__ = what or f"{array.long_name}, {shape}, {units}"
+    def __init__(self, array: Array, part: slice | int | None, what: str, *, is_sum: bool = False):
+        self.path, self.part, self.is_sum = array.path, part, is_sum
+        self.__doc__ = what
 
     @overload
     def __get__(self, view: None, owner: type) -> Column: ...
@@ -97,21 +111,64 @@ class Column:
     def __get__(self, view: View | None, owner: type) -> Any:
         if view is None:
             return self
-        return view.source.column(self.path, view.index, self.part)
+        values = view.source.column(self.path, view.index, self.part)
+        return np.asarray(values.sum(axis=1)) if self.is_sum else values
+
+
+def _columns(kind: Kind) -> Iterator[tuple[str, Column]]:
+    """Yield the columns of one object of a kind with their names."""
+    for array in kind.columns:
+        rows = "N" if array.dims[0] == "interval" else "T"
+        if array.dims[-1] == "coordinate":
+            units = COORDINATE_UNITS[array.row_units]
+            point, angle = array.about
+            yield array.name, Column(array, slice(0, 2), f"{point}, (T, 2), {units[0]}")
+            yield array.components[2], Column(array, 2, f"{angle}, (T,), {units[2]}")
+        else:
+            unit = "units by row" if array.units == MIXED else array.units
+            is_sum = isinstance(array, Recorded) and array.of_whole
+            shape = f"({rows}, 2)" if array.dims[-1] == "axis" else f"({rows},)"
+            if kind.owner:
+                shape = "(T,), summed over the elements" if is_sum else "(T, elements)"
+            yield array.name, Column(array, None, f"{array.long_name}, {shape}, {unit}", is_sum=is_sum)
+
+
+class Label:
+    """A property with the text of an object in an array of the archive, or with its texts in several."""
+
+    def __init__(self, arrays: Sequence[Array]):
+        self.paths = [array.path for array in arrays]
+        self.__doc__ = "; ".join(array.long_name for array in arrays)
+
+    def __get__(self, view: View | None, owner: type) -> Any:
+        if view is None:
+            return self
+        texts = tuple(view.source.text(path, view.index) for path in self.paths)
+        return texts if len(texts) > 1 else texts[0]
 
 
 class View:
-    """Base class of histories: a set of columns of a run.
+    """Base class of histories: the columns of one object of a run, or of a whole group.
+
+    Subclasses have the columns and labels of a kind in the table of quantities.
 
     Parameters
     ----------
     name
         Name of the body, joint or constraint row; empty for a whole group.
     index
-        Index along the second axis of the arrays.
+        Index or indices along the second axis of the arrays.
     """
 
-    def __init__(self, source: Source, name: str = "", index: int | None = None):
+    def __init_subclass__(cls, of: str) -> None:
+        kind = BY_GROUP[of]
+        for name, column in _columns(kind):
+            setattr(cls, name, column)
+        for name, arrays in kind.labels.items():
+            setattr(cls, name, Label(arrays))
+        VIEWS[of] = cls
+
+    def __init__(self, source: Source, name: str = "", index: int | slice | None = None):
         self.source = source
         self.name = name
         self.index = index
@@ -119,223 +176,108 @@ class View:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}>" if self.name else f"<{type(self).__name__}>"
 
+    if TYPE_CHECKING:  # columns
 
-_XY = slice(0, 2)
-_THETA = 2
+        def __getattr__(self, name: str) -> np.ndarray: ...
 
 
-class BodyHistory(View):
+VIEWS: dict[str, type[View]] = {}
+"""Classes of histories by group."""
+
+
+class BodyHistory(View, of="trajectory"):
     """Motion of one body: its centre of mass in the global frame and its angle."""
 
-    position = Column("trajectory/position", _XY, "position of the centre of mass, (T, 2), m")
-    angle = Column("trajectory/position", _THETA, "angle from the global x axis, never wrapped, (T,), rad")
-    velocity = Column("trajectory/velocity", _XY, "velocity of the centre of mass, (T, 2), m/s")
-    angular_velocity = Column("trajectory/velocity", _THETA, "angular velocity, (T,), rad/s")
-    acceleration = Column("trajectory/acceleration", _XY, "acceleration of the centre of mass, (T, 2), m/s^2")
-    angular_acceleration = Column("trajectory/acceleration", _THETA, "angular acceleration, (T,), rad/s^2")
+
+class JointHistory(View, of="joints"):
+    """Misalignment of one joint and its reaction: force and torque of the first body on the second.
+
+    Its `angle` is in `angle_units`: ``rad``, or ``m`` for the travel of a slide.
+    """
+
+    bodies: tuple[str, str]
+    angle_units: str
+    index: int
+
+    @property
+    def misalignment_max(self) -> float:
+        """Largest misalignment over every step, recorded or not, m."""
+        return float(self.source.joint_misalignments[self.index])
 
 
-class JointHistory(View):
-    """Misalignment of one joint and its reaction: force and torque of the first body on the second."""
-
-    misalignment = Column("joints/misalignment")
-    velocity_misalignment = Column("joints/velocity_misalignment")
-    angle_misalignment = Column("joints/angle_misalignment")
-    reaction_force = Column("joints/reaction_force")
-    reaction_torque = Column("joints/reaction_torque")
-    reaction_force_first = Column("joints/reaction_force_first")
-    reaction_force_second = Column("joints/reaction_force_second")
-    angle = Column("joints/angle")
-    driver_power = Column("joints/driver_power")
-
-    def __init__(
-        self,
-        source: Source,
-        name: str,
-        index: int,
-        misalignment_max: float,
-        bodies: tuple[str, str],
-        angle_units: str,
-    ):
-        super().__init__(source, name, index)
-        #: Unit of `angle`: ``rad``, or ``m`` for the travel of a slide.
-        self.angle_units = angle_units
-        #: First and second body; reactions are exerted by the first on the second.
-        self.bodies = bodies
-        #: Largest misalignment over every step, recorded or not, m.
-        self.misalignment_max = misalignment_max
-
-
-class ForceHistory(View):
+class ForceHistory(View, of="forces"):
     """Length, force and energy of one force element.
 
     The value is a tension [N], positive where it pulls the bodies together; a torque on the second body [N m], positive
-    counter-clockwise; or the magnitude of a force at a point [N].
+    counter-clockwise; or the magnitude of a force at a point [N]. The second body of a load is the one that it acts on.
     """
 
-    length = Column("forces/length")
-    rate = Column("forces/rate")
-    value = Column("forces/value")
-    power = Column("forces/power")
-    potential = Column("forces/potential")
-
-    def __init__(self, source: Source, name: str, index: int, bodies: tuple[str, str], units: str):
-        super().__init__(source, name, index)
-        #: First and second body; the second body of a load is the one that it acts on.
-        self.bodies = bodies
-        #: Unit of `value`: ``N`` or ``N m``.
-        self.units = units
+    bodies: tuple[str, str]
+    units: str
 
 
-class MarkerHistory(View):
+class MarkerHistory(View, of="markers"):
     """Position and velocity of one marker in the global frame."""
 
-    position = Column("markers/position")
-    velocity = Column("markers/velocity")
-
-    def __init__(self, source: Source, name: str, index: int, body: str):
-        super().__init__(source, name, index)
-        #: Body of the marker.
-        self.body = body
+    body: str
 
 
-class BeamHistory:
+class BeamHistory(View, of="beams"):
     """Shape, internal forces and strain energy of one beam.
 
     Internal forces are those in the middle of each element, in the frame of the cross-section, whose x axis is the
-    tangent: what the part towards the end b exerts on the part towards the end a.
-
-    Parameters
-    ----------
-    source
-        The run.
-    name
-        Name of the beam.
-    elements
-        Its elements along the axis ``element``.
-    bodies
-        Names of all bodies of the run.
+    tangent: what the part towards the end b exerts on the part towards the end a. The moment is positive where it
+    increases the angle along the beam.
     """
 
-    def __init__(self, source: Source, name: str, elements: slice, bodies: Sequence[str]):
-        self.source, self.name = source, name
-        self.index = elements
-        #: Names of the nodes, which are bodies.
-        self.nodes: tuple[str, ...] = tuple(body for body in bodies if body.rpartition(".")[0] == name)
-        first = list(bodies).index(self.nodes[0])
-        self._bodies = slice(first, first + len(self.nodes))
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Names of the nodes, which are bodies."""
+        return tuple(body for body in self.source.objects(BY_GROUP["trajectory"]) if self._has_node(body))
 
     @property
     def position(self) -> np.ndarray:
         """Position (x, y) and angle of every node, (T, nodes, 3), m and rad."""
-        return self.source.array("trajectory/position")[:, self._bodies]
+        nodes = [k for k, body in enumerate(self.source.objects(BY_GROUP["trajectory"])) if self._has_node(body)]
+        return self.source.array("trajectory/position")[:, nodes[0] : nodes[-1] + 1]
 
-    @property
-    def axial(self) -> np.ndarray:
-        """Axial force in every element, (T, elements), N; positive in tension."""
-        return self._of_elements("axial")
-
-    @property
-    def shear(self) -> np.ndarray:
-        """Shear force in every element, (T, elements), N."""
-        return self._of_elements("shear")
-
-    @property
-    def moment(self) -> np.ndarray:
-        """Bending moment in every element, (T, elements), N m; positive where it increases the angle along the beam."""
-        return self._of_elements("moment")
-
-    @property
-    def strain_energy(self) -> np.ndarray:
-        """Strain energy of the beam, (T,), J."""
-        return np.asarray(self._of_elements("strain_energy").sum(axis=1))
-
-    def _of_elements(self, quantity: str) -> np.ndarray:
-        return self.source.array(f"beams/{quantity}")[:, self.index]
+    def _has_node(self, body: str) -> bool:
+        return body.rpartition(".")[0] == self.name
 
     def __repr__(self) -> str:
         return f"<beam {self.name}: {len(self.nodes)} nodes>"
 
 
-class ObservedHistory(View):
+class ObservedHistory(View, of="motion"):
     """One observed quantity of a measured motion: as measured, and as the fitted mechanism has it."""
 
-    raw = Column("motion/raw")
-    fitted = Column("motion/fitted")
-    residual = Column("motion/residual")
-
-    def __init__(self, source: Source, name: str, index: int, units: str):
-        super().__init__(source, name, index)
-        #: Unit of the quantity: ``m`` or ``rad``.
-        self.units = units
+    units: str
 
 
-class ActuatorHistory(View):
-    """Value, its error and power of one actuator, in inverse dynamics."""
+class ActuatorHistory(View, of="actuators"):
+    """Value [N or N m], its error and power of one actuator, in inverse dynamics."""
 
-    value = Column("actuators/value")
-    power = Column("actuators/power")
-    #: Bound of the error of `value` that holds with a probability of 95 % at each time; nan where unknown.
-    value_error = Column("actuators/value_error")
-
-    def __init__(self, source: Source, name: str, index: int, units: str):
-        super().__init__(source, name, index)
-        #: Unit of `value`: ``N`` or ``N m``.
-        self.units = units
+    units: str
 
 
-class LoadHistory(View):
+class LoadHistory(View, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
-    force = Column("loads/force")
-    point = Column("loads/point")
-    torque = Column("loads/torque")
-    power = Column("loads/power")
-
-    def __init__(self, source: Source, name: str, index: int, body: str):
-        super().__init__(source, name, index)
-        #: Body that the load acts on.
-        self.body = body
+    body: str
 
 
-class ConstraintHistory(View):
-    """Residuals and multipliers of one constraint row."""
+class ConstraintHistory(View, of="constraints"):
+    """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
 
-    position_residual = Column("constraints/position_residual")
-    velocity_residual = Column("constraints/velocity_residual")
-    multiplier = Column("constraints/multiplier")
-    method_multiplier = Column("constraints/method_multiplier")
-
-    def __init__(self, source: Source, name: str, index: int, units: str):
-        super().__init__(source, name, index)
-        #: Unit of the constraint function: ``m`` or ``rad``.
-        self.units = units
+    units: str
 
 
-class Energy(View):
+class Energy(View, of="energy"):
     """Energies of the whole mechanism."""
 
-    kinetic = Column("energy/kinetic")
-    potential = Column("energy/potential")
-    total = Column("energy/total")
-    dissipated = Column("energy/dissipated")
-    work = Column("energy/work")
-    balance = Column("energy/balance")
 
-
-class Steps(View):
+class Steps(View, of="steps"):
     """Statistics of the integrator for each recorded interval; interval i ends at row i (the start is row 0)."""
-
-    time = Column("steps/time")
-    steps = Column("steps/steps")
-    size = Column("steps/size")
-    iterations = Column("steps/iterations")
-    iterations_max = Column("steps/iterations_max")
-    rejected = Column("steps/rejected")
-    projections = Column("steps/projections")
-    position_correction = Column("steps/position_correction")
-    velocity_correction = Column("steps/velocity_correction")
-    acceleration_correction = Column("steps/acceleration_correction")
 
 
 @dataclass(frozen=True)
@@ -421,80 +363,35 @@ class Events(Sequence[Event]):
         return f"<{len(self)} crossings of {', '.join(self._watched) or 'no event'}>"
 
 
-V = TypeVar("V", bound=View | BeamHistory)
+V = TypeVar("V", bound=View)
 
 
 class Histories(ReadOnlyDict[str, V]):
-    """The histories of a run by name, in the order of the archive.
+    """The histories of the objects of one kind by name, in the order of the archive.
 
     Parameters
     ----------
-    make
-        Creates a history from a name and its index.
+    kind
+        Their kind.
+    run
+        The run.
     """
 
-    what: ClassVar[str]
-    """Kind of object, such as ``body``."""
-
-    def __init__(self, names: Sequence[str], make: Callable[[str, int], V]):
-        super().__init__((name, make(name, index)) for index, name in enumerate(names))
+    def __init__(self, kind: Kind, run: Source):
+        self.kind = kind
+        owners = list(run.objects(kind))
+        counts = Counter(owners)
+        make: Any = VIEWS.get(kind.group, View)
+        first, items = 0, []
+        for name in dict.fromkeys(owners):
+            index = slice(first, first + counts[name]) if kind.owner else first
+            items.append((name, make(run, name, index)))
+            first += counts[name]
+        super().__init__(items)
 
     def __missing__(self, name: str) -> V:
-        raise UnknownNameError(self.what, name, list(self))
+        raise UnknownNameError(self.kind.one, name, list(self))
 
     def __repr__(self) -> str:
-        return f"<{len(self)} of {self.what}: {', '.join(list(self)[:8])}{', ...' if len(self) > 8 else ''}>"
-
-
-class BodyHistories(Histories[BodyHistory]):
-    """The bodies of a run by name."""
-
-    what = "body"
-
-
-class JointHistories(Histories[JointHistory]):
-    """The joints of a run by name."""
-
-    what = "joint"
-
-
-class ForceHistories(Histories[ForceHistory]):
-    """The force elements of a run by name."""
-
-    what = "force element"
-
-
-class MarkerHistories(Histories[MarkerHistory]):
-    """The markers of a run by name."""
-
-    what = "marker"
-
-
-class BeamHistories(Histories[BeamHistory]):
-    """The beams of a run by name."""
-
-    what = "beam"
-
-
-class ConstraintHistories(Histories[ConstraintHistory]):
-    """The constraints of a run by name."""
-
-    what = "constraint"
-
-
-class ObservedHistories(Histories[ObservedHistory]):
-    """The observed quantities of a measured motion by name."""
-
-    what = "observed quantity"
-
-
-class ActuatorHistories(Histories[ActuatorHistory]):
-    """The actuators of inverse dynamics by name."""
-
-    what = "actuator"
-
-
-class LoadHistories(Histories[LoadHistory]):
-    """The measured loads of inverse dynamics by name."""
-
-    what = "load"
+        few = ", ".join(list(self)[:8])
+        return f"<{len(self)} of {self.kind.one}: {few}{', ...' if len(self) > 8 else ''}>"

@@ -16,26 +16,18 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import (
-    ActuatorHistories,
     ActuatorHistory,
-    BeamHistories,
     BeamHistory,
-    BodyHistories,
     BodyHistory,
-    ConstraintHistories,
     ConstraintHistory,
     Energy,
     Events,
-    ForceHistories,
     ForceHistory,
-    JointHistories,
+    Histories,
     JointHistory,
-    LoadHistories,
     LoadHistory,
-    MarkerHistories,
     MarkerHistory,
     NotRecordedError,
-    ObservedHistories,
     ObservedHistory,
     Steps,
 )
@@ -47,6 +39,8 @@ from mbdkit.base import higher_layers
 from mbdkit.base.errors import RunError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.quantities.array import Kind
+from mbdkit.quantities.table import BY_WORD
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.inverse_spec import is_inverse, refused_as_run
 from mbdkit.trust.criteria import LEVELS, Level
@@ -219,7 +213,7 @@ class Run(HtmlView):
         return self._names["joints/joint"]
 
     @cached_property
-    def bodies(self) -> BodyHistories:
+    def bodies(self) -> Histories[BodyHistory]:
         """Motions of the bodies by name.
 
         Examples
@@ -229,8 +223,7 @@ class Run(HtmlView):
         >>> run.bodies["rod1"].position.shape
         (101, 2)
         """
-        names = self._names["trajectory/body"]
-        return BodyHistories(names, lambda name, index: BodyHistory(self, name, index))
+        return Histories(BY_WORD["bodies"], self)
 
     def __getitem__(self, name: str) -> BodyHistory:
         """Return the motion of the body `name`."""
@@ -240,7 +233,7 @@ class Run(HtmlView):
         return list(self.bodies)
 
     @cached_property
-    def joints(self) -> JointHistories:
+    def joints(self) -> Histories[JointHistory]:
         """Misalignments, reactions and angles of the joints by name.
 
         Examples
@@ -252,20 +245,7 @@ class Run(HtmlView):
         >>> run.joints["J2"].reaction_force.shape
         (101, 2)
         """
-        largest = self._largest_misalignments
-        names = self._names["joints/joint"]
-        bodies, units = self._body_pairs("joints", names), self._texts("joints/angle_row_units", names)
-        return JointHistories(
-            names,
-            lambda name, index: JointHistory(
-                self,
-                name,
-                index,
-                float(largest[index]),
-                bodies[index],
-                units[index],
-            ),
-        )
+        return Histories(BY_WORD["joints"], self)
 
     @cached_property
     def integrals(self) -> Integrals:
@@ -310,7 +290,7 @@ class Run(HtmlView):
         return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
 
     @cached_property
-    def forces(self) -> ForceHistories:
+    def forces(self) -> Histories[ForceHistory]:
         """Lengths, forces and energies of the force elements by name.
 
         Raises
@@ -318,15 +298,10 @@ class Run(HtmlView):
         MbdkitError
             If the run did not record them.
         """
-        names = self._elements("forces", "force")
-        bodies, units = self._body_pairs("forces", names), self._texts("forces/value_row_units", names)
-        return ForceHistories(
-            names,
-            lambda name, index: ForceHistory(self, name, index, bodies[index], units[index]),
-        )
+        return Histories(BY_WORD["forces"], self)
 
     @cached_property
-    def markers(self) -> MarkerHistories:
+    def markers(self) -> Histories[MarkerHistory]:
         """Positions and velocities of the markers by name.
 
         Raises
@@ -334,15 +309,10 @@ class Run(HtmlView):
         MbdkitError
             If the run did not record them.
         """
-        names = self._elements("markers", "marker")
-        bodies = self._texts("markers/body", names)
-        return MarkerHistories(
-            names,
-            lambda name, index: MarkerHistory(self, name, index, bodies[index]),
-        )
+        return Histories(BY_WORD["markers"], self)
 
     @cached_property
-    def beams(self) -> BeamHistories:
+    def beams(self) -> Histories[BeamHistory]:
         """Shapes, internal forces and strain energies of the beams by name.
 
         Raises
@@ -350,21 +320,12 @@ class Run(HtmlView):
         MbdkitError
             If the run did not record them.
         """
-        elements = list(self._elements("beams", "beam"))
-        bodies = self._names["trajectory/body"]
-
-        def history(name: str, index: int) -> BeamHistory:
-            first = elements.index(name)
-            return BeamHistory(self, name, slice(first, first + elements.count(name)), bodies)
-
-        return BeamHistories(list(dict.fromkeys(elements)), history)
+        return Histories(BY_WORD["beams"], self)
 
     @cached_property
-    def motion(self) -> ObservedHistories:
+    def motion(self) -> Histories[ObservedHistory]:
         """Observed quantities of the measured motion by name; empty unless this is inverse dynamics."""
-        names = self._names.get("motion/observed", ())
-        units = self._texts("motion/row_units", names)
-        return ObservedHistories(names, lambda name, index: ObservedHistory(self, name, index, units[index]))
+        return Histories(BY_WORD["motion"], self)
 
     @property
     def raw_misalignment(self) -> np.ndarray:
@@ -378,7 +339,7 @@ class Run(HtmlView):
         return self.array("motion/raw_misalignment")
 
     @cached_property
-    def actuators(self) -> ActuatorHistories:
+    def actuators(self) -> Histories[ActuatorHistory]:
         """Values and powers of the actuators by name; empty unless this is inverse dynamics.
 
         Examples
@@ -390,36 +351,34 @@ class Run(HtmlView):
         >>> list(run.actuators), run.actuators["J1"].units
         (['J1'], 'N m')
         """
-        names = self._names.get("actuators/actuator", ())
-        units = self._texts("actuators/row_units", names)
-        return ActuatorHistories(names, lambda name, index: ActuatorHistory(self, name, index, units[index]))
+        return Histories(BY_WORD["actuators"], self)
 
     @cached_property
-    def loads(self) -> LoadHistories:
+    def loads(self) -> Histories[LoadHistory]:
         """Measured loads by name; empty unless this is inverse dynamics."""
-        names = self._names.get("loads/load", ())
-        bodies = self._texts("loads/body", names)
-        return LoadHistories(names, lambda name, index: LoadHistory(self, name, index, bodies[index]))
+        return Histories(BY_WORD["loads"], self)
 
-    def _texts(self, path: str, elements: Sequence[str]) -> Sequence[str]:
-        """Return the text of each of the `elements` in an array; empty texts if the archive lacks them."""
+    def text(self, path: str, index: int | slice | None) -> str:
+        """Return one of the texts in the array at `path`; an empty one if the archive lacks them."""
         texts = self._names.get(path, ())
-        return texts if len(texts) == len(elements) else [""] * len(elements)
+        return texts[index] if isinstance(index, int) and index < len(texts) else ""
 
-    def _body_pairs(self, group: str, elements: Sequence[str]) -> Sequence[tuple[str, str]]:
-        """Return the first and second bodies of the `elements` of a group; empty texts if the archive lacks them."""
-        first, second = (self._texts(f"{group}/{which}_body", elements) for which in ("first", "second"))
-        return list(zip(first, second, strict=True))
+    def objects(self, kind: Kind) -> Sequence[str]:
+        """Return the name of the object of each element along the axis of a kind.
 
-    def _elements(self, group: str, axis: str) -> Sequence[str]:
-        """Return the names of the elements of a group, which is missing if the mechanism has none."""
-        if f"{group}/{axis}" in self._names:
-            return self._names[f"{group}/{axis}"]
-        output = self.spec.get("output")
-        asked = output.get("quantities") if isinstance(output, Mapping) else None
-        is_left_out = isinstance(asked, list) and group not in asked
-        if is_left_out or layout.later([f"{group}/{axis}"], self.format_version):
-            raise NotRecordedError(group, self.format_version)
+        Raises
+        ------
+        NotRecordedError
+            If the run did not record the kind.
+        """
+        if kind.named_by in self._names:
+            return self._names[kind.named_by]
+        if kind.is_chosen:
+            output = self.spec.get("output")
+            asked = output.get("quantities") if isinstance(output, Mapping) else None
+            is_left_out = isinstance(asked, list) and kind.group not in asked
+            if is_left_out or not kind.is_optional or layout.later([kind.named_by], self.format_version):
+                raise NotRecordedError(kind.group, self.format_version)
         return ()
 
     @property
@@ -433,15 +392,9 @@ class Run(HtmlView):
         return self._header.redundancy
 
     @cached_property
-    def constraints(self) -> ConstraintHistories:
+    def constraints(self) -> Histories[ConstraintHistory]:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
-        if "constraints/constraint" not in self._names:
-            raise NotRecordedError("constraints", self.format_version)
-        units = self._names["constraints/row_units"]
-        return ConstraintHistories(
-            self._names["constraints/constraint"],
-            lambda name, index: ConstraintHistory(self, name, index, units[index]),
-        )
+        return Histories(BY_WORD["constraints"], self)
 
     @property
     def singularity_distance(self) -> np.ndarray:
@@ -479,7 +432,8 @@ class Run(HtmlView):
         return self._contents.accuracy()
 
     @cached_property
-    def _largest_misalignments(self) -> np.ndarray:
+    def joint_misalignments(self) -> np.ndarray:
+        """Largest misalignment of each joint over all steps, (J,), m; nan if unknown after a crash."""
         if self._header.misalignment_max is not None:
             return self._header.misalignment_max
         # The archive of a crashed run lacks the maxima over all steps; use the maxima over the recorded rows.
@@ -490,7 +444,7 @@ class Run(HtmlView):
     @property
     def misalignment_max(self) -> float:
         """Largest misalignment of any joint over all steps, m; 0 without joints, nan if unknown after a crash."""
-        return float(np.max(self._largest_misalignments, initial=0.0))
+        return float(np.max(self.joint_misalignments, initial=0.0))
 
     def records(self, path: str) -> bool:
         """Return whether the run recorded the array at `path` of the layout."""
@@ -522,7 +476,7 @@ class Run(HtmlView):
             self._arrays[path] = values
         return self._arrays[path]
 
-    def column(self, path: str, index: int | None, part: slice | int | None) -> np.ndarray:
+    def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
         """Return the array at `path` for one `index` of its second axis and a `part` of its third, read-only."""
         at: tuple[Any, ...] = (slice(None),)
         if index is not None:

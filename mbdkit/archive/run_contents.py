@@ -27,29 +27,11 @@ from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.quantities.array import GROWING, Array
+from mbdkit.quantities.table import KINDS
 from mbdkit.spec import RunSpec
 
-_NAMES = (
-    "trajectory/body",
-    "joints/joint",
-    "joints/first_body",
-    "joints/second_body",
-    "joints/angle_row_units",
-    "forces/force",
-    "forces/first_body",
-    "forces/second_body",
-    "forces/value_row_units",
-    "markers/marker",
-    "markers/body",
-    "beams/beam",
-    "constraints/constraint",
-    "constraints/row_units",
-    "motion/observed",
-    "motion/row_units",
-    "actuators/actuator",
-    "actuators/row_units",
-    "loads/load",
-    "loads/body",
+_NAMES = tuple(
+    array.path for kind in KINDS if kind.axis for array in kind.arrays if array.label or array.path == kind.named_by
 )
 """Arrays of names that are read when a run is opened."""
 

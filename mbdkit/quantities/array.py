@@ -61,6 +61,8 @@ class Array:
         Descriptions of the first two components and of the third, where `long_name` describes all three.
     texts
         Returns the values of an array of names or units.
+    label
+        Attribute of the history of an object with its text in this array; two arrays with the same label give a pair.
     """
 
     path: str
@@ -74,6 +76,7 @@ class Array:
     components: tuple[str, ...] = ()
     about: tuple[str, ...] = ()
     texts: Callable[[ArchiveNames], Sequence[str]] | None = None
+    label: str = ""
 
     @cached_property
     def group(self) -> str:
@@ -252,9 +255,26 @@ class Kind:
         """Name of the group."""
         return self.arrays[0].group
 
+    @property
+    def named_by(self) -> str:
+        """Path of the array with the names of the objects."""
+        return f"{self.group}/{self.owner or self.axis}"
+
+    @cached_property
+    def columns(self) -> tuple[Array, ...]:
+        """Arrays with the numbers of each object over time."""
+        axes = (self.axis,) if self.axis else ()
+        return tuple(one for one in self.arrays if one.grows and not one.is_scale and one.dims[1:2] == axes)
+
+    @cached_property
+    def labels(self) -> Mapping[str, tuple[Array, ...]]:
+        """Arrays with the texts of each object, by their label."""
+        labels = dict.fromkeys(one.label for one in self.arrays if one.label)
+        return {label: tuple(one for one in self.arrays if one.label == label) for label in labels}
+
     def index(self, name: str, names: ArchiveNames) -> int | slice:
         """Return the index of an object along the axis, or the indices of its elements."""
-        texts = next(one.texts for one in self.arrays if one.name == (self.owner or self.axis))
+        texts = next(one.texts for one in self.arrays if one.path == self.named_by)
         assert texts is not None
         found = list(texts(names))
         first = found.index(name)
@@ -263,6 +283,5 @@ class Kind:
     @cached_property
     def attributes(self) -> Mapping[str, Attribute]:
         """Quantities of expressions by name; empty if expressions do not have the kind."""
-        axes = ("time", self.axis) if self.axis else ("time",)
-        of_one = [one for one in self.arrays if isinstance(one, Recorded) and one.dims[:2] == axes and not one.is_scale]
-        return {found.name: found for one in of_one for found in one.attributes if self.example}
+        recorded = (one for one in self.columns if isinstance(one, Recorded))
+        return {found.name: found for one in recorded for found in one.attributes if self.example}

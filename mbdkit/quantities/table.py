@@ -63,17 +63,29 @@ def _time(group: str, since: str = "1.0") -> Array:
     return Recorded(f"{group}/time", _T, "s", "time of the recorded row", since=since)
 
 
-def _texts(path: str, dim: str, what: str, texts: Texts, since: str = "1.1", *, optional: bool = False) -> Array:
-    return Array(path, (dim or path.partition("/")[2],), "1", what, TEXT, since=since, optional=optional, texts=texts)
+def _texts(
+    path: str, dim: str, what: str, texts: Texts, since: str = "1.1", *, optional: bool = False, label: str = ""
+) -> Array:
+    dims = (dim or path.partition("/")[2],)
+    return Array(path, dims, "1", what, TEXT, since=since, optional=optional, texts=texts, label=label)
 
 
-def _units(path: str, dim: str, of: str, base: Texts, since: str = "1.0", *, optional: bool = False) -> Array:
+def _units(
+    path: str,
+    dim: str,
+    of: str,
+    base: Texts,
+    since: str = "1.0",
+    *,
+    optional: bool = False,
+    label: str = "",
+) -> Array:
     units = UNITS_OF_ELEMENT.get(path.partition("/")[2])
 
     def texts(names: ArchiveNames) -> Sequence[str]:
         return base(names) if units is None else [units[one] for one in base(names)]
 
-    return _texts(path, dim, f"units of {of}, row by row", texts, since, optional=optional)
+    return _texts(path, dim, f"units of {of}, row by row", texts, since, optional=optional, label=label)
 
 
 def _of_coordinates(path: str, of: str, *, optional: bool = False) -> Array:
@@ -163,6 +175,7 @@ _JOINTS = Kind(
             "first body of the joint, which exerts the reaction",
             lambda names: [first for first, _ in names.joint_bodies],
             "1.0",
+            label="bodies",
         ),
         _texts(
             "joints/second_body",
@@ -170,6 +183,7 @@ _JOINTS = Kind(
             "second body of the joint, on which the reaction acts",
             lambda names: [second for _, second in names.joint_bodies],
             "1.0",
+            label="bodies",
         ),
         Recorded(
             "joints/misalignment",
@@ -243,7 +257,7 @@ _JOINTS = Kind(
             components=("force_second_x", "force_second_y"),
             is_shared=True,
         ),
-        _units("joints/angle_row_units", "joint", "angle", _joint_units, "1.1"),
+        _units("joints/angle_row_units", "joint", "angle", _joint_units, "1.1", label="angle_units"),
         Recorded(
             "joints/angle",
             _TJ,
@@ -324,16 +338,18 @@ _FORCES = Kind(
             "force",
             "first body of the force element",
             lambda names: [first for first, _ in names.force_bodies],
+            label="bodies",
         ),
         _texts(
             "forces/second_body",
             "force",
             "second body of the force element; of a load, the body it acts on",
             lambda names: [second for _, second in names.force_bodies],
+            label="bodies",
         ),
         _units("forces/row_units", "force", "length", lambda names: names.force_units, "1.1"),
         _units("forces/rate_row_units", "force", "rate", lambda names: names.force_units, "1.1"),
-        _units("forces/value_row_units", "force", "value", lambda names: names.force_units, "1.1"),
+        _units("forces/value_row_units", "force", "value", lambda names: names.force_units, "1.1", label="units"),
         _force("length", 0, MIXED, "length or angle of the force element; 0 for a force at a point", "row_units"),
         _force(
             "rate",
@@ -367,7 +383,7 @@ _MARKERS = Kind(
         _time("markers", "1.1"),
         _texts("markers/marker", "marker", "name of the marker", lambda names: names.markers),
         _axes("markers", "axis of the global frame", "1.1"),
-        _texts("markers/body", "marker", "body of the marker", lambda names: names.marker_bodies),
+        _texts("markers/body", "marker", "body of the marker", lambda names: names.marker_bodies, label="body"),
         Recorded(
             "markers/position",
             ("time", "marker", "axis"),
@@ -439,7 +455,13 @@ _CONSTRAINTS = Kind(
             lambda names: names.constraints,
             "1.0",
         ),
-        _units("constraints/row_units", "constraint", "position_residual", lambda names: names.constraint_units),
+        _units(
+            "constraints/row_units",
+            "constraint",
+            "position_residual",
+            lambda names: names.constraint_units,
+            label="units",
+        ),
         _units(
             "constraints/velocity_row_units", "constraint", "velocity_residual", lambda names: names.constraint_units
         ),
@@ -493,6 +515,9 @@ _CONSTRAINTS = Kind(
             take=lambda s: s.observed.singularity_distance,
         ),
     ),
+    word="constraints",
+    one="constraint",
+    axis="constraint",
     is_chosen=True,
 )
 
@@ -665,6 +690,7 @@ _MOTION = Kind(
             lambda names: names.observed_units,
             "1.1",
             optional=True,
+            label="units",
         ),
         _joints("motion", "1.1", optional=True),
         _measured("motion/raw", _TK, MIXED, "measured value, nan in a gap", "row_units"),
@@ -677,7 +703,7 @@ _MOTION = Kind(
             "misalignment of the joint if the data alone place the bodies, nan where they do not",
         ),
     ),
-    word="observed",
+    word="motion",
     one="observed quantity",
     axis="observed",
     may_be_unknown=True,
@@ -687,7 +713,15 @@ _ACTUATORS = Kind(
     (
         _measured("actuators/time", _T, "s", "time of the recorded row"),
         _texts("actuators/actuator", "", "name of the actuator", lambda names: names.actuators, optional=True),
-        _units("actuators/row_units", "actuator", "value", lambda names: names.actuator_units, "1.1", optional=True),
+        _units(
+            "actuators/row_units",
+            "actuator",
+            "value",
+            lambda names: names.actuator_units,
+            "1.1",
+            optional=True,
+            label="units",
+        ),
         Recorded(
             "actuators/value",
             _TA,
@@ -730,7 +764,14 @@ _LOADS = Kind(
         _measured("loads/time", _T, "s", "time of the recorded row"),
         _texts("loads/load", "", "name of the measured load", lambda names: names.loads, optional=True),
         _axes("loads", "axis of the global frame", "1.1", optional=True),
-        _texts("loads/body", "load", "body that the load acts on", lambda names: names.load_bodies, optional=True),
+        _texts(
+            "loads/body",
+            "load",
+            "body that the load acts on",
+            lambda names: names.load_bodies,
+            optional=True,
+            label="body",
+        ),
         _measured("loads/force", (*_TL, "axis"), "N", "force on the body, global frame"),
         _measured("loads/point", (*_TL, "axis"), "m", "point of application, global frame"),
         _measured("loads/torque", _TL, "N m", "free torque on the body, positive counter-clockwise"),

@@ -1,4 +1,4 @@
-"""Charts of a run's report that no kind of plot has: components in the frames of bodies, powers, angles."""
+"""Charts of a run's report that no kind of plot has: components in the frames of bodies, and those of the table."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from mbdkit.figures.drawing_geometry import draw_spec
 from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.figures.palette import INK, PALETTE, body_colors
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.quantities.table import RECORDED
 from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:
@@ -52,31 +53,21 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
     return Figure(f"components-{joint.index + 1}", title, caption, _TIME, Axis("force component", "N"), tuple(lines))
 
 
-def power_charts(run: Run) -> list[Figure]:
-    """Return the chart of the power of the drivers."""
-    if not run.records("joints/driver_power"):
+def recorded_charts(run: Run, path: str) -> list[Figure]:
+    """Return the charts of an array that the table of quantities describes, without those whose values are all zero."""
+    array = RECORDED[path]
+    if not run.records(path):
         return []
-    lines = _lines(run, "joints/driver_power", run.joint_names, range(len(run.joint_names)))
-    caption = "Power that each driver supplies to the mechanism."
-    chart = Figure("driver-power", "Power of the drivers", caption, _TIME, Axis("power", "W"), lines)
-    return [chart] if lines else []
-
-
-def angle_charts(run: Run) -> list[Figure]:
-    """Return charts of the relative angles of the joints, and of the travels of slides."""
-    if not run.records("joints/angle"):
-        return []
-    units = [joint.angle_units for joint in run.joints.values()]
+    names = [str(name) for name in run.array(f"{array.group}/{array.dims[1]}")]
+    units = [array.units] * len(names)
+    if array.row_units:
+        units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")]
     found = []
-    for unit, name, title, axis in (
-        ("rad", "joint-angles", "Angles of the joints", "angle"),
-        ("m", "travels", "Travels of the slides", "travel"),
-    ):
-        chosen = [column for column, own in enumerate(units) if own == unit]
-        lines = _lines(run, "joints/angle", run.joint_names, chosen)
+    for chart in array.charts:
+        lines = _lines(run, path, names, [column for column, unit in enumerate(units) if unit == chart.unit])
         if lines:
-            caption = "Of the second body of each joint relative to the first."
-            found.append(Figure(name, title, caption, _TIME, Axis(axis, unit), lines))
+            axis = Axis(chart.axis, chart.unit)
+            found.append(Figure(chart.name, chart.title, chart.caption, _TIME, axis, lines))
     return found
 
 

@@ -10,7 +10,9 @@ from mbdkit.figures.drawing_geometry import choose_traces, draw_spec
 from mbdkit.figures.page_model import Axis, Figure, Mark
 from mbdkit.figures.palette import PALETTE, trace_colors
 from mbdkit.plot.plot_kinds import PLOT_KINDS, plot_module
-from mbdkit.report.element_charts import angle_charts, component_charts, power_charts
+from mbdkit.quantities.array import Recorded
+from mbdkit.quantities.table import BY_GROUP, RECORDED
+from mbdkit.report.element_charts import component_charts, recorded_charts
 from mbdkit.report.load_sections import inverse_charts
 
 if TYPE_CHECKING:
@@ -22,15 +24,28 @@ DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance
 """Charts that show how well the constraints and the energy hold."""
 _TIME = Axis("time", "s")
 _FIRST = ("reactions", "torques", "forces", "beams")
-_OF_JOINTS = ("reactions", "torques", "joint-angles", "driver-power", *DRIFT[:3])
+_OF_MOTION = ("m", "rad", "m/s", "rad/s")
+"""Units of quantities whose charts follow the trajectory."""
+_OF_JOINTS = (
+    "reactions",
+    "torques",
+    *(chart.name for array in BY_GROUP["joints"].columns if isinstance(array, Recorded) for chart in array.charts),
+    *DRIFT[:3],
+)
 
 
 def run_charts(run: Run) -> tuple[Figure, ...]:
     """Return the charts of a run that has rows, except those of quantities that it did not record."""
     of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in PLOT_KINDS}
     charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
-    charts += [*inverse_charts(run), *component_charts(run), *power_charts(run), *of_kinds.pop("trajectory")]
-    charts += [*angle_charts(run), *(chart for found in of_kinds.values() for chart in found)]
+    recorded = [chart for path in RECORDED for chart in recorded_charts(run, path)]
+    moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
+    charts += [
+        *inverse_charts(run),
+        *component_charts(run),
+        *(chart for chart in recorded if chart.y.unit not in _OF_MOTION),
+    ]
+    charts += [*of_kinds.pop("trajectory"), *moving, *(chart for found in of_kinds.values() for chart in found)]
     charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)
     colors = _colors(run)
