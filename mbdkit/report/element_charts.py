@@ -56,7 +56,7 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
 def recorded_charts(run: Run, path: str) -> list[Figure]:
     """Return the charts of an array that the table of quantities describes, without those whose values are all zero."""
     array = RECORDED[path]
-    if not run.records(path):
+    if not array.charts or not run.records(path):
         return []
     names = [str(name) for name in run.array(f"{array.group}/{array.dims[1]}")]
     units = [array.units] * len(names)

@@ -68,14 +68,14 @@ def groups_of_gradient(spec: RunSpec, names: list[str]) -> tuple[Groups, Groups]
     parameters = resolved(spec, names)
     seeds = prepared_derivatives(spec, parameters).seeds
     rows = differentiated_run(spec, seeds, with_nodes=False).rows
-    assert rows.energy is not None
+    assert rows.work.size
     force, torque = rows.reactions[-1, :, :2], rows.reactions[-1, :, 2]
     joined = [
         rows.q[-1, :-3],
         rows.v[-1, :-3],
         rows.observed.acc[-1, :-3],
         np.concatenate([force.reshape(2 * len(force), force.shape[-1]), torque]),
-        np.stack([rows.observed.kinetic[-1], rows.observed.potential[-1], *rows.energy[-1]]),
+        np.stack([rows.observed.kinetic[-1], rows.observed.potential[-1], rows.work[-1], rows.dissipated[-1]]),
     ]
     return [x[:, 0] for x in joined], [x[:, 1:] for x in joined]
 
