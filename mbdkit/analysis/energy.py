@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.analysis.block_statistics import BLOCKS, block_means, independent
+from mbdkit.analysis.growth import BLOCKS, block_means, independent
 from mbdkit.archive.run import Run
 
 SURE = 3.0

@@ -19,13 +19,12 @@ from mbdkit.base.terminal import Commands, PlainStream, keep_results_apart, open
 from mbdkit.cli.archives import archive_app
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.designs import design
-from mbdkit.cli.guide import guide
 from mbdkit.cli.inverse import inverse, workload
 from mbdkit.cli.mechanics import equilibrium, kinematics, modes
 from mbdkit.cli.pictures import animate, plot, report
 from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate
-from mbdkit.cli.specs import examples_app, schema_app
+from mbdkit.cli.specs import examples_app, guide, schema_app
 from mbdkit.cli.studies import StudyCommand, study
 
 app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)

@@ -10,7 +10,7 @@ import typer
 from mbdkit.archive.layout import ATTRIBUTES_HASH
 from mbdkit.base import terminal
 from mbdkit.base.terminal import say, show, show_json
-from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Overwrite, Quiet
+from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Overwrite, Quiet, output_to
 
 archive_app = typer.Typer(help="Describe, check, compare and export run archives.", **PLAIN)
 
@@ -88,10 +88,7 @@ def archive_export(
             help="csv; parquet (needs pyarrow); mat: MATLAB; sto: OpenSim; json.",
         ),
     ],
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder of the files; by default FILE-FORMAT."),
-    ] = None,
+    output: Annotated[Path | None, output_to("DIR", "Folder of the files; by default FILE-FORMAT.")] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     debug: Debug = False,

@@ -1,11 +1,15 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, groups of options, and default names of output files."""
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
@@ -93,6 +97,75 @@ Slurm = Annotated[
         "--slurm", metavar="K=V", help="With submitit: an option of sbatch, such as time=60. Can be repeated."
     ),
 ]
+
+
+@dataclass
+class Cluster:
+    """Options of a command whose runs other machines may compute."""
+
+    executor: ExecutorName = "local"
+    scheduler: Scheduler = None
+    slurm: Slurm = None
+
+    def asked(self, workers: int | None) -> Any:
+        """Return these options as the executors take them."""
+        from mbdkit.studies.executors import Asked
+
+        return Asked(self.executor, self.scheduler, tuple(self.slurm or ()), workers)
+
+
+@dataclass
+class Printing:
+    """Options on what a command prints."""
+
+    as_json: AsJson = False
+    quiet: Quiet = False
+    debug: Debug = False
+
+
+def grouped(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command for which the fields of its parameters that are dataclasses are options of their own."""
+    signature = inspect.signature(command, eval_str=True)
+    groups: dict[str, Any] = {
+        name: one.annotation for name, one in signature.parameters.items() if is_dataclass(one.annotation)
+    }
+    parameters: list[inspect.Parameter] = []
+    for name, one in signature.parameters.items():
+        if name in groups:
+            hints = get_type_hints(groups[name], include_extras=True)
+            parameters += [
+                inspect.Parameter(field.name, one.kind, default=field.default, annotation=hints[field.name])
+                for field in fields(groups[name])
+            ]
+        else:
+            parameters.append(one)
+
+    @wraps(command)
+    def called(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        command(**given)
+
+    called.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    called.__annotations__ = {one.name: one.annotation for one in parameters}
+    return called
+
+
+def output_to(metavar: str, text: str) -> Any:
+    """Return the option for the file or folder that a command writes."""
+    return typer.Option("-o", "--output", metavar=metavar, help=text)
+
+
+def stem(spec: str) -> str:
+    """Return the default name of results of a spec, without suffix."""
+    return "stdin" if spec == "-" else Path(spec).stem
+
+
+def check_new(path: Path, source: str, overwrite: bool) -> None:
+    """Raise SpecError if an archive cannot be written."""
+    from mbdkit.archive.part_file import check_target
+
+    check_target(path, overwrite=overwrite, source=source)
 
 
 def cores() -> int:

@@ -10,22 +10,21 @@ import typer
 from mbdkit.base.progress_bars import tally_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.cli.common_options import (
-    AsJson,
-    Debug,
-    ExecutorName,
-    Quiet,
-    Scheduler,
+    Cluster,
+    Printing,
     Set,
-    Slurm,
     Workers,
     cores,
+    grouped,
+    output_to,
+    stem,
 )
-from mbdkit.cli.output_paths import stem
 
 if TYPE_CHECKING:
     from mbdkit.spec.reading import Document
 
 
+@grouped
 def design(
     spec: Annotated[
         str,
@@ -34,13 +33,9 @@ def design(
         ),
     ],
     *,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="The design's folder; by default ./SPEC.")
-    ] = None,
+    output: Annotated[Path | None, output_to("DIR", "The design's folder; by default ./SPEC.")] = None,
     workers: Workers = None,
-    executor: ExecutorName = "local",
-    scheduler: Scheduler = None,
-    slurm: Slurm = None,
+    cluster: Cluster,
     assignments: Set = None,
     with_report: Annotated[
         bool,
@@ -55,9 +50,7 @@ def design(
             help="Replace the design in the folder: remove its points, results and report; other files are kept.",
         ),
     ] = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    debug: Debug = False,
+    printing: Printing,
 ) -> None:
     """Choose numbers of a spec so that measures become small.
 
@@ -68,17 +61,16 @@ def design(
     Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
     from mbdkit.designs.solve_design import design as carry_out
-    from mbdkit.studies.executors import Asked, opened
+    from mbdkit.studies.executors import opened
 
     folder = output if output is not None else Path(stem(spec))
-    notify = silence if quiet or as_json else say
-    asked = Asked(executor, scheduler, tuple(slurm or ()), workers)
-    with opened(asked, folder, notify) as cluster, tally_bar(folder.name, quiet) as progress:
+    notify = silence if printing.quiet or printing.as_json else say
+    with opened(cluster.asked(workers), folder, notify) as executor, tally_bar(folder.name, printing.quiet) as progress:
         result = carry_out(
             spec,
             out=folder,
             workers=workers or cores(),
-            executor=cluster,
+            executor=executor,
             progress=progress,
             notify=notify,
             assignments=assignments or (),
@@ -89,9 +81,9 @@ def design(
         from mbdkit.report.report import write_report
 
         page, _ = write_report(folder, overwrite=True, workers=workers or cores())
-    if as_json:
+    if printing.as_json:
         show_json({"path": str(folder), **result.to_dict()} | ({} if page is None else {"report": str(page)}))
-    elif not quiet:
+    elif not printing.quiet:
         show(result.summary())
         show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
     if not result.is_feasible:

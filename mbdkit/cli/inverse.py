@@ -9,8 +9,18 @@ import typer
 
 from mbdkit.base.terminal import say, show, show_json
 from mbdkit.base.text import counted
-from mbdkit.cli.common_options import Archive, AsJson, Debug, InverseSpecName, Overwrite, Quiet, Set
-from mbdkit.cli.output_paths import check_new, stem
+from mbdkit.cli.common_options import (
+    Archive,
+    AsJson,
+    Debug,
+    InverseSpecName,
+    Overwrite,
+    Quiet,
+    Set,
+    check_new,
+    output_to,
+    stem,
+)
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -20,9 +30,7 @@ if TYPE_CHECKING:
 def inverse(
     spec: InverseSpecName,
     *,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
     assignments: Set = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,

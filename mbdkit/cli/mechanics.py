@@ -9,7 +9,7 @@ import typer
 
 from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.base.terminal import show, show_json
-from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName
+from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName, output_to
 
 
 def equilibrium(
@@ -58,10 +58,7 @@ def modes(
     count: Annotated[
         int | None, typer.Option("--count", min=1, metavar="N", help="Number of modes, the slowest first.")
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.png", help="Draw the modes to a PNG, SVG or PDF file."),
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.png", "Draw the modes to a PNG, SVG or PDF file.")] = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -93,10 +90,7 @@ def modes(
 def kinematics(
     spec: SpecName,
     assignments: Set = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.csv", help="Write positions, velocities, accelerations as CSV."),
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.csv", "Write positions, velocities, accelerations as CSV.")] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
     debug: Debug = False,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mbdkit.base.terminal import show
-from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet
+from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet, grouped, output_to
 from mbdkit.plot.plot_kinds import PLOT_KINDS
 
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in PLOT_KINDS.items()) + "."
@@ -22,37 +23,37 @@ def _check_kind(kind: str) -> str:
     return kind
 
 
-def plot(
-    archives: Archives,
-    *,
-    kind: Annotated[str, typer.Option("--kind", metavar="KIND", callback=_check_kind, help=_KINDS_HELP)] = "trajectory",
+@dataclass
+class Selection:
+    """What a plot shows, by the names of the options of `mbdkit.plot.comparison.compare`."""
+
     joints: Annotated[
         list[str] | None,
         typer.Option(
             "--joint", metavar="J", help="With drift, reactions or torques: draw this joint; may be repeated."
         ),
-    ] = None,
+    ] = None
     elements: Annotated[
         list[str] | None,
         typer.Option(
             "--element", metavar="F", help="With forces or torques: draw this force element; may be repeated."
         ),
-    ] = None,
+    ] = None
     points: Annotated[
         list[str] | None,
         typer.Option(
             "--point", metavar="P", help="With trajectory: draw this marker, body, joint or free end; may be repeated."
         ),
-    ] = None,
+    ] = None
     beams: Annotated[
         list[str] | None,
         typer.Option("--beam", metavar="B", help="With beams: draw this beam; may be repeated."),
-    ] = None,
+    ] = None
     times: Annotated[
         list[float] | None,
         typer.Option("--time", metavar="T", help="With beams: draw values along beams at this time; may be repeated."),
-    ] = None,
-    component: Annotated[
+    ] = None
+    components: Annotated[
         str | None,
         typer.Option(
             "--component",
@@ -60,15 +61,20 @@ def plot(
             help="Of reactions: x, y or both (global); axial, shear or both (body): in the frame of the second body; "
             "magnitude, the default. Of beams: moment, shear or axial.",
         ),
-    ] = None,
+    ] = None
+
+
+@grouped
+def plot(
+    archives: Archives,
+    *,
+    kind: Annotated[str, typer.Option("--kind", metavar="KIND", callback=_check_kind, help=_KINDS_HELP)] = "trajectory",
+    selection: Selection,
     size: Annotated[
         str | None,
         typer.Option("--size", metavar="MMxMM", help="A figure for a paper, without heading: 85mm wide, or 85mmx60mm."),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.png", help="A PNG, SVG or PDF file; by default FILE-KIND.png."),
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.png", "A PNG, SVG or PDF file; by default FILE-KIND.png.")] = None,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -82,15 +88,7 @@ def plot(
     from mbdkit.plot.paper_figure import size_in_mm
     from mbdkit.plot.save_plot import plot as draw
 
-    asked = {
-        "joints": joints,
-        "elements": elements,
-        "points": points,
-        "components": component,
-        "beams": beams,
-        "times": times,
-    }
-    options = {name: value for name, value in asked.items() if value}
+    options = {name: value for name, value in vars(selection).items() if value}
     _check_options(kind, options)
     with blaming_damage(*archives), ExitStack() as stack:
         runs = [stack.enter_context(load(archive)) for archive in archives]
@@ -116,10 +114,7 @@ def _check_options(kind: str, options: Mapping[str, object]) -> None:
 
 def animate(
     archive: Archive,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.gif", help="A .gif, .html or .mp4 file; by default FILE.gif."),
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.gif", "A .gif, .html or .mp4 file; by default FILE.gif.")] = None,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -141,11 +136,9 @@ def report(
     path: Annotated[Path, typer.Argument(metavar="PATH", help="A run archive, or the folder of a study or design.")],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FILE.html",
-            help="The page; by default NAME-report.html, or report.html in the folder. "
+        output_to(
+            "FILE.html",
+            "The page; by default NAME-report.html, or report.html in the folder. "
             "FILE.md: verdict and tables as Markdown.",
         ),
     ] = None,

@@ -10,7 +10,7 @@ import typer
 from mbdkit.base import terminal
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
-from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet
+from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet, output_to
 
 plugins_app = typer.Typer(help="List, verify, diagnose and create plugins.", **PLAIN)
 
@@ -58,10 +58,7 @@ def plugins_verify(
     quick: Annotated[bool, typer.Option("--quick", help="Skip the slow checks.")] = False,
     as_json: AsJson = False,
     as_html: Annotated[bool, typer.Option("--html", help="Also write an HTML page.")] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.html", help="The page; by default ./NAME-verification.html."),
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.html", "The page; by default ./NAME-verification.html.")] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     debug: Debug = False,

@@ -15,10 +15,22 @@ from mbdkit.base import terminal
 from mbdkit.base.progress_bars import progress_bar
 from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.base.text import table
-from mbdkit.cli.common_options import AnySpecName, Archive, AsJson, Debug, Overwrite, Quiet, Set, SpecNameOrNone
+from mbdkit.cli.common_options import (
+    AnySpecName,
+    Archive,
+    Debug,
+    Overwrite,
+    Printing,
+    Quiet,
+    Set,
+    SpecNameOrNone,
+    check_new,
+    grouped,
+    output_to,
+    stem,
+)
 from mbdkit.cli.designs import validate_design
 from mbdkit.cli.inverse import repeated_inverse, validate_inverse
-from mbdkit.cli.output_paths import check_new, stem
 
 if TYPE_CHECKING:
     from mbdkit.archive.accuracy import Accuracy
@@ -30,12 +42,11 @@ if TYPE_CHECKING:
 BODIES_SHOWN = 20
 
 
+@grouped
 def run(
     spec: SpecNameOrNone = None,
     *,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE.h5", help="The archive; by default ./SPEC.h5.")
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
     assignments: Set = None,
     overwrite: Overwrite = False,
     check: Annotated[
@@ -49,9 +60,7 @@ def run(
         Path | None,
         typer.Option("--resume", metavar="FILE.h5.part", help="Continue the run that was killed and left this file."),
     ] = None,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    debug: Debug = False,
+    printing: Printing,
 ) -> None:
     """Run a spec and write its archive.
 
@@ -69,7 +78,7 @@ def run(
     """
     if resume is not None:
         given = {"SPEC": spec, "--output": output, "--set": assignments, "--check": check, "--accuracy": accuracy}
-        _resume(resume, [name for name, value in given.items() if value], overwrite, as_json, quiet)
+        _resume(resume, [name for name, value in given.items() if value], overwrite, printing)
         return
     if spec is None:
         raise typer.BadParameter("give a SPEC, or --resume FILE.h5.part", param_hint="SPEC")
@@ -83,12 +92,13 @@ def run(
     check_new(path, spec, overwrite)
     from mbdkit.runs.simulation import simulate  # imports compiled code, which is not needed to refuse a spec
 
-    with _placing(checked), progress_bar(path.name, quiet) as progress:
-        result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
-    _tell(result, as_json=as_json, quiet=quiet)
+    with _placing(checked), progress_bar(path.name, printing.quiet) as progress:
+        notify = silence if printing.quiet else say
+        result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=notify)
+    _tell(result, printing)
 
 
-def _resume(part: Path, superfluous: list[str], overwrite: bool, as_json: bool, quiet: bool) -> None:
+def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Printing) -> None:
     """Continue a run that was killed."""
     from mbdkit.base.errors import SpecError
 
@@ -96,21 +106,23 @@ def _resume(part: Path, superfluous: list[str], overwrite: bool, as_json: bool, 
         raise SpecError(f"--resume takes everything from {part.name}: leave out {', '.join(superfluous)}")
     from mbdkit.runs.resuming import continue_run, final_path
 
-    with progress_bar(final_path(part).name, quiet) as progress:
-        result = continue_run(part, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
-    _tell(result, as_json=as_json, quiet=quiet)
+    with progress_bar(final_path(part).name, printing.quiet) as progress:
+        notify = silence if printing.quiet else say
+        result = continue_run(part, overwrite=overwrite, progress=progress, notify=notify)
+    _tell(result, printing)
 
 
-def _tell(result: Run, *, as_json: bool, quiet: bool) -> None:
+def _tell(result: Run, printing: Printing) -> None:
     """Print the outcome of a run, and exit with its exit status."""
     with result:
-        if as_json:
+        if printing.as_json:
             show_json(_outcome(result))
-        elif not quiet:
+        elif not printing.quiet:
             show(result.summary())
-        if (as_json or quiet) and result.status == "complete" and result.verdict in ("doubtful", "bad"):
+        told = not (printing.as_json or printing.quiet)
+        if not told and result.status == "complete" and result.verdict in ("doubtful", "bad"):
             say(f"verdict {result.verdict}: {' '.join(result.verdict_reasons)}")
-        _exit_with(result, told=not (as_json or quiet))
+        _exit_with(result, told=told)
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -226,10 +238,7 @@ def _moves(start: AssembledState) -> list[tuple[str, ...]]:
 
 def rerun(
     archive: Archive,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE.h5", help="Keep the new archive; by default it is discarded."),
-    ] = None,
+    output: Annotated[Path | None, output_to("FILE.h5", "Keep the new archive; by default it is discarded.")] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     debug: Debug = False,

@@ -1,4 +1,4 @@
-"""Commands for writing specs: `schema` and `examples`."""
+"""Commands for writing specs: `schema`, `examples` and `guide`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from mbdkit.base.terminal import show, show_json
 from mbdkit.base.text import table
-from mbdkit.cli.common_options import PLAIN, Debug
+from mbdkit.cli.common_options import PLAIN, Debug, output_to
 
 schema_app = typer.Typer(help="Print the JSON schema of a spec, for editors.", **PLAIN)
 examples_app = typer.Typer(help="List the packaged examples, or copy one.", **{**PLAIN, "no_args_is_help": False})
@@ -87,10 +87,7 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
 def examples_copy(
     name: Annotated[str, typer.Argument(metavar="NAME", help="An example, as listed.")],
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", metavar="FILE", help="The file; by default ./NAME.yaml, or ./NAME.ipynb for a notebook."
-        ),
+        Path | None, output_to("FILE", "The file; by default ./NAME.yaml, or ./NAME.ipynb for a notebook.")
     ] = None,
     debug: Debug = False,
 ) -> None:
@@ -130,3 +127,22 @@ def examples_copy(
         with replacing(target, overwrite=False) as temporary:
             temporary.write_text(text, encoding="utf-8")
         show(target)
+
+
+def guide(
+    topic: Annotated[
+        str | None, typer.Argument(metavar="TOPIC", help="Name of a page; without it, the pages are listed.")
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """List the pages of the guide, or print one.
+
+    Pages are Markdown. A pager helps with long ones, as in
+    `mbdkit guide spec | less`.
+    """
+    from mbdkit.guide.pages import find_page, pages
+
+    if topic is None:
+        show(table([("TOPIC", "CONTENTS"), *((page.topic, page.summary) for page in pages().values())]))
+    else:
+        show(find_page(topic).text.rstrip("\n"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,18 +12,16 @@ from typer.core import TyperCommand
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.cli.common_options import (
-    AsJson,
     BaseSet,
-    Debug,
-    ExecutorName,
-    Quiet,
-    Scheduler,
-    Slurm,
+    Cluster,
+    Printing,
     StudyName,
     Workers,
     cores,
+    grouped,
+    output_to,
+    stem,
 )
-from mbdkit.cli.output_paths import stem
 
 
 class StudyCommand(TyperCommand):
@@ -36,20 +35,10 @@ class StudyCommand(TyperCommand):
         formatter.write_text(f"Packaged studies: {', '.join(study_names())}.")
 
 
-def study(
-    spec: StudyName,
-    *,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="The study's folder; by default ./SPEC.")
-    ] = None,
-    workers: Workers = None,
-    shard: Annotated[
-        str | None,
-        typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs, or of the blocks."),
-    ] = None,
-    executor: ExecutorName = "local",
-    scheduler: Scheduler = None,
-    slurm: Slurm = None,
+@dataclass
+class Stored:
+    """What a study computes in its folder, and what it stores there."""
+
     store: Annotated[
         Literal["files", "all", "histories", "summary", "hashes"] | None,
         typer.Option(
@@ -60,24 +49,36 @@ def study(
                 "runs."
             ),
         ),
-    ] = None,
-    assignments: BaseSet = None,
+    ] = None
+    assignments: BaseSet = None
     overwrite: Annotated[
         bool,
         typer.Option(
             "--overwrite",
             help="Replace the study in the folder: remove its spec, runs, report and figures; other files are kept.",
         ),
-    ] = False,
+    ] = False
+
+
+@grouped
+def study(
+    spec: StudyName,
+    *,
+    output: Annotated[Path | None, output_to("DIR", "The study's folder; by default ./SPEC.")] = None,
+    workers: Workers = None,
+    shard: Annotated[
+        str | None,
+        typer.Option("--shard", metavar="i/N", help="Compute only part i of N of the runs, or of the blocks."),
+    ] = None,
+    cluster: Cluster,
+    stored: Stored,
     with_report: Annotated[
         bool,
         typer.Option(
             "--report", help="Also write report.html and figures/, replacing old ones, and print the headline table."
         ),
     ] = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    debug: Debug = False,
+    printing: Printing,
 ) -> None:
     """Run a study: a family of runs.
 
@@ -98,26 +99,25 @@ def study(
     died; a second call tries again.
     """
     from mbdkit.studies.carry_out import study as carry_out
-    from mbdkit.studies.executors import Asked, opened
+    from mbdkit.studies.executors import opened
     from mbdkit.studies.folder_lock import Shard
     from mbdkit.studies.study_summary import outcome, summary
 
     part = None if shard is None else Shard.parse(shard)
     path = output if output is not None else Path(stem(spec))
-    notify = silence if quiet else say
-    asked = Asked(executor, scheduler, tuple(slurm or ()), workers)
-    with opened(asked, path, notify) as cluster, count_bar(path.name, quiet) as progress:
+    notify = silence if printing.quiet else say
+    with opened(cluster.asked(workers), path, notify) as executor, count_bar(path.name, printing.quiet) as progress:
         result = carry_out(
             spec,
             out=path,
             workers=workers or cores(),
-            executor=cluster,
+            executor=executor,
             shard=part,
             progress=progress,
             notify=notify,
-            assignments=assignments or (),
-            overwrite=overwrite,
-            store=store,
+            assignments=stored.assignments or (),
+            overwrite=stored.overwrite,
+            store=stored.store,
         )
     page, told, values = None, "", {}
     if with_report:
@@ -126,16 +126,16 @@ def study(
 
         page, verdict = write_report(path, overwrite=True)
         told, values = terminal_text(verdict), json_values(verdict)
-    if as_json:
+    if printing.as_json:
         more = {} if page is None else {"report": str(page)} | ({"verdict": values} if values else {})
         show_json(outcome(result) | more)
-    elif not quiet:
+    elif not printing.quiet:
         show(summary(result))
         if page is not None:
             show(f"report     {page}")
         if told:
             show(f"\n{told}")
     if result.unfinished:
-        if as_json or quiet:
+        if printing.as_json or printing.quiet:
             say(f"unfinished: {result.unfinished[0]}")
         raise typer.Exit(STOPPED_EARLY)

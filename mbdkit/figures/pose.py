@@ -30,6 +30,14 @@ _GROUND_MARK = Path(
     + [point for x in (-0.9, -0.45, 0.0, 0.45, 0.9) for point in ((x, -1), (x - 0.35, -1.45))],
     [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY] + [Path.MOVETO, Path.LINETO] * 6,
 )
+_MARKS: dict[str, dict[str, Any]] = {
+    "ground": {"marker": _GROUND_MARK, "markersize": 14, "color": FAINT, "fillstyle": "none", "zorder": 2},
+    "centre": {"marker": r"$\oplus$", "markersize": 7, "color": INK, "markeredgewidth": 0, "zorder": 6},
+    "pin": {"marker": "o", "markersize": 5.5, "color": INK, "markerfacecolor": PAPER, "zorder": 7},
+    "slider": {"marker": "s", "markersize": 8, "color": INK, "markerfacecolor": PAPER, "zorder": 6.5},
+    "weld": {"marker": "s", "markersize": 5, "color": INK, "zorder": 7},
+}
+"""Looks of the points of a drawing."""
 
 
 class Pose:
@@ -67,16 +75,11 @@ class Pose:
             self.artists.append(artist)
             self._lines.append((artist, np.asarray(points, dtype=np.intp)))
 
-        if drawing.grounds:
-            line(
-                drawing.grounds,
-                linestyle="",
-                marker=_GROUND_MARK,
-                markersize=14,
-                color=FAINT,
-                fillstyle="none",
-                zorder=2,
-            )
+        def mark(points: Sequence[int], kind: str) -> None:
+            if points:
+                line(points, linestyle="", **_MARKS[kind])
+
+        mark(drawing.grounds, "ground")
         for index, outline in enumerate(drawing.outlines):
             if len(outline) > 2:
                 fill = PolyCollection([], facecolors=colors[index], alpha=0.25 * alpha, linewidths=0, zorder=3)
@@ -88,7 +91,7 @@ class Pose:
             discs = [outline[0] for outline in own if len(outline) == 1]
             line(self._strokes(own), color=color, linewidth=weight, solid_capstyle="round", zorder=4)
             if discs:
-                line(discs, color=color, linestyle="", marker="o", markersize=3 if crowd else 9, zorder=4)
+                line(discs, linestyle="", color=color, marker="o", markersize=3 if crowd else 9, zorder=4)
         self._bending = ScalarMappable(Normalize(-largest_moment, largest_moment), _BENDING) if largest_moment else None
         self._beams = LineCollection([], linewidths=weight, alpha=alpha, zorder=4.2, capstyle="butt")
         self._beams.set_color([colors[beam.nodes[0]] for beam in drawing.beams for _ in beam.nodes[1:]])
@@ -102,35 +105,13 @@ class Pose:
             [], [], color=SPRING, linewidth=1.3, alpha=alpha, zorder=5, solid_joinstyle="round"
         )
         self.artists.append(self._springs)
-        if not crowd:
-            line(
-                [centre for centre, outline in zip(drawing.centres, drawing.outlines, strict=True) if len(outline) > 1],
-                linestyle="",
-                marker=r"$\oplus$",
-                markersize=7,
-                markeredgewidth=0,
-                color=INK,
-                zorder=6,
-            )
-            line(
-                drawing.pins,
-                linestyle="",
-                marker="o",
-                markersize=5.5,
-                color=INK,
-                markerfacecolor=PAPER,
-                zorder=7,
-            )
-            line(
-                drawing.sliders,
-                linestyle="",
-                marker="s",
-                markersize=8,
-                color=INK,
-                markerfacecolor=PAPER,
-                zorder=6.5,
-            )
-            line(drawing.welds, linestyle="", marker="s", markersize=5, color=INK, zorder=7)
+        if crowd:
+            return
+        outlines = zip(drawing.centres, drawing.outlines, strict=True)
+        mark([centre for centre, outline in outlines if len(outline) > 1], "centre")
+        mark(drawing.pins, "pin")
+        mark(drawing.sliders, "slider")
+        mark(drawing.welds, "weld")
 
     def _strokes(self, strokes: Sequence[Sequence[int]]) -> list[int]:
         """Return point indices of one polyline through all strokes; the index after the last point is a gap."""

@@ -18,10 +18,9 @@ from scipy.stats import chi2
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.inverse_dynamics.compute import Inverse, forces_of
+from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series
-from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
 from mbdkit.spec.inverse_sections import ErrorBars as Asked
 from mbdkit.spec.inverse_sections import Smoothing

@@ -14,10 +14,9 @@ from mbdkit.archive import layout
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
 from mbdkit.inverse_dynamics.raw_misalignment import raw_misalignment
-from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.measures.take import take_all
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.table import RECORDED

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from mbdkit.figures.curves import require_rows
-from mbdkit.report.animate import animate
-from mbdkit.report.animation_page import page
+from mbdkit.report.animate import animate, page
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

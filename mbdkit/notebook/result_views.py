@@ -1,12 +1,14 @@
-"""The view of each kind of object that notebooks show."""
+"""What notebooks show of each kind of object: sentences, pictures and tables as HTML that loads nothing."""
 
 from __future__ import annotations
 
+import base64
 import html
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import singledispatch
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import summary_lines
@@ -28,15 +30,72 @@ from mbdkit.mechanics.mechanics_summary import (
 )
 from mbdkit.mechanics.modes import Modes
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.notebook.view import Picture, View
 from mbdkit.plot import drift_plot, reactions_plot
 from mbdkit.plot.caption import caption
 from mbdkit.plot.charts import chart_image
 from mbdkit.plot.mode_shapes import modes_figure
+from mbdkit.plot.style import png
 from mbdkit.report.model_section import composition, drawing, element_tables
+from mbdkit.report.report_page import FILTERS
 from mbdkit.report.run_report import mechanism_of
 from mbdkit.report.study_report import runs_table, settings
+from mbdkit.report.templating import render
 from mbdkit.studies.study import Study
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A Matplotlib figure with its description for readers who do not see it."""
+
+    figure: Figure
+    description: str
+
+    @property
+    def source(self) -> str:
+        """The figure as a URL that contains it."""
+        return f"data:image/png;base64,{base64.b64encode(png(self.figure)).decode('ascii')}"
+
+    @property
+    def width(self) -> int:
+        """Width on the page [px]."""
+        return round(float(self.figure.get_size_inches()[0]) * 96)
+
+
+@dataclass(frozen=True)
+class View:
+    """The content that a notebook shows for an object.
+
+    Parameters
+    ----------
+    title
+        Heading.
+    sentences
+        Paragraphs below it.
+    tone
+        ``good``, ``warn`` or ``alarm`` if the first paragraph has a colour.
+    facts
+        Labels and texts, as in a summary; a text without a label continues the one above.
+    drawing, pictures
+        Illustration of the mechanism, and other pictures.
+    tables
+        Tables with their titles.
+    is_folded
+        Whether tables are closed until the reader opens them.
+    """
+
+    title: str
+    sentences: tuple[str, ...] = ()
+    tone: str = ""
+    facts: tuple[tuple[str, str], ...] = ()
+    drawing: Illustration | None = None
+    pictures: tuple[Picture, ...] = ()
+    tables: tuple[Table, ...] = ()
+    is_folded: bool = False
+
+    def html(self) -> str:
+        """Return the HTML; all texts are escaped."""
+        return render("notebook.html", {"view": self}, FILTERS)
+
 
 _TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
 _CHART = (5.4, 3.3)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from mbdkit.base.files import check_suffix, replacing
 from mbdkit.figures.curves import require_rows
+from mbdkit.figures.player_data import film_data
+from mbdkit.plot.caption import caption
 from mbdkit.plot.film import write_gif, write_mp4
-from mbdkit.report.animation_page import write_html
+from mbdkit.report.templating import render
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-WRITERS: dict[str, Callable[[Run, Path], None]] = {".gif": write_gif, ".mp4": write_mp4, ".html": write_html}
 
 
 def animate(run: Run, path: str | os.PathLike[str]) -> Path:
@@ -40,3 +40,22 @@ def animate(run: Run, path: str | os.PathLike[str]) -> Path:
     with replacing(target) as temporary:
         WRITERS[target.suffix.lower()](run, temporary)
     return target
+
+
+def write_html(run: Run, target: Path) -> None:
+    """Write the page of a run."""
+    target.write_text(page(run), encoding="utf-8")
+
+
+def page(run: Run, numbers: int = 450_000) -> str:
+    """Return the page of a run.
+
+    Parameters
+    ----------
+    numbers
+        Approximate number of pose values in it, six bytes each; by default about three megabytes.
+    """
+    return render("animation.html", {"caption": caption(run), "films": [film_data(run, numbers)]})
+
+
+WRITERS: dict[str, Callable[[Run, Path], None]] = {".gif": write_gif, ".mp4": write_mp4, ".html": write_html}

@@ -1,24 +1,27 @@
-"""The answer of a run: largest force and torque of each joint, driver and force element, with time and error."""
+"""The answer of a run: largest forces of joints, force elements and beams, with times and errors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
-from mbdkit.figures.beam_curves import distributed_loads
-from mbdkit.figures.curves import BEYOND, Array, blocks
-from mbdkit.figures.page_model import Cell, Column, Section, Table
+from mbdkit.figures.beam_curves import bending_moments, distributed_loads, has_beams
+from mbdkit.figures.curves import BEYOND, Array, blocks, take
+from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
+from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table
+from mbdkit.plot.beams_plot import beam_peak
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 50
-"""Largest number of joints or force elements in a table, those with the largest forces."""
+"""Largest number of joints, force elements or beams in a table, those with the largest forces."""
 
 
 @dataclass(frozen=True)
@@ -204,3 +207,58 @@ def _of_forces(run: Run) -> Table:
     left = len(own) - len(rows)
     note = f"The {ROWS} of {len(own)} force elements with the largest values." if left else ""
     return Table("forces", "Force elements", tuple(columns), tuple(rows), note)
+
+
+def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
+    """Return the section on the beams of a run that has rows; None if it recorded none.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism of its spec; None if its model is not available.
+    """
+    if not has_beams(run):
+        return None
+    peaks = {name: beam_peak(run, name, "moment") for name in run.beams}
+    worst = max(peaks, key=lambda name: abs(np.nan_to_num(peaks[name].value)))
+    peak = peaks[worst]
+    sentence = (
+        f"The largest bending moment is {abs(peak.value):.4g} N m, in {worst} at {peak.place:.2g} of its length, at "
+        f"{peak.time:.4g} s. Values are those in the middle of the elements."
+    )
+    drawing = _bent(run, mechanism, peak.row) if np.isfinite(peak.value) else None
+    return Section("beams", "Beams", (sentence,), drawing, (_beam_table(run),))
+
+
+def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | None:
+    """Return the drawing of the mechanism in a row, its beams coloured by their bending moments."""
+    pose = take(run.dataset("trajectory/position"), np.array([row], dtype=np.intp))[0]
+    named = NamedPose.of(mechanism, list(run.bodies), pose, np.asarray(run.time)[row : row + 1])
+    moments = bending_moments(run, named.drawing.beams)
+    if moments is None:
+        return None
+    shown = replace(named, moments=moments[row])
+    caption = f"The mechanism at t = {run.time[row]:.6g} s. Beams are coloured by their bending moments."
+    return Illustration(
+        mechanism_svg(shown, WIDE),
+        mechanism_svg(shown, NARROW),
+        "Drawing of the mechanism with its bent beams",
+        caption,
+    )
+
+
+def _beam_table(run: Run) -> Table:
+    """Return the table of the largest internal forces and strain energy of each beam."""
+    columns = [Column("beam")]
+    for name, unit in (("bending moment", "N m"), ("shear force", "N"), ("axial force", "N")):
+        columns += [Column(f"largest {name}", unit), Column("at a share of the length"), Column("time", "s")]
+    columns.append(Column("largest strain energy", "J"))
+    rows: list[tuple[Cell, ...]] = []
+    for name, beam in list(run.beams.items())[:ROWS]:
+        cells: list[Cell] = [name]
+        for component in ("moment", "shear", "axial"):
+            peak = beam_peak(run, name, component)
+            cells += [peak.value, round(peak.place, 4), peak.time]
+        rows.append((*cells, float(np.max(beam.strain_energy))))
+    note = f"The first {ROWS} of {len(run.beams)} beams." if len(run.beams) > ROWS else ""
+    return Table("beams", "Internal forces of the beams", tuple(columns), tuple(rows), note)

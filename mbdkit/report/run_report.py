@@ -10,8 +10,7 @@ from mbdkit.figures.drawing_geometry import build_mechanism
 from mbdkit.figures.page_model import Cell, Column, Table
 from mbdkit.figures.player_data import film_data
 from mbdkit.plot.caption import caption
-from mbdkit.report.answer_section import answer_section
-from mbdkit.report.beam_section import beam_section
+from mbdkit.report.answer_section import answer_section, beam_section
 from mbdkit.report.load_frames import with_arrows
 from mbdkit.report.load_sections import inverse_sections
 from mbdkit.report.methods_used import methods

@@ -1,4 +1,4 @@
-"""General charts of a study: misalignment, error and cost against its axes and against each other."""
+"""General charts of a study: misalignment, error and cost against axes and each other, with guides of orders."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.figures.page_model import Axis, Column, Figure, Line
-from mbdkit.report.slope_guides import with_slope_guides
+from mbdkit.analysis.order import observed_order
+from mbdkit.figures.page_model import Axis, Column, Figure, Guide, Line
 from mbdkit.spec.key_words import key_words
 from mbdkit.studies.point_selection import METHOD, STEP, value
 from mbdkit.studies.study_point import axis_unit, value_words
@@ -204,3 +204,33 @@ def _of(family: str, title: str) -> str:
 
 def _slug(*words: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", "-".join(filter(None, words)).lower()).strip("-")
+
+
+_NEAR = 0.3
+"""Largest distance of an observed order from a whole number for which a guide is drawn."""
+_BELOW = 2.5
+"""Factor by which a guide lies below its curve."""
+
+
+def with_slope_guides(figure: Figure) -> Figure:
+    """Return a chart with a guide for each whole order that a curve over the step has; other charts are unchanged.
+
+    Parameters
+    ----------
+    figure
+        Any chart; one over the step has ``step`` as the label of its x axis.
+    """
+    if not (figure.x.log and figure.y.log and figure.x.label == "step"):
+        return figure
+    found: dict[int, Guide] = {}
+    for line in figure.lines:
+        order = observed_order(line.x, line.y)
+        whole = round(order.order) if order.found else 0
+        if whole < 1 or abs(order.order - whole) > _NEAR:
+            continue
+        ends = np.array([min(order.steps), max(order.steps)])
+        top = float(line.y[int(np.argmin(np.abs(line.x - ends[1])))]) / _BELOW
+        guide = Guide(f"order {whole}", ends, top * (ends / ends[1]) ** whole)
+        if whole not in found or guide.y[1] < found[whole].y[1]:
+            found[whole] = guide
+    return replace(figure, guides=(*figure.guides, *(found[order] for order in sorted(found))))

@@ -22,8 +22,7 @@ from mbdkit.report.report_page import NO_FAILURES, ReportPage
 from mbdkit.report.run_report import environment
 from mbdkit.report.run_verdict import mechanism_size
 from mbdkit.report.sample_figures import sample_figures, sample_tables
-from mbdkit.report.slope_guides import with_slope_guides
-from mbdkit.report.study_figures import OPERATIONS, measure_columns, study_figures
+from mbdkit.report.study_figures import OPERATIONS, measure_columns, study_figures, with_slope_guides
 from mbdkit.studies.judge import find_verdict, judge
 from mbdkit.studies.point_selection import value
 from mbdkit.studies.sample_groups import sample_groups

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from mbdkit.analysis.drift import worst_history
-from mbdkit.analysis.growth import growth_law
+from mbdkit.analysis.growth import growth_law, worst_history
 from mbdkit.analysis.order import observed_order
 from mbdkit.archive.run import Run
 from mbdkit.engine.formulation import FORMULATIONS

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.analysis.drift import worst_history
-from mbdkit.analysis.growth import Law, growth_law
+from mbdkit.analysis.growth import Law, growth_law, worst_history
 
 TIME = np.linspace(0.0, 100.0, 2001)
 ENVELOPES: dict[Law, np.ndarray] = {

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from mbdkit.inverse_dynamics.compute import InverseProblem, compute
+from mbdkit.inverse_dynamics.compute import InverseProblem, compute, recorded_states
 from mbdkit.inverse_dynamics.error_bars import error_bars
-from mbdkit.inverse_dynamics.result_states import recorded_states
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import load_inverse_spec, load_spec
 

@@ -15,7 +15,7 @@ from mbdkit.figures.drawing_geometry import draw_mechanism
 from mbdkit.figures.mechanism_drawing import NARROW, NamedPose, mechanism_svg
 from mbdkit.figures.palette import body_colors
 from mbdkit.figures.player_data import film_data
-from mbdkit.report.beam_section import beam_section
+from mbdkit.report.answer_section import beam_section
 from mbdkit.report.model_section import element_tables
 from mbdkit.report.run_report import mechanism_of
 

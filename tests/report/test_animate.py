@@ -13,8 +13,7 @@ from PIL import Image
 from mbdkit.base.errors import SpecError
 from mbdkit.figures.scene import nearest_rows, round_speed, scene
 from mbdkit.plot import film
-from mbdkit.report.animate import animate
-from mbdkit.report.animation_page import page
+from mbdkit.report.animate import animate, page
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> @@DATA@@ & \"q\""
 

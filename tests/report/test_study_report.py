@@ -9,7 +9,7 @@ import pytest
 from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.report.report import report
 from mbdkit.report.report_page import cell_text
-from mbdkit.report.slope_guides import with_slope_guides
+from mbdkit.report.study_figures import with_slope_guides
 from mbdkit.report.study_report import study_report
 from mbdkit.spec.key_words import key_words
 from mbdkit.studies.carry_out import load_study

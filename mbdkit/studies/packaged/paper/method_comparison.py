@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.analysis.cost import at_equal_work, work_for
-from mbdkit.analysis.drift import worst_history
-from mbdkit.analysis.growth import growth_law
+from mbdkit.analysis.growth import growth_law, worst_history
 from mbdkit.analysis.order import observed_order
 from mbdkit.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Column, Figure, Line, Table, together
 from mbdkit.figures.quantity_text import least_most
