@@ -35,7 +35,7 @@ FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
 OTHERS = [
     *(("gauss", {"stages": s}) for s in (1, 3, 4, 5, 6)),
     *(("radau-iia", {"stages": s}) for s in (2, 5)),
-    *((name, {}) for name in ("rk4", "dopri5", "scipy-dop853")),
+    *((name, {}) for name in ("rk4", "rk-gill", "dopri5", "scipy-dop853", "scipy-radau")),
 ]
 """Members of families of which others are verified as well."""
 EVERY = [pytest.param(*x, marks=[pytest.mark.slow] if x in OTHERS else []) for x in VARIANTS]
@@ -67,7 +67,9 @@ def test_every_model_of_mbdkit_is_verified(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [item.name for item in registry().only("mbdkit").of_kind("force-law")])
-@pytest.mark.parametrize("by_example", [True, False], ids=["by example", "as given"])
+@pytest.mark.parametrize(
+    "by_example", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["by example", "as given"]
+)
 def test_every_force_law_of_mbdkit_is_verified(name: str, by_example: bool) -> None:
     report = mbdkit.testing.check_force_law(f"mbdkit:{name}", {} if by_example else OPTIONS[name])
     assert report.verified, report.text()

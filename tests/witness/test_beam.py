@@ -189,7 +189,9 @@ METHODS: dict[str, tuple[dict[str, Any], int]] = {
 }
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == "gauss4" else [pytest.mark.slow]) for name in METHODS]
+)
 def test_beam_ends_at_the_published_digits_of_all_forty_links(name: str) -> None:
     # expected: the published end values; the corner of the force at t = pi falls on the end of a step
     integrator, steps_to_pi = METHODS[name]

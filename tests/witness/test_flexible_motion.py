@@ -159,6 +159,7 @@ def spinning_up(elements: int, nodes: Literal[2, 3], end: float) -> np.ndarray:
     return tip_of(run)
 
 
+@pytest.mark.slow
 def test_a_beam_that_is_spun_up_moves_as_reissners_equations_say() -> None:
     # expected: the equations, collocated at Chebyshev's points, while the tip lags most
     w = 2 * np.pi / 15

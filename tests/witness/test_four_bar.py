@@ -127,7 +127,9 @@ METHODS: dict[str, tuple[dict[str, Any], float]] = {
 
 
 @linkages
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in ("rk-gill", "gauss4") else []) for name in METHODS]
+)
 def test_a_four_bar_linkage_moves_as_in_its_minimal_coordinate_to_1e_9(linkage: FourBar, name: str) -> None:
     # expected: Eksergian's equation in the crank's angle by DOP853 at rtol 1e-13
     integrator, step = METHODS[name]

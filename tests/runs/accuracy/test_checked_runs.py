@@ -250,6 +250,7 @@ def test_a_study_shows_which_of_its_checked_runs_are_doubtful_or_bad(tmp_path: P
     assert "The error is known until" in frame["verdict_reasons"][1]
 
 
+@pytest.mark.slow
 def test_a_thin_leaf_is_checked_by_a_guard_on_the_index_2_equations() -> None:
     # adaptive steps on the index-1 equations become small without end; twice as fast as the packaged example
     spec = load_spec("leaf-spring").model_dump(mode="json")
