@@ -90,7 +90,7 @@ def test_two_plugins_of_one_name_are_told_apart_by_their_long_names(tmp_path):
     (tmp_path / "short.json").write_text(json.dumps(spec | {"model": {"name": "swing"}}))
     refused = mbdkit(tmp_path, "validate", "short.json")
     assert refused.returncode == 2
-    assert "claimed by other-kit 1.0 and swing-kit 1.0; write 'other-kit:swing' or 'swing-kit:swing'" in refused.stderr
+    assert "used by other-kit 1.0 and swing-kit 1.0; write 'other-kit:swing' or 'swing-kit:swing'" in refused.stderr
     (tmp_path / "long.json").write_text(json.dumps(spec | {"model": {"name": "swing-kit:swing"}}))
     assert mbdkit(tmp_path, "validate", "long.json").returncode == 0
 

@@ -198,9 +198,7 @@ def test_a_clash_is_an_error_that_names_both_distributions_and_long_ids_still_wo
             entry_point(lambda: offering([], [euler()]), "bolt", "3"),
         ]
     )
-    with pytest.raises(
-        SpecError, match=r"claimed by acme 2\.0 and bolt 3; write 'acme:euler' or 'bolt:euler'"
-    ) as caught:
+    with pytest.raises(SpecError, match=r"used by acme 2\.0 and bolt 3; write 'acme:euler' or 'bolt:euler'") as caught:
         loaded.get("integrator", "euler")
     assert caught.value.key == "integrator.name"
     assert loaded.get("integrator", "bolt:euler").origin.distribution == "bolt"
