@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbdkit.archive.layout import QUANTITIES
+from mbdkit.archive.layout import QUANTITIES, recorded_by
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending
+from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.names import ArchiveNames
 
@@ -94,7 +94,7 @@ def make_run() -> Iterator[MakeRun]:
             bodies, joints, constraints, ["m"] * len(constraints), [("ground", bodies[0])] * len(joints)
         )
         digest = hashlib.sha256(spec.encode()).hexdigest()
-        writer = ArchiveWriter(None, names, spec, digest, "a-run", {}, quantities=quantities)
+        writer = ArchiveWriter(None, names, Origin(spec, digest, "a-run", {}), arrays=recorded_by(names, quantities))
         writer.append({key: data[key] for key in writer.row_keys})
         largest = np.max(data["joints/misalignment"], axis=0, initial=0.0)
         file = writer.finish(Ending(status, reason, {"steps": max(0, rows - 1)}, largest))

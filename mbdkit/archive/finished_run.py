@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from hashlib import sha256
@@ -105,7 +105,7 @@ class ArrayWriter(RunWriter):
 
     Parameters
     ----------
-    names, quantities, extra_datasets
+    names, arrays
         See `RunWriter`.
     shared
         As for `ArchiveWriter`.
@@ -121,13 +121,12 @@ class ArrayWriter(RunWriter):
     def __init__(
         self,
         names: ArchiveNames,
+        arrays: tuple[Array, ...],
         *,
-        quantities: frozenset[str] = layout.QUANTITIES,
-        extra_datasets: Iterable[str] = (),
         shared: SharedForces | None = None,
         assembly: str = "",
     ):
-        super().__init__(names, quantities, extra_datasets)
+        super().__init__(names, arrays)
         self._shared, self._assembly = shared, assembly
         self._keys = {
             dim: tuple(dict.fromkeys(one.key for one in self.arrays if one.grows and one.dims[0] == dim))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -24,6 +24,7 @@ from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.run_header import open_archive
+from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.quantities.array import GROWING, Array
@@ -380,10 +381,7 @@ class ArrayContents(RunContents):
         writer = ArchiveWriter(
             None,
             finished.names,
-            heading.spec.canonical_json(),
-            heading.spec.sha256(),
-            heading.run_id,
-            self.header.provenance,
+            replace(Origin.of(heading.spec, self.header.provenance), run_id=heading.run_id),
             arrays=finished.layout,
             shared=finished.shared,
         )

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
+from typing import Protocol
 
 import h5py
 import numpy as np
@@ -65,6 +66,44 @@ class Ending:
             raise ValueError(f"a run ends as complete, failed or interrupted, not {self.status!r}")
 
 
+class AnySpec(Protocol):
+    """What an archive stores of a spec."""
+
+    def canonical_json(self) -> str:
+        """Return its canonical JSON."""
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of the UTF-8 bytes of its canonical JSON."""
+
+    def run_id(self) -> str:
+        """Return the name of its run."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The spec of a run, and where and how it was made.
+
+    Parameters
+    ----------
+    spec_json, spec_sha256
+        The canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
+    run_id
+        Unique name of the run.
+    provenance
+        Attributes of ``/provenance``: versions, platform, command.
+    """
+
+    spec_json: str
+    spec_sha256: str
+    run_id: str
+    provenance: Mapping[str, str | int | float]
+
+    @classmethod
+    def of(cls, spec: AnySpec, provenance: Mapping[str, str | int | float]) -> Origin:
+        """Return the origin of a run of a spec."""
+        return cls(spec.canonical_json(), spec.sha256(), spec.run_id(), provenance)
+
+
 @dataclass(frozen=True)
 class SharedForces:
     """Attributes of the archive of a mechanism with redundant joints.
@@ -95,29 +134,13 @@ class RunWriter(ABC):
     ----------
     names
         Names of bodies, joints and constraint rows.
-    quantities
-        Which of `layout.QUANTITIES` are recorded.
-    extra_datasets
-        Paths of the optional arrays to record, such as ``constraints/method_multiplier``.
     arrays
-        The arrays of the layout to record, instead of what the two arguments before choose.
-
-    Attributes
-    ----------
-    arrays
-        The arrays of the layout that the run records.
+        The arrays of the layout that the run records; by default, those of all quantities.
     """
 
-    def __init__(
-        self,
-        names: ArchiveNames,
-        quantities: frozenset[str],
-        extra_datasets: Iterable[str],
-        arrays: tuple[Array, ...] | None = None,
-    ):
+    def __init__(self, names: ArchiveNames, arrays: tuple[Array, ...] | None = None):
         self.names = names
-        chosen = layout.recorded_by(names, quantities, frozenset(extra_datasets))
-        self.arrays = chosen if arrays is None else arrays
+        self.arrays = layout.recorded_by(names, layout.QUANTITIES) if arrays is None else arrays
 
     @property
     @abstractmethod

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,7 +23,7 @@ from mbdkit.archive.hdf5_errors import cause
 from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import integrals_json
 from mbdkit.archive.part_file import LIBVER, Target
-from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_line
+from mbdkit.archive.run_writer import Ending, Origin, RunWriter, SharedForces, name_line
 from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
@@ -51,18 +51,10 @@ class ArchiveWriter(RunWriter):
         Final name, ending in ``.h5``; the file is written as ``.part`` until `finish`. None for an archive in memory.
     names
         Names of bodies, joints and constraint rows.
-    spec_json, spec_sha256
-        The canonical JSON of the spec, and the SHA-256 of its UTF-8 bytes.
-    run_id
-        Unique name of the run.
-    provenance
-        Attributes of ``/provenance``: versions, platform, command.
-    quantities
-        Which of `layout.QUANTITIES` are recorded.
-    extra_datasets
-        Paths of the optional arrays to record, such as ``constraints/method_multiplier``.
+    origin
+        The spec of the run, its name, and where and how it was made.
     arrays
-        The arrays of the layout to record, instead of what the two arguments before choose.
+        The arrays to record; by default, those of all quantities.
     overwrite
         Whether `finish` replaces an existing file.
     part
@@ -82,26 +74,21 @@ class ArchiveWriter(RunWriter):
         self,
         path: Path | None,
         names: ArchiveNames,
-        spec_json: str,
-        spec_sha256: str,
-        run_id: str,
-        provenance: Mapping[str, str | int | float],
+        origin: Origin,
         *,
-        quantities: frozenset[str] = layout.QUANTITIES,
-        extra_datasets: Iterable[str] = (),
         arrays: tuple[Array, ...] | None = None,
         overwrite: bool = False,
         part: Path | None = None,
         shared: SharedForces | None = None,
     ):
-        super().__init__(names, quantities, extra_datasets, arrays)
+        super().__init__(names, arrays)
         self._tables = {
             dim: Table(growing, names.sizes, self._write_more)
             for dim in GROWING
             if (growing := [array for array in self.arrays if array.dims[0] == dim])
         }
         self._shared = shared
-        self._provenance = dict(provenance)
+        self._provenance = dict(origin.provenance)
         self._lines: list[str] = []
         self._flushed: float | None = None
         self._kept = False
@@ -115,9 +102,9 @@ class ArchiveWriter(RunWriter):
         try:
             counted = len(names.bodies) + 2 * len(names.joints) + 4 * len(names.constraints)
             counted += 6 * len(names.forces) + 2 * len(names.markers) + 2 * len(names.elements)
-            text = len(spec_json) + 64 * counted
+            text = len(origin.spec_json) + 64 * counted
             with self._storing(), self._room(more=False, also=_ATTRIBUTE_BYTES + text):
-                self._write_head(spec_json, spec_sha256, run_id, provenance)
+                self._write_head(origin)
                 self._write_names()
         except BaseException:
             self.abandon()
@@ -249,9 +236,12 @@ class ArchiveWriter(RunWriter):
         else:
             self._target.drop()
 
-    def _write_head(self, spec: str, sha256: str, run_id: str, provenance: Mapping[str, str | int | float]) -> None:
+    def _write_head(self, origin: Origin) -> None:
         now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-        values = (layout.FORMAT, layout.FORMAT_VERSION, "running", "", run_id, now, spec, sha256, "")
+        values = (
+            layout.FORMAT, layout.FORMAT_VERSION, "running", "", origin.run_id, now, origin.spec_json,
+            origin.spec_sha256, "",
+        )  # fmt: skip
         for name, value in zip(layout.ROOT_ATTRIBUTES, values, strict=True):
             set_text(self._file, name, value)
         present = {array.group for array in self.arrays}
@@ -259,7 +249,7 @@ class ArchiveWriter(RunWriter):
             self._file.create_group(group)
         self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
         target = self._file["provenance"]
-        for name, entry in provenance.items():
+        for name, entry in origin.provenance.items():
             if isinstance(entry, str):
                 set_text(target, name, entry)
             else:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending
+from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
@@ -45,15 +45,12 @@ def archive_of(
     extra = [array.path for array in layout.LAYOUT if array.group in _groups(result)]
     if mechanism.solved_rows:
         extra.append("constraints/singularity_distance")
-    states, bars = recorded_states(result), error_bars(result)
+    states, bars, names = recorded_states(result), error_bars(result), _names(result)
     writer = ArchiveWriter(
         path,
-        _names(result),
-        spec.canonical_json(),
-        spec.sha256(),
-        spec.run_id(),
-        model_provenance(spec),
-        extra_datasets=extra,
+        names,
+        Origin.of(spec, model_provenance(spec)),
+        arrays=layout.recorded_by(names, layout.QUANTITIES, frozenset(extra)),
         overwrite=overwrite,
         shared=shared_forces(mechanism),
     )

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive import layout
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -30,7 +29,7 @@ from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.integrals import integrands_of
-from mbdkit.runs.preparation import caution, guards, make_method, optional_arrays, timetable
+from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
@@ -302,8 +301,7 @@ class _Group:
         self.stepper = _stepper(first, workspace)
         self.mechanism, self.joints = mechanism, joint_sums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)
-        extra = frozenset(optional_arrays(spec, first.method, mechanism))
-        self.layout = layout.recorded_by(self.names, spec.output.recorded, extra)
+        self.layout = recorded_arrays(spec, first.method, mechanism)
         self.row_keys = tuple(dict.fromkeys(one.key for one in self.layout if one.grows and one.dims[0] == "time"))
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows}
         self.hash = ArrayHash(self.names, self.layout)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CORRECTIONS, EVENTS
+from mbdkit.archive.layout import CORRECTIONS, EVENTS, recorded_by
 from mbdkit.base.errors import PluginError, SpecError, blaming, with_place
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -19,6 +19,7 @@ from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.methods.kinds import Method
+from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import corner_warnings, stops_of
 from mbdkit.runs.warnings import spec_warnings
@@ -134,15 +135,16 @@ def make_method(spec: RunSpec) -> Method:
     return method
 
 
-def optional_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> list[str]:
-    """Return the paths of the optional arrays of the layout that a run records."""
+def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:
+    """Return the arrays of the layout that a run records."""
     carries_multipliers = method.traits.carries_multipliers(FORMULATIONS[spec.formulation])
-    return [
+    optional = [
         *(["constraints/method_multiplier"] if carries_multipliers else []),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),
     ]
+    return recorded_by(archive_names(mechanism), spec.output.recorded, frozenset(optional))
 
 
 def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:

@@ -23,6 +23,7 @@ from mbdkit.archive.missing_plugins import check_plugins_of
 from mbdkit.archive.part_file import SUFFIX, check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.stranger_file import check_regular
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import ResourceError, SpecError
@@ -33,7 +34,7 @@ from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
-from mbdkit.runs.preparation import make_method, optional_arrays
+from mbdkit.runs.preparation import make_method, recorded_arrays
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import shared_forces
@@ -252,12 +253,8 @@ class _Unfinished:
         writer = ArchiveWriter(
             self.path,
             archive_names(workspace.mechanism),
-            spec.canonical_json(),
-            spec.sha256(),
-            spec.run_id(),
-            {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": shlex.join(sys.argv)},
-            quantities=spec.output.recorded,
-            extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+            Origin.of(spec, {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": shlex.join(sys.argv)}),
+            arrays=recorded_arrays(spec, method, workspace.mechanism),
             overwrite=self.overwrite,
             part=_replacement(self.part),
             shared=shared_forces(workspace.mechanism),

@@ -15,7 +15,7 @@ from typing import Unpack
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import RunWriter
+from mbdkit.archive.run_writer import Origin, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.interrupts import interrupts_noted
@@ -36,7 +36,7 @@ from mbdkit.runs.preparation import (
     caution,
     check_disk_space,
     make_method,
-    optional_arrays,
+    recorded_arrays,
 )
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
@@ -261,24 +261,19 @@ def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path |
     return ArchiveWriter(
         path,
         archive_names(workspace.mechanism),
-        spec.canonical_json(),
-        spec.sha256(),
-        spec.run_id(),
-        {**provenance(spec), "assembly": assembled.describe()},
-        quantities=spec.output.recorded,
-        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+        Origin.of(spec, {**provenance(spec), "assembly": assembled.describe()}),
+        arrays=recorded_arrays(spec, method, workspace.mechanism),
         overwrite=overwrite,
         shared=shared_forces(workspace.mechanism),
     )
 
 
 def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
-    """Return a writer that keeps the rows of a run in memory."""
+    """Return what keeps the rows of a run in memory."""
     workspace, assembled = start
     return ArrayWriter(
         archive_names(workspace.mechanism),
-        quantities=spec.output.recorded,
-        extra_datasets=optional_arrays(spec, method, workspace.mechanism),
+        recorded_arrays(spec, method, workspace.mechanism),
         shared=shared_forces(workspace.mechanism),
         assembly=assembled.describe(),
     )

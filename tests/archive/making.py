@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.run_writer import Ending
+from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.names import ArchiveNames
 
@@ -81,12 +81,21 @@ def steps(count: int, start: int = 0) -> dict[str, np.ndarray]:
 
 
 def writer(
-    path: Path | None, named: ArchiveNames | None = None, spec: dict[str, Any] | None = None, **options: Any
+    path: Path | None,
+    named: ArchiveNames | None = None,
+    spec: dict[str, Any] | None = None,
+    *,
+    run_id: str = "run-1",
+    provenance: Mapping[str, str | int | float] = PROVENANCE,
+    quantities: frozenset[str] = layout.QUANTITIES,
+    extra_datasets: Iterable[str] = (),
+    **options: Any,
 ) -> ArchiveWriter:
     """Return a writer for a made-up run."""
     text = json.dumps(SPEC if spec is None else spec, sort_keys=True, separators=(",", ":"))
-    options = {"run_id": "run-1", "provenance": PROVENANCE, **options}
-    return ArchiveWriter(path, named or names(), text, hashlib.sha256(text.encode()).hexdigest(), **options)
+    origin = Origin(text, hashlib.sha256(text.encode()).hexdigest(), run_id, provenance)
+    arrays = layout.recorded_by(named or names(), quantities, frozenset(extra_datasets))
+    return ArchiveWriter(path, named or names(), origin, arrays=arrays, **options)
 
 
 def fill(
