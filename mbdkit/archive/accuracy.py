@@ -1,4 +1,4 @@
-"""Estimated errors of a run: the group ``/accuracy``, and the figures that summary and verdict take from it."""
+"""Estimated errors of a run: the group ``/accuracy``, and the numbers derived from it for summary and verdict."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 
 SMALL_FORCE = 1e-9
-"""Joints whose largest force is below this share of the largest of all joints carry rounding errors only."""
+"""The force of a joint counts as rounding errors below this share of the largest force of all joints."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class JointAccuracy:
     error
         Its largest estimated error up to then [N]; nan if nothing is known.
     share
-        `error` over `peak_known`; over that of the joint with the largest if this one carries rounding errors only.
+        `error` divided by `peak_known`, or by that of the joint with the largest force if the force of this joint is a
+        rounding error.
     """
 
     name: str
@@ -98,11 +99,11 @@ class Accuracy:
     check_s
         Duration of the check [s].
     asked
-        Accuracy of positions that was asked (`accuracy` of the spec), as a share of the mechanism's size; nan if none.
+        Requested accuracy of positions (`accuracy` of the spec), as a share of the mechanism's size; nan if none.
     reached
-        Largest estimated error of positions in the same measure, up to `known_until`; nan if unknown or none was asked.
+        Largest estimated error of positions in the same measure, up to `known_until`; nan if unknown or not requested.
     chosen, why
-        Method and step that were chosen for it, and the reason; empty if none was asked.
+        Method and step that were chosen for it, and the reason; empty if no accuracy was requested.
     """
 
     time: np.ndarray
@@ -121,7 +122,7 @@ class Accuracy:
 
     @property
     def is_reached(self) -> bool:
-        """Whether an accuracy was asked, and the estimates confirm it for all rows."""
+        """Whether an accuracy was requested, and the estimates confirm it for all rows."""
         return self.is_complete and self.reached <= self.asked
 
     @property

@@ -29,7 +29,7 @@ from mbdkit.trust.criteria import LEVELS
 
 @dataclass(frozen=True)
 class Checked:
-    """What a check of an archive found.
+    """The result of a check of an archive.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ def check(path: str | Path) -> list[str]:
 
 
 def examine(path: str | Path) -> Checked:
-    """Check a run archive as `check` does, or a block of runs, and tell what its hashes cover."""
+    """Check a run archive as `check` does, or a block of runs, and determine what its hashes cover."""
     path = Path(path)
     try:
         file = open_archive(path)
@@ -69,14 +69,14 @@ def examine(path: str | Path) -> Checked:
 
 
 def _examined_block(path: Path) -> Checked | None:
-    """Return the result for a block of runs; None if the file is none that can be read."""
+    """Return the result for a block of runs; None if the file is not a readable block."""
     try:
         with Block(path) as block:
             sound = block.is_sound()
     except (SpecError, FileNotFoundError):
         return None
     return Checked(
-        [] if sound else ["its arrays, attributes or dimension scales are not those that were written"], True
+        [] if sound else ["its arrays, attributes or dimension scales have changed since they were written"], True
     )
 
 
@@ -87,7 +87,7 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
     Raises
     ------
     SpecError
-        In place of an error that is no MbdkitError, with the first problem that `check` finds.
+        In place of an error that is not an MbdkitError, with the first problem found by `check`.
     """
     try:
         yield
@@ -160,7 +160,7 @@ class _Checker:
         return self.found
 
     def say(self, sentence: str) -> None:
-        self.found.append(shown(sentence))  # names and values are from outside
+        self.found.append(shown(sentence))  # names and values come from the file
 
     @contextlib.contextmanager
     def reading(self, what: str) -> Iterator[None]:

@@ -352,7 +352,7 @@ def _structure(result: FinishedRun) -> tuple[str, str, str]:
 
 
 def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
-    """Return whether two runs share their structure, without comparing what is in it."""
+    """Return whether two runs share their structure object (its contents are not compared)."""
     return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
 
 

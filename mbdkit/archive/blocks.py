@@ -41,7 +41,7 @@ class Block:
     Parameters
     ----------
     path
-        The file, which a stranger may have made.
+        The file, which may be untrusted.
 
     Raises
     ------
@@ -171,7 +171,7 @@ class Block:
             yield Run(self._contents(int(numbers[0]), replace(first, arrays=rows))), numbers, rows.counts
 
     def _contents(self, number: int, finished: FinishedRun) -> ArrayContents:
-        """Return the contents of a run: its results, with what the block says about its spec and origin."""
+        """Return the contents of a run: its results, with its spec and origin as stored in the block."""
         row, spec = self.row(number), self.spec(number)
         with reading(f"run {number}", self.path, hint=_HINT):
             common = {name: _plain(value) for name, value in self.file["provenance"].attrs.items()}

@@ -1,8 +1,9 @@
-"""``FILE.h5.part.checkpoint``: the state from which a killed run continues, and where the ``.part`` has its rows.
+"""``FILE.h5.part.checkpoint``: the state from which a killed run continues, and the location of its rows in the
+``.part``.
 
 HDF5 keeps no journal: if a process is killed while HDF5 rearranges its tables, HDF5 may be unable to read the file. A
-checkpoint therefore says at which bytes the rows are, and has all else that the run needs. HDF5 never moves rows, and
-rows after the checkpoint change no byte of those before it, so that these can be read without the help of HDF5.
+checkpoint therefore contains the byte offsets of the rows, and all other data that the run needs. HDF5 never moves
+rows, and rows after the checkpoint do not change those before it, so that these can be read without HDF5.
 
 A checkpoint begins with its SHA-256. Its values are stored as JSON, with the content of the arrays behind it.
 """
@@ -36,7 +37,7 @@ _KINDS = frozenset({"<f8", "<i8", "<c16", "|u1"})
 
 @dataclass(frozen=True)
 class StoredRows:
-    """Where a ``.part`` has the rows of an array that grows.
+    """Location in a ``.part`` of the rows of a growing array.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ class StoredRows:
     offsets
         First byte of each chunk in the file.
     texts
-        The rows themselves if they are strings, whose places in the file HDF5 alone knows.
+        The rows themselves if they are strings, whose locations in the file are internal to HDF5.
     """
 
     row_shape: tuple[int, ...]
@@ -57,7 +58,7 @@ class StoredRows:
 
     @classmethod
     def of(cls, dataset: h5py.Dataset) -> StoredRows:
-        """Return the places of the rows of a flushed array."""
+        """Return the locations of the rows of a flushed array."""
         if h5py.check_string_dtype(dataset.dtype) is not None:
             return cls((), 1, np.zeros(0, np.int64), tuple(dataset.asstr()[:]))
         places: list[tuple[int, int]] = []
@@ -84,7 +85,7 @@ class StoredRows:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a run needs to continue.
+    """The data from which a run continues.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ class Checkpoint:
     lines
         The lines of these rows for `data_sha256`, sorted.
     arrays
-        Where the rows are, by path of the array.
+        Locations of the rows, by path of the array.
     state
         Nested mappings and lists of arrays, numbers, strings and None.
     """
@@ -186,10 +187,10 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
-    """Return the places of rows from their stored values; raise ValueError if they are none."""
+    """Return the locations of rows from their stored values; raise ValueError if these are invalid."""
     offsets, shape = values["offsets"], tuple(map(int, values["row_shape"]))
     if offsets.dtype != np.int64 or offsets.ndim != 1 or min(shape, default=0) < 0:
-        raise ValueError("not the places of rows")
+        raise ValueError("not the locations of rows")
     return StoredRows(shape, int(values["chunk_rows"]), offsets, tuple(map(str, values["texts"])))
 
 
@@ -226,7 +227,7 @@ def _without_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
 
 
 def _with_arrays(value: Any, reader: _Reader) -> Any:
-    """Return a state from JSON values, with its arrays in the order in which `_without_arrays` met them."""
+    """Return a state from JSON values, with its arrays in the order in which `_without_arrays` appended them."""
     match value:
         case dict():
             if value.keys() == {_ARRAY}:

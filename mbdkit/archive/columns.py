@@ -1,7 +1,7 @@
 """Columns of tables with one row per run: numbers, texts and hashes, written and read as whole arrays.
 
-A column of texts is stored as numbers and the different texts they stand for, because in tables of runs few texts
-differ; the attribute `texts` of the numbers names the array of texts. A column of hashes is an array of bytes.
+A column of texts is stored as indices into an array of the distinct texts, because in tables of runs few texts differ;
+the attribute `texts` of the numbers names the array of texts. A column of hashes is an array of bytes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.quantities.array import TEXT, Array
 
 _LEVEL = 4
-"""Of deflate; higher ones take longer, and make results smaller by a few per cent only."""
+"""Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent."""
 
 SMALL = 4096
 """Arrays with fewer bytes are not compressed."""
@@ -97,7 +97,7 @@ def _coded(values: Sequence[str] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _plan(values: np.ndarray | Sequence[str], array: Array) -> h5p.PropDCID | None:
-    """Return the compression of an array; None if it is empty or so small that compression would not pay."""
+    """Return the compression of an array; None if it is empty or too small for compression."""
     shape, size = np.shape(values), np.dtype(array.dtype).itemsize
     if not np.prod(shape) or np.prod(shape) * size < SMALL:
         return None

@@ -43,7 +43,7 @@ class Comparison:
     versions
         Provenance attributes that differ, except the command, with the values of the first and the second run.
     falsified
-        A sentence for each stored hash that does not match what its run holds; empty if all match.
+        A sentence for each stored hash that does not match the contents of its run; empty if all match.
     left_out
         Arrays that only one run has, because the format of the other archive is older; they are not compared.
     formats
@@ -85,7 +85,7 @@ class Comparison:
         lines += [
             f"{name}: {first or 'none'} and {second or 'none'}" for name, (first, second) in self.versions.items()
         ]
-        return "\n".join(map(shown, lines))  # names and values are from outside
+        return "\n".join(map(shown, lines))  # names and values come from the file
 
 
 def compare(first: Run, second: Run) -> Comparison:

@@ -81,7 +81,7 @@ def data_sha256(file: h5py.File) -> str:
 
 
 def attributes_sha256(file: h5py.File) -> str:
-    """Return the hash of all that `data_sha256` leaves out: attributes, timings and estimated errors."""
+    """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors."""
     lines = []
     for item in (file, *objects(file)):
         path = item.name.lstrip("/")

@@ -39,7 +39,7 @@ class FinishedRun:
     shared
         Description of the reactions of redundant joints; None without them.
     status, reason
-        ``complete``, ``failed`` or ``interrupted``, and why.
+        ``complete``, ``failed`` or ``interrupted``, and the reason.
     stats
         Counters and times [s].
     misalignment_max
@@ -76,7 +76,7 @@ class FinishedRun:
 
     @property
     def ending(self) -> Ending:
-        """How the run has ended."""
+        """The way in which the run has ended."""
         return Ending(
             self.status,
             self.reason,

@@ -226,8 +226,8 @@ class BeamHistory(View, of="beams"):
     """Shape, internal forces and strain energy of one beam.
 
     Internal forces are those in the middle of each element, in the frame of the cross-section, whose x axis is the
-    tangent: what the part towards the end b exerts on the part towards the end a. The moment is positive where it
-    increases the angle along the beam.
+    tangent: the force and moment that the part on the side of end b exerts on the part on the side of end a. The moment
+    is positive where it increases the angle along the beam.
     """
 
     @property
@@ -249,7 +249,7 @@ class BeamHistory(View, of="beams"):
 
 
 class ObservedHistory(View, of="motion"):
-    """One observed quantity of a measured motion: as measured, and as the fitted mechanism has it."""
+    """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
 
     units: str
 

@@ -29,7 +29,9 @@ class Needed:
 
     @property
     def advice(self) -> str:
-        """What to install, as a clause. No command: the names are those of whoever made the archive."""
+        """What to install, as a clause. It contains no command, because the names come from the archive, which may be
+        untrusted.
+        """
         return (
             f"install the distribution that the archive names, {shown(self.distribution)} {shown(self.version)}, "
             "if you trust both"

@@ -100,12 +100,12 @@ class Target:
         self.path = check_target(path, overwrite=overwrite)
         self.part = part_path(path) if part is None else part
         self.overwrite = overwrite
-        self.is_kept = False  # whether `drop` leaves the .part
+        self.is_kept = False  # whether `drop` keeps the .part
         self._torn = False  # whether a write is in progress or has failed halfway
         self.file = self._create()
         self._handle: int | None = os.open(self.part, os.O_RDWR)
         self._lock()
-        remove_checkpoint(self.part)  # of an earlier file of this name
+        remove_checkpoint(self.part)  # removes that removes that of an earlier file of this name
 
     def _create(self) -> h5py.File:
         # Exclusive creation: if two runs start at the same time, only one of them can create the .part.

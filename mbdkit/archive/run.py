@@ -97,10 +97,10 @@ class Run(HtmlView):
 
     @property
     def verdict(self) -> Level:
-        """How far the results can be trusted: ``good``, ``unknown``, ``doubtful`` or ``bad``.
+        """The verdict on the results: ``good``, ``unknown``, ``doubtful`` or ``bad``.
 
         ``good`` needs an estimate of the error. ``unknown`` means that nothing suspicious was seen. Runs that crashed
-        and archives of versions that did not judge runs are ``unknown`` as well, see `is_judged`.
+        and archives of versions without verdicts are ``unknown`` as well, see `is_judged`.
         """
         return next((level for level in LEVELS if level == self._header.verdict), "unknown")
 
@@ -117,7 +117,7 @@ class Run(HtmlView):
     @property
     def warnings(self) -> list[str]:
         """Warnings about the spec and the run, as sentences."""
-        before = self.provenance.get("warning")  # where earlier versions wrote it
+        before = self.provenance.get("warning")  # location in archives of earlier versions
         return [*self._header.warnings, *([str(before)] if before else [])]
 
     @property
@@ -329,7 +329,8 @@ class Run(HtmlView):
 
     @property
     def raw_misalignment(self) -> np.ndarray:
-        """Misalignment of each joint if the measured data alone place the bodies, (T, J) [m]; nan where they do not.
+        """Misalignment of each joint if the bodies are placed by the measured data alone, (T, J) [m]; nan where
+        undetermined.
 
         Raises
         ------

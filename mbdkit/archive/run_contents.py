@@ -1,4 +1,4 @@
-"""What a `Run` reads: the contract, and its two implementations, an archive in HDF5 and arrays in memory."""
+"""The contents of a `Run`: the interface, and its two implementations, an archive in HDF5 and arrays in memory."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NAMES = tuple(
 
 @dataclass(frozen=True, eq=False)
 class Header:
-    """What is known of a run without its arrays.
+    """The data of a run except its arrays.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Header:
 
 
 class RunContents(ABC):
-    """What a `Run` reads; it checks nothing that its contents guarantee.
+    """The interface through which a `Run` reads its data; `Run` relies on its guarantees without further checks.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ class ArchiveContents(RunContents):
 
 @dataclass(frozen=True)
 class Heading:
-    """What the archive of a run says about its spec and its origin.
+    """Spec and origin of a run.
 
     Parameters
     ----------

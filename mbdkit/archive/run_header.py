@@ -1,4 +1,6 @@
-"""Opens the file of a run archive, and checks what is read first so that later reading finds what it needs."""
+"""Opens the file of a run archive, and checks the header so that later reading cannot fail because of missing
+entries.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,7 @@ LONGEST = 1_000
 
 
 def check_shapes(file: h5py.File) -> None:
-    """Raise ValueError if an array of the layout has another type or shape than its axes say."""
+    """Raise ValueError if an array of the layout has a type or shape that contradicts its axes."""
     lengths: dict[str, int] = {}
     crashed = file.attrs.get("status") == "running"  # between two flushes, so arrays may have different numbers of rows
     for path in ("trajectory/body", "joints/joint"):
@@ -133,7 +135,7 @@ def names(file: h5py.File, path: str) -> tuple[str, ...]:
 
 
 def misalignments(file: h5py.File) -> np.ndarray | None:
-    """Return the largest misalignment of each joint, or None if there is none; raise ValueError if it does not fit."""
+    """Return the largest misalignment of each joint, or None if there is none; raise ValueError if it is invalid."""
     largest = file["joints"].attrs.get("misalignment_max")
     if largest is not None and (
         largest.shape != file["joints/joint"].shape or not np.issubdtype(largest.dtype, np.floating)

@@ -52,7 +52,7 @@ def summary(run: Run) -> str:
 
 
 def summary_lines(run: Run) -> list[tuple[str, str]]:
-    """Return the lines of the summary of a run, each with its label; a line that continues another has none."""
+    """Return the lines of the summary of a run, each with its label; continuation lines have none."""
     spec = run.spec
     lines = [
         *verdict_lines(run),
@@ -98,7 +98,7 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
         The run, complete or not.
     """
     if not run.is_judged:
-        why = "the run did not end" if run.status == "running" else "written by a version that did not judge runs"
+        why = "the run did not end" if run.status == "running" else "written by a version without verdicts"
         return [("verdict", f"unknown: {why}")]
     first, *others = run.verdict_reasons or [without_suspicion(run)]
     return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
@@ -159,7 +159,7 @@ def corrections(run: Run) -> str:
 
 
 def accuracy_sentence(run: Run) -> str:
-    """Return a sentence on the estimated errors of a run: the largest reaction, or position, and how well it is known.
+    """Return a sentence on the estimated errors of a run: the largest reaction, or position, and its error.
 
     Parameters
     ----------
@@ -187,12 +187,17 @@ def accuracy_sentence(run: Run) -> str:
 
 
 def _error_bars(run: Run) -> str:
-    """Return a sentence on the error bar of the largest reaction force of inverse dynamics; empty if none was asked."""
+    """Return a sentence on the error bar of the largest reaction force of inverse dynamics; empty if it was not
+    requested.
+    """
     accuracy = run.accuracy
     if accuracy is None:
         if run.spec.get("motion", {}).get("errors") == "none":
             return ""
-        return "errors unknown: no smoothed residuals tell the noise of the data; state the `deviation` of each column"
+        return (
+            "errors unknown: the noise cannot be estimated from residuals of a smoothed motion; state the "
+            "`deviation` of each column"
+        )
     size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
     if not size.size:
         return ""
@@ -203,7 +208,8 @@ def _error_bars(run: Run) -> str:
 
 
 def asked_sentence(run: Run) -> str:
-    """Return sentences on the accuracy that was asked, the one reached, and the choice; empty if none was asked.
+    """Return sentences on the requested accuracy, the one reached, and the choice of method; empty if none was
+    requested.
 
     Parameters
     ----------
@@ -337,7 +343,7 @@ def _fit(run: Run) -> str:
 
 
 def _raw_misalignment(run: Run) -> str:
-    """Return the largest misalignment of the measured data; empty if they determine no gap."""
+    """Return the largest misalignment of the measured data; empty if they do not determine any."""
     if not run.records("motion/raw_misalignment"):
         return ""
     gaps = run.raw_misalignment

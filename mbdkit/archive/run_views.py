@@ -1,4 +1,4 @@
-"""`Run.plot` and `Run.animate`: what a run offers that rooms above this one draw."""
+"""`Run.plot` and `Run.animate`: methods of a run that are implemented in higher rooms."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ class RunWriter(ABC):
         Parameters
         ----------
         ending
-            What is known at the end. This method adds ``finish_s`` to its `stats`, the time that it takes itself up to
+            Results known at the end. This method adds ``finish_s`` to its `stats`, the time that it takes itself up to
             the renaming.
         measured
             Takes the measures of the run from the file, in which all else is written, and returns the attribute

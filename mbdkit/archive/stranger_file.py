@@ -1,7 +1,7 @@
-"""Opens HDF5 files that a stranger may have made, and refuses what could do harm before any of it is read.
+"""Opens untrusted HDF5 files, and refuses harmful contents before anything is read.
 
-HDF5 follows external links, external storage and virtual datasets to other files, and allocates what a file declares.
-An archive is a tree of groups and arrays of numbers and strings, whose values are in the file.
+HDF5 follows external links, external storage and virtual datasets to other files, and allocates memory as declared in
+the file. An archive is a tree of groups and arrays of numbers and strings, whose values are in the file.
 """
 
 from __future__ import annotations
@@ -189,7 +189,9 @@ class _Inspection:
                 raise self.refused(f"{place} has {number:,} strings that may be too large for the memory")
 
     def largest_heap(self) -> int:
-        """Return the size of the largest collection of strings [bytes]; the file is searched for their signature."""
+        """Return the size of the largest string collection (global heap) [bytes], by searching the file for its
+        signature.
+        """
         largest = 0
         with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
             at = content.find(b"GCOL")
@@ -201,7 +203,7 @@ class _Inspection:
     def kind(self, place: str, kind: h5t.TypeID, space: h5s.SpaceID) -> bool:
         """Return whether values are strings; refuse those that are neither strings nor numbers."""
         if space.get_simple_extent_type() == h5s.NULL:
-            raise self.refused(f"{place} has no values, not even none of a number")
+            raise self.refused(f"{place} has no values and no type of number")
         if isinstance(kind, h5t.TypeStringID):
             if not kind.is_variable_str() and kind.get_size() > FIXED:
                 raise self.refused(f"{place} has strings of the fixed length {kind.get_size():,}")

@@ -209,10 +209,10 @@ class ArchiveWriter(RunWriter):
                 if ending.integrals:
                     set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
                 file.flush()
-                file.attrs.modify("status", ending.status)  # after all that it declares valid
+                file.attrs.modify("status", ending.status)  # written last, because it declares everything else valid
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
-                # read back from the file, so that it covers attributes and arrays by whatever way they were written
+                # read back from the file, so that it covers all attributes and arrays
                 set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file))
             if self._target is None:
                 self._end(started)

@@ -38,9 +38,9 @@ def _columns(value: Any, key: str = "") -> Any:
 class AngleTable(Table):
     """A function of the relative angle, given by points and interpolated by a cubic or quintic spline.
 
-    The joint must be within the table at the start of a run. Where it leaves the table later, the outer pieces continue
-    the curve, and the run has a warning. Steps do not end at the points: the third derivative of a cubic spline jumps
-    there, and the fifth one of a quintic spline, which methods of higher order notice.
+    The joint must be within the table at the start of a run. If it leaves the table later, the first or last polynomial
+    is extrapolated, with a warning. Steps do not end at the points: the third derivative of a cubic spline and the
+    fifth one of a quintic spline are discontinuous there, which reduces the accuracy of methods of higher order.
     """
 
     COLUMNS: ClassVar[str] = "[[angle, ...], [value, ...]]"
@@ -120,7 +120,8 @@ def expression_of(text: str) -> Expression:
     program = tuple(AngleCompiler(text).program())
     if kinks := sorted({name for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch}):
         raise AngleExpressionError(
-            f"{listed(kinks, 'and')} cannot be used here: a derivative jumps, and a center must move smoothly"
+            f"{listed(kinks, 'and')} cannot be used here: a derivative is discontinuous, but a center must move "
+            f"smoothly"
         )
     depth = max(depth_of(program), depth_of(derivative_of(program)))
     if depth > MAX_DEPTH:

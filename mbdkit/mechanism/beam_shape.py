@@ -1,4 +1,4 @@
-"""Shapes of beams without stress: places on a curve at given arc lengths, and the shape functions of elements."""
+"""Stress-free shapes of beams: points of a curve at given arc lengths, and the shape functions of elements."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ QUADRATURE = 16
 """Points of the Gauss quadrature of the arc length between two given points."""
 
 NEWTON_STEPS = 8
-"""Newton steps for the place of a node on a curve; the first guess is off by a small part of a piece."""
+"""Number of Newton steps for the position of a node on a curve; the initial guess is accurate to a small part of a
+piece."""
 
 
 class Place(NamedTuple):
-    """A place on a curve: position (x, y) [m] and angle of the tangent from the +x axis [rad], which is not wrapped."""
+    """A point of a curve: position (x, y) [m] and angle of the tangent from the +x axis [rad], not wrapped."""
 
     x: float
     y: float
@@ -45,22 +46,22 @@ INTEGRATION = {
     2: (IntegrationPoint((0.5, 0.5), (-1.0, 1.0), 1.0),),
     3: (_quadratic(-1.0 / math.sqrt(3.0)), _quadratic(1.0 / math.sqrt(3.0))),
 }
-"""Integration points of elements by their number of nodes. Their number is one less than would be exact for the energy
-of shear, which keeps slender elements from being too stiff in bending (shear locking)."""
+"""Integration points of elements by their number of nodes. Their number is one less than needed for exact integration
+of the shear energy, which prevents slender elements from being too stiff in bending (shear locking)."""
 
 NODE_SHARES = {2: (0.5, 0.5), 3: (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)}
 """Share of an element's mass and load at each of its nodes, by their number: trapezoidal rule, Simpson's rule."""
 
 
 def straight(a: Sequence[float], b: Sequence[float], count: int) -> list[Place]:
-    """Return `count` equidistant places on the line from `a` to `b`, both (x, y) [m]."""
+    """Return `count` equidistant points of the line from `a` to `b`, both (x, y) [m]."""
     angle = math.atan2(b[1] - a[1], b[0] - a[0])
     parts = [i / (count - 1) for i in range(count)]
     return [Place((1.0 - t) * a[0] + t * b[0], (1.0 - t) * a[1] + t * b[1], angle) for t in parts]
 
 
 def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], float]:
-    """Return `count` places at equal arc lengths on the curve through points, and the length of the curve [m].
+    """Return `count` points at equal arc lengths on the curve through given points, and the length of the curve [m].
 
     The curve is a cubic spline over the length of the polygon through the points, with the condition "not-a-knot" at
     its ends; a parabola through three points.
@@ -68,7 +69,7 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
     Parameters
     ----------
     points
-        Three or more points (x, y) [m], neighbours at different places.
+        Three or more points (x, y) [m]; neighbours must differ.
     """
     from scipy.interpolate import CubicSpline
 

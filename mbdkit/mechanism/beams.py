@@ -18,7 +18,7 @@ from mbdkit.mechanism.forces import PointForce
 from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point, Positive, Table, sequence
 
 SHEAR_SHARE = 1e-6
-"""Share of the deflection of a cantilever with a force at its end that shear causes in a beam with ``shear: none``."""
+"""Share of shear in the deflection of a cantilever with a force at its end, for a beam with ``shear: none``."""
 
 MOST_ELEMENTS = 20_000
 """Largest number of elements of a beam."""
@@ -28,7 +28,7 @@ Start = Annotated[tuple[Number, Number, Number], BeforeValidator(sequence)]
 
 
 class BeamStiffness(StrictModel):
-    """Stiffnesses of the cross-section of a beam; what is left out follows from `E`, `G`, `A` and `I`."""
+    """Stiffnesses of the cross-section of a beam; omitted ones follow from `E`, `G`, `A` and `I`."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("axial", "shear", "bending")
 
@@ -61,9 +61,9 @@ class BeamSection(NamedTuple):
     shape, slope
         Values of the shape functions of the nodes, and their derivatives by the arc length [1/m].
     length
-        Length of beam that the cross-section stands for [m].
+        Length of the part of the beam that the cross-section represents [m].
     reference
-        Axial strain plus 1, shear strain and curvature [1/m] without stress.
+        Axial strain plus 1, shear strain and curvature [1/m] of the stress-free beam.
     """
 
     element: int
@@ -143,7 +143,7 @@ class Beam(StrictModel):
             if not np.all(np.isfinite(self.places)):
                 raise SpecError("the curve through them turns back sharply; add points between", key="points")
             if not math.isfinite(self.highest_frequency):
-                raise SpecError("its stiffness is too large, or its mass or length too small, for numbers")
+                raise SpecError("its stiffness is too large, or its mass or length too small, for double precision")
         if self.start is not None and len(self.start) != self.node_count:
             raise SpecError(
                 f"should have x, y and angle of each of the {self.node_count} nodes, not {len(self.start)} rows",
@@ -250,7 +250,7 @@ class Beam(StrictModel):
 
     @property
     def places(self) -> list[Place]:
-        """Place of every node without stress."""
+        """Position of every node of the stress-free beam."""
         return self._shape[0]
 
     @property
@@ -269,7 +269,7 @@ class Beam(StrictModel):
 
     @property
     def node_lengths(self) -> list[float]:
-        """Length of beam whose mass and load each node has [m]."""
+        """Length of the part of the beam whose mass and load are assigned to each node [m]."""
         lengths = [0.0] * self.node_count
         for element in range(self.elements):
             for i, share in enumerate(NODE_SHARES[self.nodes]):
@@ -299,7 +299,8 @@ class Beam(StrictModel):
             }
         except ValidationError:
             raise SpecError(
-                "the masses, moments of inertia or velocities of its nodes are zero, negative or too large for numbers",
+                "the masses, moments of inertia or velocities of its nodes are zero, negative or too large for "
+                "double precision",
                 key=f"beams.{name}",
             ) from None
 

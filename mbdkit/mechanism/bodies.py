@@ -20,7 +20,7 @@ from mbdkit.mechanism.values import BodyPair, Motion, Number, Point, Points, Pos
 GROUND = "ground"
 
 ON_POINT_MASS = 1e-9
-"""A global point counts as the place of a point mass within this distance, relative to the largest coordinate."""
+"""Distance, relative to the largest coordinate, within which a global point counts as the position of a point mass."""
 
 Attachment = tuple[str, str, tuple[float, float]]
 """Key in the spec, body name, and point in the body's frame [m]."""
@@ -90,7 +90,7 @@ class Element(StrictModel):
         Raises
         ------
         SpecError
-            With a key path below `key`, if a point mass is held at a point where it is not.
+            With a key path below `key`, if an element is attached to a point mass at another point than its position.
         """
         return self
 
@@ -231,14 +231,14 @@ class BetweenPoints(Between):
 
 
 class At(BetweenPoints):
-    """An element whose two points are at one place at the start."""
+    """An element whose two points coincide at the start."""
 
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["points"]}, {"required": ["at"]}]})
     GLOBAL: ClassVar[tuple[str, ...]] = ("at",)
 
     at: Point | None = None
-    """Instead of `points`: the place of both points (x, y) [m] in the global frame, at the initial positions as given
-    (before assembly)."""
+    """Instead of `points`: the common position of both points (x, y) [m] in the global frame, at the initial positions
+    as given (before assembly)."""
 
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.at,)

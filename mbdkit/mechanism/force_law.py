@@ -28,7 +28,7 @@ class ExpressionLaw:
     force
         F as an expression in the symbols ``length``, ``rate``, ``time`` and one symbol for each parameter, or a
         function without arguments that returns this expression and is called only to compile or display the law. The
-        expression may contain SymPy functions; use ``Piecewise``, ``Min``, ``Max`` or ``Abs`` for corners and jumps.
+        expression may contain SymPy functions; use ``Piecewise``, ``Min``, ``Max`` or ``Abs`` for discontinuities.
     potential
         V as an expression, or a function that returns it, in ``length`` and the parameters; None if the law has no
         potential. Its derivative with respect to length must equal the force at rate zero, which must not depend on

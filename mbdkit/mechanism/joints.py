@@ -1,4 +1,4 @@
-"""Joints and drivers: each type is a class with its fields, constraints, row names, gap and plot symbol.
+"""Joints and drivers: each type is a class with its fields, constraints, row names, misalignment and plot symbol.
 
 To add a joint made of existing constraints, write its class here and add it to `Joint`. To add a new kind of
 constraint, define it in ``mbdkit/symbolic/definitions.py``.
@@ -126,17 +126,17 @@ class Revolute(PointJoint, At):
     """A pin: both points coincide, ``p_b - p_a = 0`` in the global frame.
 
     With `center`, the first body's point moves in that body's frame while the second body turns, as the centre of a
-    knee or of a rolling wheel does: ``p_b - p_a - R_a c(angle_b - angle_a) = 0``. The joint does no work, so that its
-    force F, where it has a component along the path of the center, comes with the torque ``-F . R_a c'`` on the second
-    body: the recorded reaction torque.
+    knee or of a rolling wheel does: ``p_b - p_a - R_a c(angle_b - angle_a) = 0``. The joint does no work: if its force
+    F has a component along the path of the center, there is also a torque ``-F . R_a c'`` on the second body, which is
+    recorded as reaction torque.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "center")
 
     type: Literal["revolute"] = "revolute"
     center: Center | None = None
-    """Displacement ``c = {x, y}`` of the first body's point from its place in `points`, in the frame of that body, as a
-    function of ``angle_b - angle_a``; by default, the point is fixed."""
+    """Displacement ``c = {x, y}`` of the first body's point from its position in `points`, in the frame of that body,
+    as a function of ``angle_b - angle_a``; by default, the point is fixed."""
     rows: ClassVar[tuple[str, ...]] = ("x", "y")
     units: ClassVar[tuple[str, ...]] = ("m", "m")
 

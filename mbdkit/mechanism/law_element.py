@@ -74,7 +74,7 @@ class Law(Element):
 
 
 class PluginLookup(Protocol):
-    """What validation and its error messages must know about plugins: the models that they add to a spec."""
+    """The interface by which validation and error messages access the models that plugins add to a spec."""
 
     def law_element(self, name: str) -> type[Law]:
         """Return the element class of the force law with this short or long name.

@@ -63,7 +63,7 @@ class Mechanism(HtmlView):
     coordinates : dict
         Quantities that have a name of their own, `NamedCoordinate` by name.
     warnings : tuple of str
-        What a run of the mechanism should tell, such as parts of a file that were left out. It does not change the
+        Warnings for every run of the mechanism, such as parts of a file that were ignored. It does not change the
         verdict, and is not part of a spec.
 
     Examples
@@ -598,7 +598,7 @@ class Mechanism(HtmlView):
     def coordinate(
         self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
     ) -> None:
-        """Give a quantity a name, a sign and a zero of its own, such as those of the files that it is measured in.
+        """Define a named coordinate: a quantity with its own sign and zero, for example as in measured files.
 
         Parameters
         ----------

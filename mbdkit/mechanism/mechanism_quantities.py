@@ -63,7 +63,7 @@ class Quantity(ABC):
 
     @property
     def scale(self) -> float:
-        """Size of a change of the quantity per change of the angle or length that it measures."""
+        """Magnitude of the change of the quantity per change of the underlying angle or length."""
         return 1.0
 
     @abstractmethod
@@ -96,7 +96,7 @@ class Coordinate(Quantity):
         return q[:, 3 * self.body + self.axis]
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add 1 at the place of the coordinate."""
+        """Add 1 at the index of the coordinate."""
         out[:, 3 * self.body + self.axis] += 1.0
 
 
@@ -165,7 +165,7 @@ class Travel(Quantity):
         return travel
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the gradient: that of unit forces at the points, and of the direction's turning."""
+        """Add the gradient: that of unit forces at the points, and that due to the rotation of the direction."""
         (ex, ey), (ux, uy) = self._along(q), self._between(q)
         self.second.add_force(q, ex, ey, out)
         self.first.add_force(q, -ex, -ey, out)
@@ -211,7 +211,7 @@ class Shortening(Quantity):
 
 @dataclass(frozen=True)
 class Affine(Quantity):
-    """A quantity in the sign and from the zero of its users: ``factor * of + offset``."""
+    """A quantity with another sign and zero: ``factor * of + offset``."""
 
     of: Quantity
     factor: float
@@ -244,7 +244,7 @@ class Affine(Quantity):
 
 
 def without_scale(quantity: Quantity) -> Quantity:
-    """Return the angle or length that a quantity measures."""
+    """Return the angle or length on which a quantity is based."""
     return quantity.of if isinstance(quantity, Affine) else quantity
 
 

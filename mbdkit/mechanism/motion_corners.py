@@ -1,14 +1,14 @@
-"""Knots and corners of motions and loads: the times at which one of their derivatives jumps.
+"""Knots and corners of motions and loads: the times at which their value or a derivative is discontinuous.
 
-*Knots* are the points where the pieces of a table meet: the third derivative of a cubic spline jumps there, the fifth
-of a quintic one, the rate of a linear table. The knots of a periodic table repeat.
-*Corners* are the times at which ``abs``, ``min`` or ``max`` change their form, and the jumps of ``atan2``.
+*Knots* are the points of a table: the third derivative of a cubic spline is discontinuous there, the fifth of a quintic
+one, the rate of a linear table. The knots of a periodic table repeat. *Corners* are the times at which ``abs``, ``min``
+or ``max`` switch between their operands, and the discontinuities of ``atan2``.
 
-The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of
-functions inside them. Changes of sign between two samples are bisected; where the rate shows an extremum towards zero
-between two samples of equal sign, the extremum is bisected first. Two changes of sign are therefore missed only if they
-are closer together than two samples and there is more than one extremum between these. Jumps without such a function,
-such as the poles of ``tan``, are not found.
+The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of nested
+functions. Changes of sign between two samples are located by bisection; if the rate indicates an extremum towards zero
+between two samples of equal sign, the extremum is located first. Two changes of sign are therefore missed only if they
+lie between two samples with more than one extremum between them. Discontinuities of other functions, such as the poles
+of ``tan``, are not detected.
 """
 
 from __future__ import annotations
@@ -35,23 +35,24 @@ BISECTIONS = 80
 """More than enough to bisect any interval to adjacent numbers."""
 
 JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
-"""Differences below this share of the larger side, or of the largest value over the run, are rounding, not jumps."""
+"""Differences below this share of the larger side, or of the largest value over the run, count as rounding errors, not
+as discontinuities."""
 
 MOST_KNOTS = 100_000
-"""Largest number of knots of a periodic table that are looked at; the further ones are the same again."""
+"""Largest number of knots of a periodic table that are examined; the others repeat them."""
 
 WIDEST_MARGIN = 1e-10
 """Largest rounding error of the time of a corner that is part of its margin, as a share of the span."""
 
 
 MOST_CACHED = 64
-"""Largest number of motions whose corners are kept: a run asks for them three times. Those of a table of 10 000 points
-take 6 MB and 0.06 s."""
+"""Largest number of motions whose corners are cached; they are needed three times per run. Those of a table of 10 000
+points take 6 MB and 0.06 s."""
 
 
 @dataclass(frozen=True)
 class Corner:
-    """A time at which a derivative of a motion jumps.
+    """A time at which a motion or one of its derivatives is discontinuous.
 
     Parameters
     ----------
@@ -117,16 +118,16 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     if not switches:
         return ()
     roots = _switching_times(program, start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))))
-    # A larger noise is that of a corner at which several derivatives agree: both sides are the same within it.
+    # Noise is larger at a corner where several derivatives agree: both sides are equal within the noise.
     found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
     corners = _described(motion, found, start, end, is_knot=False)
-    # a zero of the first operand of atan2 is no corner if the second is positive, nor is sin(atan2(y, x)) anywhere
+    # not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere
     wraps = any(operation.jumps for operation in switches)
     return tuple(corner for corner in corners if not wraps or not corner.is_smooth)
 
 
 def overshoot(table: Table) -> float:
-    """Return by how much the curve of a table leaves the range of its values, as a share of this range."""
+    """Return the overshoot of the curve of a table over the range of its values, as a share of this range."""
     values = np.array(table.table[1])
     low, high = values.min(), values.max()
     if not _has_curve(table) or low == high:
@@ -169,7 +170,7 @@ def _described(
     with np.errstate(all="ignore"):
         over = np.abs(jet_of(motion, np.linspace(start, end, 201)).derivatives)
         largest = np.max(np.where(np.isfinite(over), over, 0.0), axis=0)
-        difference = after - before  # of which the next derivative explains a part
+        difference = after - before  # part of the difference is explained by the next derivative
         difference[:, :2] -= margins[:, None] * (before + after)[:, 1:]
         floor = JUMP * np.maximum(np.abs(before), np.abs(after)) + JUMP_OF_LARGEST * largest
         jumps = ~(np.abs(difference) <= floor)
@@ -183,7 +184,9 @@ def _described(
 
 
 def _switching_times(program: Program, start: float, end: float, samples: int) -> list[tuple[float, float]]:
-    """Return the times at which a switch of a program changes its form, and the rounding error of each [s]."""
+    """Return the times at which a function of a program switches between its operands, and the rounding error of each
+    [s].
+    """
     times = np.linspace(start, end, samples + 1)
     found: dict[float, float] = {}
     level = 0
@@ -213,7 +216,7 @@ def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: 
     zeros, others = sign == 0.0, np.flatnonzero(sign != 0.0)
     left, right = others[:-1], others[1:]
     opposite = sign[left] != sign[right]
-    # an argument that is zero over several samples changes at the corners of a function inside it
+    # an argument that is zero over several samples switches at the corners of nested functions
     isolated = right - left <= 2
     brackets = [(times[left[opposite & isolated]], times[right[opposite & isolated]])]
     adjacent = right - left == 1

@@ -1,4 +1,4 @@
-"""Names of coordinates of a mechanism, such as ``knee_angle_r``, in the sign and from the zero of their users."""
+"""Named coordinates of a mechanism, such as ``knee_angle_r``, with their own sign and zero."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def check_coordinates(
             hint = did_you_mean(quantity, offered) or f"; there are {listed(dict.fromkeys(offered))}"
             raise SpecError(f"'{owner}' has no '{quantity}'{hint}", key=f"{key}.of")
         raise SpecError(
-            f"'{one.of}' names no quantity of a joint, body or marker; write JOINT.angle, BODY.x, BODY.y, BODY.angle, "
+            f"'{one.of}' is not a quantity of a joint, body or marker; write JOINT.angle, BODY.x, BODY.y, BODY.angle, "
             "MARKER.x or MARKER.y",
             key=f"{key}.of",
         )
@@ -80,4 +80,4 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
     if quantity != "angle" or owner not in bodies or owner == GROUND:
         raise SpecError(f"'{one.of}' is not BODY.angle, from which the angle of a body could be subtracted", key=key)
     if one.relative_to not in bodies or one.relative_to == owner:
-        raise SpecError(f"'{one.relative_to}' is no other body", key=key)
+        raise SpecError(f"'{one.relative_to}' is not another body", key=key)

@@ -1,9 +1,9 @@
 """Named parameters of a model, and expressions of them that stand for its numbers.
 
 An expression consists of numbers, names of parameters, ``pi``, ``+ - * / **``, parentheses and the functions of
-motions; ``degrees(45)`` is an angle in radians. Only validation knows where a model wants a number: it is repeated with
-the values of the expressions that it refused as text. In functions of time, the names of parameters are replaced by
-their values.
+motions; ``degrees(45)`` is an angle in radians. Only validation determines where a model requires a number: it is
+repeated with the values of the expressions that it rejected as text. In functions of time, the names of parameters are
+replaced by their values.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ def _replacements(
         if not (
             isinstance(inner, TextForNumberError | ExpressionError) or details["type"] in ("float_type", "int_type")
         ):
-            continue  # before the path is looked for, which takes long for many thousands of errors
+            continue  # checked before the path is searched, which is slow for many thousands of errors
         path, _ = walk(details["loc"], root, plugins)
         if isinstance(inner, TextForNumberError):  # raised for the first number of a list
             path = value_path(path, parse_path(inner.key))
@@ -243,7 +243,9 @@ def _replacements(
 
 
 def _is_expression(text: Any, values: Values) -> bool:
-    """Return whether a value is meant as an expression: with an operator, a name that has a value, no quoted number."""
+    """Return whether a value is intended as an expression: it has an operator or the name of a value, and is not a
+    quoted number.
+    """
     if not isinstance(text, str) or _NUMBER.fullmatch(text):
         return False
     return bool(re.search(r"[-+*/(]", text)) or text.strip() in {"pi", *values}

@@ -100,7 +100,7 @@ class QuantityNames:
         return next(iter(found.values()))
 
     def coordinate(self, name: str) -> Quantity:
-        """Return the quantity of a coordinate of the mechanism, in its sign and from its zero."""
+        """Return the quantity of a named coordinate of the mechanism, with its sign and zero."""
         one = self.mechanism.coordinates[name]
         if one.relative_to is None:
             of = self.find(one.of, f"model.coordinates.{name}.of")

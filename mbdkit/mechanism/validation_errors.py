@@ -59,9 +59,9 @@ ELEMENTS = {
     "rod": ("bodies", ""),
     "point": ("markers", ""),
 }
-"""Section of a mechanism and type of element for words that users write as keys, in the singular."""
+"""Section of a mechanism and type of element for words that users may write as keys, in the singular."""
 EXPLAINED = 12
-"""Problems that a message explains; the others are counted."""
+"""Largest number of problems explained in a message; the others are counted."""
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 
@@ -100,10 +100,12 @@ def spec_error(
         problems.setdefault(_place(details, path), []).append((details, path, owner))
     # An error inside a value is more specific than the error that no member of a union accepts the value.
     above = {path[:length] for path in problems for length in range(len(path))}
-    # Unknown keys come first: a mistyped key explains why another key is missing.
+    # Unknown keys come first, because a mistyped key explains why another key is missing.
     paths = sorted((path for path in problems if path not in above), key=lambda path: not _is_unknown(*problems[path]))
     sentences = []
-    for path in paths[:EXPLAINED]:  # each explanation takes time, and nobody reads thousands of them
+    for path in paths[
+        :EXPLAINED
+    ]:  # limited, because each explanation takes time and there may be thousands of problems
         value = f" (the value of '{written[path]}')" if written and path in written else ""
         told = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
         sentences.append((path_text((*([prefix] if prefix else []), *path)), _either(list(told))))

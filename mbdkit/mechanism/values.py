@@ -164,8 +164,9 @@ class Table(StrictModel):
     """A function of time given by points and interpolated by a cubic or quintic spline, or by lines.
 
     A cubic spline has two continuous derivatives, and a quintic one four. With the default ends, three points of a
-    cubic spline give a parabola and two a line, and a quintic one needs six points. Steps end at the points where a
-    derivative jumps that matters to the method. The table must cover the time span of the run, unless it is periodic.
+    cubic spline give a parabola and two a line, and a quintic one needs six points. Steps end at points with a
+    discontinuous derivative that affects the method. The table must cover the time span of the run, unless it is
+    periodic.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation", "ends")
@@ -175,7 +176,8 @@ class Table(StrictModel):
     table: Columns
     """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
     interpolation: Interpolation = "cubic"
-    """A cubic or quintic spline, or lines between the points, whose rate jumps there: for loads, not for drivers."""
+    """A cubic or quintic spline, or straight lines between the points, whose rate is discontinuous there (for loads,
+    not for drivers)."""
     ends: Ends = "not-a-knot"
     """Condition at the ends of a spline: `not-a-knot` (the outer pieces continue the polynomials of their neighbours),
     `natural` (no curvature at the ends; a quintic spline: no third and fourth derivative), `clamped` (no rate there; a
@@ -207,7 +209,8 @@ QUINTIC_ENDS = {
 
 @lru_cache(maxsize=64)
 def curve_of(table: Table) -> Any:
-    """Return the curve of a table, as ``scipy.interpolate.PPoly``; its outer pieces, or its periods, continue it.
+    """Return the curve of a table, as ``scipy.interpolate.PPoly``; it is extrapolated by its outer pieces, or
+    periodically.
 
     Raises ValueError or LinAlgError if it cannot be computed in double precision.
     """
@@ -216,7 +219,7 @@ def curve_of(table: Table) -> Any:
     times, values = (np.array(column) for column in table.table)
     beyond: Any = "periodic" if table.ends == "periodic" else True
     if beyond == "periodic":
-        values[-1] = values[0]  # equal to rounding, which `Table` checks
+        values[-1] = values[0]  # equal up to rounding errors, as checked by `Table`
     if table.interpolation == "linear":
         return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times, extrapolate=beyond)
     if table.interpolation == "cubic":

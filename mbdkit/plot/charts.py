@@ -73,7 +73,7 @@ def write_chart_images(charts: Iterable[Figure], folder: Path) -> list[Path]:
         for file in image_files([chart], folder):
             save(picture, file)
             written.append(file)
-            picture.set_layout_engine("none")  # the layout takes longer than the drawing, and is the same for SVG
+            picture.set_layout_engine("none")  # reused for SVG, because the layout takes longer than the drawing
     return written
 
 
@@ -125,7 +125,7 @@ def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_da
     legend_title
         Title of the legend; empty for none.
     vary_dashes
-        Whether lines of different colours have different dashes, too, so that lines which coincide are seen.
+        Whether lines of different colours have different dashes, too, so that coinciding lines remain visible.
     """
     if axes is None:
         axes = draw_on(_new_axes(), chart, legend_title, vary_dashes=vary_dashes)

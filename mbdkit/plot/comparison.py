@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from mbdkit.figures.page_model import Figure, Line
 
 _LINES = 6
-"""Number of lines in a comparison for which nothing is named, or one for each run."""
+"""Number of lines in a comparison if no elements are named; at least one for each run."""
 _ALL = 1_000_000
 _DIFFERENCES = 3
-"""Most differences that a label tells; where there are more, titles and file names take their place."""
+"""Largest number of differences in a label; if there are more, titles and file names are used instead."""
 
 
 def compare(
@@ -56,7 +56,7 @@ def compare(
     ax
         Where to draw; by default a new figure.
     labels
-        Names of the runs in the legend. By default, they tell what differs: integrator, formulation, stabilization,
+        Names of the runs in the legend. By default, they show the differences: integrator, formulation, stabilization,
         step, other keys of the spec, or else title and file.
     **options
         Options of the method of `Run.plot` of this kind, such as ``joints`` and ``components``. Unless elements are
@@ -91,8 +91,8 @@ def compare(
             ax = argument
         else:
             raise TypeError(
-                f"compare takes one kind of plot and one pair of axes, such as compare(runs, kind='drift', ax=ax), and "
-                f"has no place for this {type(argument).__name__}"
+                f"compare takes one kind of plot and one pair of axes, such as compare(runs, kind='drift', ax=ax), "
+                f"but not this {type(argument).__name__}"
             )
     found = list(runs)
     chart, heading = comparison(found, kind or "trajectory", labels, **options)
@@ -187,7 +187,7 @@ _NONE = _Setting("")
 
 
 def _settings(run: Run) -> dict[str, _Setting]:
-    """Return what a spec sets by key: first what is called by its own name, then all other keys."""
+    """Return the settings of a spec by key: first those with names of their own, then all other keys."""
     spec = run.spec
     step = spec.get("time", {}).get("step")
     found = {

@@ -32,7 +32,7 @@ _READ = {"position": joint_misalignment, "velocity": velocity_misalignment, "ang
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return panels of the misalignments of positions, velocities and, where an angle is off, angles."""
+    """Return panels of the misalignments of positions, velocities and, if any is misaligned, angles."""
     found = [joint_misalignment(run), velocity_misalignment(run)]
     angle = angle_misalignment(run)
     if not angle.zero:

@@ -204,7 +204,7 @@ def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST
 
 
 def element_lines(quantity: ElementQuantity, groups: Sequence[str] = ()) -> tuple[Line, ...]:
-    """Return a line of a chart for each element; of long runs the largest values, or both extremes where signs differ.
+    """Return a line of a chart for each element; for long runs, the largest values, or both extremes if signs differ.
 
     Parameters
     ----------

@@ -128,7 +128,7 @@ def save(figure: Figure, target: Path) -> None:
     gives the same bytes; files of PDF and SVG have no date.
     """
     kind = target.suffix[1:].lower()
-    content = io.BytesIO()  # Matplotlib's PDF writer hides the error of a full disk behind one of its own
+    content = io.BytesIO()  # Matplotlib's PDF writer replaces the error of a full disk by one of its own
     with replacing(target) as temporary, mpl.rc_context(_FILES):
         quietly(lambda: figure.savefig(content, format=kind, dpi=figure.dpi, metadata=_METADATA.get(kind)))
         temporary.write_bytes(content.getvalue())

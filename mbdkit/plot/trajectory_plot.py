@@ -30,7 +30,7 @@ _CHART_ROWS = 4_000
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return the panel of the paths and poses, as high as the motion asks for."""
+    """Return the panel of the paths and poses, with a height that suits the motion."""
     drawing, traces, paths = _paths(run, _ROWS)
     ends = drawing.world(take(run.dataset("trajectory/position"), evenly(len(run.time), 2)))
     (x0, x1), (y0, y1), _ = view_box(paths, ends)

@@ -44,7 +44,7 @@ class Peaks:
         value, when = np.full(array.shape[1], -1.0), np.full(array.shape[1], np.nan)
         for block in blocks(len(time), int(np.prod(array.shape[1:]))):
             part = magnitude(np.asarray(array[block], dtype=np.float64))
-            part = np.where(part < BEYOND, part, -1.0)  # nan, too
+            part = np.where(part < BEYOND, part, -1.0)  # also true for nan
             row = np.argmax(part, axis=0)
             largest = part[row, np.arange(part.shape[1])]
             better = largest > value
@@ -156,7 +156,7 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
 
 
 def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Sequence[_Quantity], floor: float) -> Table:
-    """Return the table of some of the joints, of many those with the largest forces, with the power of drivers."""
+    """Return the table of some of the joints, limited to those with the largest forces, with the power of drivers."""
     most = np.nan_to_num(np.max(np.stack([one.peaks.value for one in found]), axis=0), nan=np.inf)
     chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])
     used = [one for one in found if any(one.peaks.value[column] > floor for column in chosen)]

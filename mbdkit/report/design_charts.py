@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 POINT_WORDS = {"start": "at the start", "best": "at the best point"}
-"""Words for the points of which there are archives."""
+"""Words for the points that have archives."""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 _JOINT_ERRORS = {"torque": "torque_error"} | dict.fromkeys(("force", "force_x", "force_y"), "reaction_error")
@@ -111,7 +111,7 @@ def front_charts(design: Design, units: Mapping[str, str]) -> Iterator[Figure]:
         )
         caption = (
             f"Pareto front: no point has less of {'both' if len(pairs) == 1 else 'all'} goals. The best point is "
-            "nearest to the least values of all goals, each relative to its range on the front."
+            f"closest to the smallest values of all goals, each relative to its range on the front."
         )
         name = "front" if len(pairs) == 1 else f"front-{number + 1}"
         axes = Axis(first, units[first]), Axis(second, units[second])

@@ -1,4 +1,4 @@
-"""The report of a design: the device at the start and at the best point, its loads, and how far to trust it."""
+"""The report of a design: the device at the start and at the best point, its loads, and the certification."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _NUMBERS = 60_000
 
 @contextmanager
 def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
-    """Yield the report of a design, whose folder has the result; its surroundings are evaluated.
+    """Yield the report of a design with a result; points around the best one are evaluated.
 
     Parameters
     ----------

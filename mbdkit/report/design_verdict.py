@@ -1,4 +1,4 @@
-"""The verdict on a design: what it gains, how far that can be trusted, and the tables of its points."""
+"""The verdict on a design: its gain, the reliability of the gain, and the tables of its points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 SAME = 1e-3
-"""Difference of two optima that counts as none: of goals relative to the start, of variables relative to the bounds."""
+"""Difference of two optima that counts as zero: of goals relative to the start, of variables relative to the bounds."""
 
 
 def design_verdict(design: Design) -> Verdict:
@@ -112,8 +112,8 @@ def _compared(design: Design, one: Comparison) -> Claim:
         return Claim(name, statement, "", told, Answer.YES, one.reason)
     beyond = "" if one.is_feasible or one.fails else ", and limits are violated there"
     sentence = (
-        f"With {one.name}, a designer would believe in a {goal_words(goal)} of {believed:.6g}{unit}; "
-        f"in fact {in_fact}{beyond}. {one.reason}"
+        f"With {one.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
+        f"{in_fact}{beyond}. {one.reason}"
     )
     return Claim(name, statement, "", told, Answer.NO, sentence.rstrip())
 
@@ -177,7 +177,7 @@ def _comparison_table(design: Design) -> Table:
         for name, settings in design.spec.compare.items()
     )
     note = f"The goal in fact, and whether limits are satisfied, are computed with the settings of the design. {told}."
-    return Table("compared", "What other settings would have made of it", columns, tuple(rows), note)
+    return Table("compared", "Results with other settings", columns, tuple(rows), note)
 
 
 def _front_table(design: Design) -> Table:

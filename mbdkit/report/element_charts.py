@@ -72,7 +72,9 @@ def recorded_charts(run: Run, path: str) -> list[Figure]:
 
 
 def _lines(run: Run, path: str, names: Any, chosen: Any) -> tuple[Line, ...]:
-    """Return lines of the chosen columns of an array, of many those with the largest values; none if all are zero."""
+    """Return lines of the chosen columns of an array, limited to those with the largest values; none if all are
+    zero.
+    """
     columns = list(chosen)
     time, data = np.asarray(run.time), run.dataset(path)
     peaks = np.nan_to_num(Peaks.of(time, data).value[columns]) if columns else np.zeros(0)

@@ -28,7 +28,7 @@ ARROW = 0.45
 CONTACT = 0.05
 """Share of the peak of a load at which its contact begins."""
 KEY = 0.15
-"""Room for the key above the frames, as a share of their height."""
+"""Space for the legend above the frames, as a share of their height."""
 KINDS = (("joint", "force in a joint"), ("load", "measured load"), ("spring", "force element"))
 """Class of the arrows in `templates/drawing.css`, and what they show."""
 
@@ -37,7 +37,7 @@ _PLACES = {
     "load": "measured loads, from their point of application",
     "spring": "force elements, at both ends",
 }
-"""Where the arrows of each kind stand."""
+"""Points of application of the arrows of each kind."""
 
 Arrow = tuple[str, Array, Array]
 
@@ -195,7 +195,7 @@ def _arrow(canvas: Canvas, kind: str, start: Array, along: Array) -> None:
 
 
 def _key(canvas: Canvas, longest: float, scale: float, kinds: set[str]) -> None:
-    """Draw what the colours of the arrows mean, and an arrow of a round force."""
+    """Draw the legend: the colours of the arrows, and an arrow of a round force."""
     y = 14.0
     for kind, text in KINDS:
         if kind in kinds:

@@ -56,7 +56,7 @@ def inverse_charts(run: Run) -> list[Figure]:
     if known:
         curves = bands(time, raw[:, known], points=_POINTS)
         lines = tuple(Line(run.joint_names[k], *curves.curve(place)) for place, k in enumerate(known))
-        caption = "Distance by which the joints would be open if the measured data alone placed the bodies."
+        caption = "Misalignment of the joints if the bodies were placed by the measured data alone."
         axis = Axis("misalignment", "m")
         found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, lines))
     return found
@@ -137,12 +137,12 @@ def _disagreement(run: Run) -> Section:
             at = float(time[known][int(np.argmax(values))])
             gaps.append((joint, float(np.sqrt(np.mean(values**2))), float(values.max()), at))
     heads = (Column("joint"), Column("rms", "m"), Column("largest", "m"), Column("time of the largest", "s"))
-    note = "Distance by which a joint would be open if the measured data alone placed the bodies."
+    note = "Misalignment of a joint if the bodies were placed by the measured data alone."
     tables = [residuals] + ([Table("raw-gaps", "Misalignment of the data", heads, tuple(gaps), note)] if gaps else [])
     told = [
         f"{peak:.3g} {unit} ({name}, at {when:.4g} s)" for unit, (peak, name, when) in worst.items() if peak > EXACT
     ]
     sentence = f"The largest residuals are {' and '.join(told)}." if told else "The model fits the data exactly."
     if not gaps:
-        sentence += " The data do not place the bodies on both sides of any joint, so their misalignment is not known."
-    return Section("data", "Where model and data disagree", (sentence,), None, tuple(tables))
+        sentence += " The data do not determine the positions of both bodies of any joint: misalignments are unknown."
+    return Section("data", "Differences between model and data", (sentence,), None, tuple(tables))

@@ -1,4 +1,6 @@
-"""What was modelled: a drawing with names, and tables of bodies, joints, force elements, markers and parameters."""
+"""The section on the model: a drawing with names, and tables of bodies, joints, force elements, markers and
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ ROWS = 200
 _TIMES = 400  # recorded times at which loads are evaluated for the drawing
 _PLACE = {"type", "bodies", "body", "reaction_body", "points", "point", "at", "from_", "to", "pathway", "law", "value"}
 _PLACE |= {"motion", "frame"}
-"""Fields of elements that say where they are, or that are described in other words."""
+"""Fields of elements that give positions, or that are described elsewhere."""
 
 
 def model_section(run: Run, mechanism: Mechanism | None) -> Section:
@@ -60,7 +62,7 @@ def element_tables(shown: NamedPose) -> list[Table]:
 
 
 def composition(mechanism: Mechanism) -> str:
-    """Return sentences on what a mechanism consists of, its mass, and gravity."""
+    """Return sentences on the elements of a mechanism, its mass, and gravity."""
     drivers = sum(joint.is_driver for joint in mechanism.joints.values())
     nodes = sum(beam.node_count for beam in mechanism.beams.values())
     parts = [count(len(mechanism.bodies) - nodes, "body", "bodies")]

@@ -35,11 +35,11 @@ class ReportPage:
     failures
         Table of the failed runs with reasons.
     reproduce, commands, spec, spec_file
-        How to reproduce the results: a sentence, commands, the spec, and the name of the file to save it as.
+        Instructions for reproducing the results: a sentence, commands, the spec, and the name of its file.
     sections
-        Sections above the verdict: what was modelled, and the answer.
+        Sections above the verdict: the model, and the largest forces.
     beside_verdict
-        Names of the tables and charts of the verdict that stand below its claims, not with the others.
+        Names of the tables and charts that are shown below the claims of the verdict, not with the others.
     """
 
     title: str
@@ -110,7 +110,7 @@ def cell_text(value: Cell) -> str:
 
 
 def _exact(value: Cell) -> str:
-    """Return a number of a table with all its digits, to sort and to download; empty if it is none."""
+    """Return a number of a table with all its digits, to sort and to download; empty if it is not a number."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return repr(value) if is_number and math.isfinite(value) else ""  # type: ignore[arg-type]
 

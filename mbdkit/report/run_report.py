@@ -73,9 +73,9 @@ def mechanism_of(run: Run) -> Mechanism | None:
 
 
 def _alarm(run: Run, ending: str) -> str:
-    """Return what must be seen first: that the run did not end, or that its results are not to be trusted."""
+    """Return the most important message: that the run did not end, or that its results must not be trusted."""
     questioned = f"VERDICT: {run.verdict.upper()}" if run.verdict in ("doubtful", "bad") else ""
-    return ending.partition(": ")[0] or questioned  # the verdict states the reason
+    return ending.partition(": ")[0] or questioned  # the verdict contains the reason
 
 
 def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:

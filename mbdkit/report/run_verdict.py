@@ -72,7 +72,9 @@ def _trust(run: Run) -> Claim:
     if run.verdict_reasons:
         sentence += " " + " ".join(run.verdict_reasons)
     elif not run.is_judged:
-        sentence += " The archive holds no verdict: a version that did not judge runs wrote it, or the run crashed."
+        sentence += (
+            " The archive contains no verdict: it was written by a version without verdicts, or the run crashed."
+        )
     elif run.verdict == "unknown":
         sentence = f"The verdict is unknown: {without_suspicion(run)}."
     return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
@@ -112,7 +114,7 @@ def _joints(run: Run) -> Claim:
     worst = max(run.joints.values(), key=lambda joint: np.nan_to_num(joint.misalignment_max, nan=math.inf))
     most, size = worst.misalignment_max, mechanism_size(run)
     if not math.isfinite(most):
-        sentence = f"Joint {worst.name} has an unbounded misalignment."
+        sentence = f"The misalignment of joint {worst.name} is not finite."
         return Claim("misalignment", "The joints stay together", "", "not finite", Answer.NO, sentence)
     share = most / size if size > 0 else math.nan
     parts = [f"The largest misalignment is {length(most)}, of joint {worst.name}"]
@@ -158,7 +160,7 @@ def _energy(run: Run) -> Claim:
     off, most = float(balance.peaks[0]), float(kinetic.peaks[0])
     share = off / most if most > 0 else math.nan
     if not math.isfinite(off) or not np.all(np.isfinite(balance.high)):
-        sentence = "The energy is unbounded."
+        sentence = "The energy is not finite."
         return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
     sentence = f"Energy is balanced to {off:.2g} J"
     sentence += f", {proportion(share)} of the largest kinetic energy." if math.isfinite(share) else "."

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 _FEWEST = 8
-"""Fewest values of which a distribution is shown."""
+"""Smallest number of values for which a distribution is shown."""
 _MOST_BINS = 60
 _MOST_DOTS = 2000
 _MOST_GROUPS = 4
@@ -83,8 +83,8 @@ class _Measured:
 
 def sample_figures(study: Study) -> tuple[Figure, ...]:
     """Return the charts of a study with a sample: for each measure a histogram, charts over the variables, and how the
-    indices converge; and quantiles over time of what the measures reduce, if the study stores this.
-    """  # fmt: skip
+    indices converge; and quantiles over time of the quantities in the measures, if the study stores them.
+    """
     figures: list[Figure] = []
     for one in _measures(study):
         figures += [_histogram(one), *_convergence(one), *_scatters(one)]
@@ -109,8 +109,8 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
             ends = sobol.indices
             note = (
                 f"Estimates of Saltelli et al. (2010), table 2, (b) and (f), from {sobol.members} members, with "
-                f"{100 * sobol.confidence:g} % intervals by the bootstrap. First order: share of the variance that a "
-                "variable explains alone; total: also together with the others."
+                f"{100 * sobol.confidence:g} % intervals by the bootstrap. First order: share of the variance "
+                f"explained by a variable alone; total: including its interactions with the others."
             )
             for place, key in enumerate(sobol.variables):
                 columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
@@ -165,7 +165,7 @@ def _histogram(one: _Measured) -> Figure:
 
 
 def _scatters(one: _Measured) -> Iterator[Figure]:
-    """Yield charts of a measure over the variables that matter most."""
+    """Yield charts of a measure over the most influential variables."""
     table = one.study.grid(one.group.family).table
     known = np.flatnonzero(np.isfinite(one.values))
     keys = [key for key, column in table.items() if column.dtype.kind in "fi" and np.ptp(column[known]) > 0]
@@ -239,7 +239,9 @@ def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
 
 
 def _quantities(study: Study) -> list[str]:
-    """Return what the measures of a study reduce over time; the angle of the last body if they reduce nothing."""
+    """Return the quantities that the measures of a study reduce over time; the angle of the last body if there are
+    none.
+    """
     found: dict[str, None] = {}
     for measure in study.spec.defined_measures():
         try:

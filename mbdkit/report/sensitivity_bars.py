@@ -28,8 +28,9 @@ def sensitivity_section(
         Units of goals and limits by scenario and name.
     """
     sentence = (
-        f"Change of each goal and limit if one variable grows by {100 * SHARE:g} % of its bounds from its best value, "
-        "to first order. Where neither bounds nor limits are active, the changes of a single goal add up to zero over "
+        f"Change of each goal and limit, to first order, if one variable is increased from its best value by "
+        f"{100 * SHARE:g} % of the width of its bounds. Where neither bounds nor limits are active, the changes of a "
+        f"single goal add up to zero over "
         "the scenarios, weighted."
     )
     wide, narrow = (_svg(found, words, units, width) for width in (WIDE, NARROW))

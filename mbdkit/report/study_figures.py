@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from mbdkit.studies.study_point import StudyPoint
 
 _DECADE = 8.0
-"""Ratio of largest to smallest value from which an axis is logarithmic."""
-_ONCE = 'Each run was timed once, beside other work; "repeats: 5" in a study shows how far times spread.'
+"""Ratio of largest to smallest value above which an axis is logarithmic."""
+_ONCE = (
+    'Each run was timed once, in parallel with other work; use "repeats: 5" in a study to measure the spread of times.'
+)
 _SPREAD = "Wall time is the median of the timings; bands show the range between their quartiles."
 OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
 """Counters whose sum is the cost of a run in operations."""
@@ -58,7 +60,7 @@ _WORK = Quantity(
     OPERATIONS,
     "Operations",
     Axis("evaluations, Jacobians and factorizations", log=True),
-    caption="Operations are right-side evaluations, evaluations of Jacobians and factorizations.",
+    caption="Operations are evaluations of the right-hand side, evaluations of Jacobians and factorizations.",
 )
 _ERRORS = ("error", "misalignment", "balance", "defect", "trend")
 """Words in the names of measures that are shown against the cost."""
@@ -66,7 +68,7 @@ _USUAL = ("misalignment_max", "end_error")
 
 
 def study_figures(study: Study) -> tuple[Figure, ...]:
-    """Return charts of every family of a study: each measure that it asks for against its numeric axes and its cost."""
+    """Return charts of every family of a study: each requested measure against its numeric axes and its cost."""
     figures: list[Figure] = []
     for name, title in study.families.items():
         points = study.family(name)
@@ -86,12 +88,12 @@ def study_figures(study: Study) -> tuple[Figure, ...]:
 
 
 def measure_columns(study: Study) -> list[tuple[Column, str]]:
-    """Return headings and names of the columns of the index with the measures that the study asks for."""
+    """Return headings and names of the columns of the index with the measures requested by the study."""
     return [(Column(measure.axis.label, measure.axis.unit), measure.columns[0]) for measure in asked_measures(study)]
 
 
 def asked_measures(study: Study) -> Iterator[Quantity]:
-    """Yield the measures that the study asks for; those of most interest if it asks for all."""
+    """Yield the measures requested by the study; the most relevant ones if it requests all."""
     asked: Any = study.spec.measures
     usual = _USUAL[:1] if study.spec.in_blocks else _USUAL  # runs in blocks have no reference
     entries = usual if asked == "all" else asked if isinstance(asked, list | tuple) else [*usual, asked]

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 
 _FILMS = 6
 _LISTED = 500
-"""Runs of a study with a sample that the page lists."""
+"""Number of runs of a study with a sample that the page lists."""
 _READ = 20
-"""Runs of such a study whose specs and provenance the page tells."""
+"""Number of runs of such a study whose specs and provenance the page shows."""
 _NUMBERS = 40_000  # pose values of each film
 _COLUMNS = (
     (Column("largest misalignment", "m"), "misalignment_max"),
@@ -85,7 +85,7 @@ def study_report(study: Study) -> ReportPage:
 
 
 def settings(study: Study) -> str:
-    """Return the number of runs of a study, and how many ended in which way, as one line."""
+    """Return the number of runs of a study by status, as one line."""
     states = Counter(study.statuses())
     parts = [count(len(study.points), "run")]
     if len(study.families) > 1:
@@ -114,7 +114,7 @@ def _listed(study: Study) -> Sequence[StudyPoint]:
 
 
 def _read(study: Study) -> Sequence[StudyPoint]:
-    """Return the points whose specs and provenance the page tells: some of a study with a sample."""
+    """Return the points whose specs and provenance the page shows: a few for a study with a sample."""
     if not study.spec.has_table:
         return study.points
     first = [group.places[0] for group in sample_groups(study)]
@@ -172,7 +172,7 @@ def _failures(study: Study) -> Table:
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
-    """Yield the animation of one run of each family: the largest misalignment that does not make it bad."""
+    """Yield the animation of one run of each family: that with the largest misalignment that is not rated bad."""
     if study.spec.has_table:
         return
     for name in list(study.families)[:_FILMS]:

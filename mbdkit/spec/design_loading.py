@@ -105,7 +105,7 @@ def _scenario_spec(
     Parameters
     ----------
     changes
-        What is set after everything else.
+        Settings that are applied last.
     """
     own = scenario.base is not None
     base, place = (scenario.base, ("scenarios", name, "base")) if own else (design.base, ("base",))

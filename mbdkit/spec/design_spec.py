@@ -30,7 +30,8 @@ class Variable(Section):
     bounds: Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
     """Smallest and largest value."""
     start: Number | None = None
-    """Value at which the search begins, and that the optimum is compared with; by default, the middle of the bounds."""
+    """Value at which the search begins, and with which the optimum is compared; by default, the middle of the
+    bounds."""
 
     @model_validator(mode="after")
     def _start_in_bounds(self) -> Variable:
@@ -98,7 +99,7 @@ class GlobalOptimizer(Section):
 
     name: Literal["differential-evolution"]
     population: Count = 15
-    """Number of members for each variable."""
+    """Population size (number of members) for each variable."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Seed of its random numbers."""
     tolerance: Positive = 1e-6
@@ -112,7 +113,7 @@ class EvolutionStrategy(Section):
 
     name: Literal["cma-es"]
     population: Annotated[int, Field(ge=3)] | None = None
-    """Number of members of a generation; by default 4 + 3 log(n) for n variables."""
+    """Population size (number of members of a generation); by default 4 + 3 log(n) for n variables."""
     spread: Annotated[float, Field(gt=0, le=1)] = 0.25
     """Standard deviation of the first generation around the start, as a share of the bounds."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -186,8 +187,9 @@ class DesignSpec(StrictSpec):
     """Number of points of a Pareto front of two goals, both ends included; of three goals, number of limits of the
     second goal and of the third one, with all combinations of which the first one is minimised."""
     compare: dict[str, Annotated[Overrides, AfterValidator(_check_comparison)]] = Field(default_factory=dict)
-    """Other settings of the runs by any name, with which the best point is searched again, such as another integrator
-    or step: `{coarse: {time.step: 0.1}}`. The result says how good their best points really are."""
+    """Other settings of the runs, each under a name of your choice, with which the optimisation is repeated, such as
+    another integrator or step: `{coarse: {time.step: 0.1}}`. Their best points are then evaluated with the settings of
+    the design."""
 
     _specs: dict[str, RunSpec | InverseSpec] = PrivateAttr(default_factory=dict)
     _compared_specs: dict[str, dict[str, RunSpec | InverseSpec]] = PrivateAttr(default_factory=dict)

@@ -78,19 +78,21 @@ Observed = Annotated[ObservedColumn, BeforeValidator(_as_column, json_schema_inp
 
 
 class NoSmoothing(Section):
-    """No smoothing; derivatives by the polynomial of degree four through five neighbouring rows, or from columns."""
+    """No smoothing; derivatives of the polynomial of degree four through five neighbouring samples, or from columns."""
 
     name: Literal["none"] = "none"
 
 
 class QuinticSpline(Section):
-    """No smoothing; derivatives of the natural quintic spline through all rows."""
+    """No smoothing; derivatives of the natural quintic spline through all samples."""
 
     name: Literal["quintic"] = "quintic"
 
 
 class SmoothingSpline(Section):
-    """A cubic smoothing spline: least sum of squared residuals + parameter * integral of the squared curvature."""
+    """A cubic smoothing spline, which minimises the sum of squared residuals + parameter * integral of the squared
+    curvature.
+    """
 
     name: Literal["spline"] = "spline"
     parameter: Annotated[float, Field(ge=0)] | None = None
@@ -111,7 +113,9 @@ class Butterworth(Section):
 
 
 class OpenSimFilter(Section):
-    """The filter of OpenSim: rows padded by half their number and resampled, third-order Butterworth in two passes."""
+    """The filter of OpenSim: samples padded by half their number and resampled, third-order Butterworth in two
+    passes.
+    """
 
     name: Literal["opensim"] = "opensim"
     cutoff: Positive
@@ -131,9 +135,9 @@ class Gaps(Section):
     """How gaps in columns, cells that are empty or NaN, are bridged."""
 
     longest: Positive
-    """Longest time between the rows on both sides of a gap [s]; a longer gap is refused."""
+    """Longest time between the samples on both sides of a gap [s]; a longer gap is refused."""
     interpolation: Literal["linear", "cubic"] = "cubic"
-    """`linear`, or `cubic`: the cubic spline through the other rows of the column."""
+    """`linear`, or `cubic`: the cubic spline through the other samples of the column."""
 
 
 class ErrorBars(Section):
@@ -228,7 +232,7 @@ class Actuator(Section):
     """An actuator: on the coordinate of a joint, between two points or two bodies, or on a coordinate of a body.
 
     With none of `joint`, `bodies` and `body`, it acts on the coordinate of the model that has its name; its value is
-    then the generalized force of this coordinate, in its sign.
+    then the generalized force of this coordinate, with its sign.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("joint", "bodies", "points", "body", "coordinate")
@@ -245,8 +249,8 @@ class Actuator(Section):
     coordinate: Literal["x", "y", "angle"] | None = None
     """Coordinate of `body`: a force at its centre of mass along a global axis, or a torque."""
     weight: Positive = 1.0
-    """Where there are more actuators than degrees of freedom, the sum of (weight * value)^2 is least, in which torques
-    are divided by the characteristic length of the mechanism."""
+    """Where there are more actuators than degrees of freedom, the sum of (weight * value)^2 is minimised; torques are
+    divided by the characteristic length of the mechanism."""
 
     @model_validator(mode="after")
     def _complete(self) -> Actuator:
@@ -267,9 +271,9 @@ class Span(Section):
     """The part of the motion that is used; all of it by default."""
 
     start: float | None = None
-    """Start time [s]; rows before it are left out."""
+    """Start time [s]; earlier samples are left out."""
     end: float | None = None
-    """End time [s]; rows after it are left out."""
+    """End time [s]; later samples are left out."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Span:

@@ -24,7 +24,7 @@ from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:
     for name in sections:
-        if name != GROUND:  # a natural name of a load
+        if name != GROUND:  # allowed, because it is allowed, because it is a natural name of a load
             check_name(name, name)
     return sections
 
@@ -58,7 +58,7 @@ class InverseSpec(ModelSpec):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """None: the measured motion tells start and end."""
+        """None: start and end follow from the measured motion."""
         return None
 
     @property
@@ -68,7 +68,9 @@ class InverseSpec(ModelSpec):
 
     @property
     def actuator_units(self) -> Mapping[str, str]:
-        """Units of the values of the actuators, by name; of all possible ones if the data tell what is observed."""
+        """Units of the values of the actuators, by name; of all possible actuators if the observed quantities follow
+        from the data.
+        """
         names = QuantityNames(self.mechanism())
         columns = self.motion.columns
         if columns is None:  # one by one, since the first of several names of a quantity would hide the others
@@ -79,7 +81,7 @@ class InverseSpec(ModelSpec):
 
     @property
     def folder(self) -> Path:
-        """Folder that relative names of files count from: that of the spec, or else the current folder."""
+        """Folder to which names of files are relative: that of the spec, or else the current folder."""
         return Path() if self._document is None else self._document.folder
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:

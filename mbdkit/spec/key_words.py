@@ -1,4 +1,4 @@
-"""Keys of run specs in words with units, as readers see them: ``time.step`` becomes step [s]."""
+"""Keys of run specs in words with units, for readers: ``time.step`` becomes step [s]."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class StrictSpec(Section):
         plugins = RegistryLookup(lambda: registry_of(type(self)))
 
         def validate(values: Any) -> None:
-            # Every source is validated as JSON: only then does pydantic's strict mode accept a list for a tuple.
+            # Every source is validated as JSON, because only then pydantic's strict mode accepts a list for a tuple.
             text = json.dumps(values, allow_nan=False)
             self.__pydantic_validator__.validate_json(text, self_instance=self, context={"plugins": plugins})
 

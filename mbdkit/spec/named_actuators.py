@@ -76,7 +76,7 @@ def actuators_of(
     for one in residuals:
         if one.name in given:
             raise SpecError(
-                f"is the residual actuator of the coordinate '{one.name}'; call this actuator otherwise",
+                f"is the residual actuator of the coordinate '{one.name}'; choose another name for this actuator",
                 key=f"actuators.{one.name}",
             )
     return [*found, *residuals]

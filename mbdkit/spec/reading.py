@@ -32,7 +32,7 @@ class Document:
     keywords
         Top-level sections replaced by Python keyword arguments.
     folder
-        Folder that relative names of files in it count from; by default, the current folder.
+        Folder to which names of files in it are relative; by default, the current folder.
     """
 
     data: dict[str, Any]
@@ -128,11 +128,11 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
 
 
 _SEPARATORS = {".json": ",:[{", ".toml": ",=[{."}
-"""Characters of which a document has at least as many as values; in YAML, only documents that are usual."""
+"""Characters that occur at least once per value in a document (in YAML, in usual documents)."""
 
 
 def _check_size(text: str, suffix: str, file: str) -> None:
-    """Raise SpecError if a document has too many values, which is cheaper to find out than to read them."""
+    """Raise SpecError if a document has too many values; counting characters is cheaper than parsing."""
     if len(text) > LARGEST_FILE:
         raise SpecError(f"this is larger than {LARGEST_FILE >> 20} MiB, the limit for a spec", file=file)
     if sum(text.count(separator) for separator in _SEPARATORS.get(suffix, ",\n")) > LARGEST:

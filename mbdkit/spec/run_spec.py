@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 SMALLEST_ACCURACY, LARGEST_ACCURACY = 1e-12, 0.1
-"""Limits of `accuracy`: rounding errors dominate below the first, and no digit is right above the second."""
+"""Limits of `accuracy`: rounding errors dominate below the first, and no digit is correct above the second."""
 
 FIRST_EXPLICIT: Mapping[str, Any] = {"name": "dop853", "adaptive": True}
 """First method to try for `accuracy` if a spec names none; for stiff mechanisms another one is chosen."""
@@ -129,18 +129,19 @@ class RunSpec(ModelSpec):
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False
-    """Estimate the errors of the recorded rows by companion runs, which take about ten times as long as the run."""
+    """Estimate the errors of the recorded results by comparison runs, which take about ten times as long as the run."""
     accuracy: Annotated[float, Field(ge=SMALLEST_ACCURACY, le=LARGEST_ACCURACY)] | None = None
     """Accuracy of positions over the whole run, as a share of the mechanism's size. Pilot runs choose the method, or
-    the step or tolerance of the given integrator, and an estimate of the errors confirms it: by the pilot runs where
-    they suffice, otherwise and with `check` by companion runs."""
+    the step or tolerance of the given integrator, and an estimate of the errors confirms it: from the pilot runs if
+    they suffice, otherwise, and with `check`, from comparison runs."""
     choose: Literal["method", "step", "nothing"] | None = None
-    """What is chosen for `accuracy`: `method` and step (the default if `integrator` is left out); only the `step` or
-    the tolerance of `integrator`, where given ones are the first try (the default otherwise); or `nothing`: the spec
-    runs as it is, and its verdict says whether the accuracy is reached. Archives store the choice with `nothing`."""
+    """What is chosen for `accuracy`: `method` and step (the default if `integrator` is omitted); only the `step` or the
+    tolerance of `integrator`, starting from a given one (the default otherwise); or `nothing`: the spec is run
+    unchanged, and the verdict says whether the accuracy is reached. The spec in an archive contains the method and step
+    that were chosen, with `choose: nothing`."""
     impacts: Literal["refuse", "allow"] = "refuse"
-    """Whether the rate of a driver may jump: `refuse` reports it as an error of the motion; `allow` changes velocities
-    there by the smallest impulse that satisfies the constraints, whose work is recorded."""
+    """Whether the velocity of a driver may be discontinuous: `refuse` reports it as an error of the motion; `allow`
+    changes velocities there by the smallest impulse that satisfies the constraints, whose work is recorded."""
 
     _watched: Any = PrivateAttr(default=None)
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
@@ -217,7 +218,7 @@ class RunSpec(ModelSpec):
 
     @property
     def is_to_be_chosen(self) -> bool:
-        """Whether method or step are still to be chosen for the accuracy asked."""
+        """Whether method or step are still to be chosen for the requested accuracy."""
         return self.accuracy is not None and self.choose != "nothing"
 
     def settled(self, integrator: dict[str, Any], step: float | None) -> RunSpec:

@@ -19,12 +19,12 @@ from mbdkit.spec.sections import Section, whole
 FORM = "{DISTRIBUTION: PARAMETERS}, such as {uniform: [-1, 1]} or {norm: {loc: 2, scale: 0.1}}"
 
 LIMITS = ("low", "high")
-"""Parameters of `uniform`, in whose place scipy.stats has the lower limit and the width."""
+"""Parameters of `uniform`; scipy.stats uses the lower limit and the width instead."""
 _NORMAL = {"mean": "loc", "std": "scale"}
 """Parameters of `normal`, which scipy.stats calls norm."""
 _LOCATION = ("loc", "scale")
 _SLOW = ("ksone", "kstwo")
-"""Distributions whose quantiles take milliseconds each, although scipy.stats has functions of their own for them."""
+"""Distributions whose quantiles take milliseconds each, although scipy.stats implements them explicitly."""
 
 
 def check_distribution(given: Any) -> Any:
@@ -200,7 +200,9 @@ def comparable(path: Path) -> tuple[str, ...]:
 
 
 class Sample(Section):
-    """Keys of the run spec whose values are drawn from distributions; each member of the sample is a run."""
+    """Keys of the run spec whose values are drawn from distributions; each member of the sample is one set of
+    values.
+    """
 
     n: Annotated[int, BeforeValidator(whole), Field(ge=1, le=1_000_000)]
     """Number of members of the sample. The Sobol sequence is balanced if it is a power of 2."""
@@ -210,14 +212,14 @@ class Sample(Section):
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Seed of the random numbers, on which all members depend."""
     design: Literal["plain", "saltelli"] = "plain"
-    """`plain` makes one run of each member. `saltelli` makes d + 2 runs, where d is the number of variables: from these
-    `study.sensitivity` computes Sobol indices."""
+    """`plain` makes one run for each member. `saltelli` makes d + 2 runs for each member, where d is the number of
+    variables; `study.sensitivity` computes Sobol indices from them."""
     variables: Annotated[dict[str, Distribution], AfterValidator(_check_variables)]
     """Distribution of each key, such as `model.angles.0: {uniform: [-1, 1]}`."""
 
     @property
     def runs_of_member(self) -> int:
-        """Number of runs of each member."""
+        """Number of runs for each member."""
         return len(self.variables) + 2 if self.design == "saltelli" else 1
 
     @property

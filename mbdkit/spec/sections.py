@@ -156,13 +156,13 @@ class Limits(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("misalignment", "energy_jump")
 
     wall_time: Positive | None = None
-    """Largest elapsed real time of the run [s]; unlimited by default. The companions of a check may together take as
-    long again; the pilot runs of `accuracy` are not limited by it."""
+    """Largest elapsed real time of the run [s]; unlimited by default. The same limit applies to all comparison runs of
+    a check together; the pilot runs of `accuracy` are not limited."""
     max_steps: Count = 10_000_000
     """Largest number of steps."""
     misalignment: Positive = 1.0
     """Largest misalignment of a joint, as a share of the mechanism's size, and of an angle [rad]; a run in which a
-    joint exceeds it stops with the reason `fell-apart`."""
+    joint exceeds this limit stops with the reason `fell-apart`."""
     energy_jump: Positive | None = None
     """Largest change of the energy balance in one step, as a share of the largest kinetic energy so far; a run that
     exceeds it stops with the reason `energy-jump`. Unlimited by default."""

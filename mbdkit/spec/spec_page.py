@@ -32,8 +32,8 @@ WIDTH = 120
 BEGINNING = """\
 # Spec reference
 
-Every key of run specs and study specs, with its type, default and unit. Text after a key is its type and its default;
-a key without a default is optional unless it is marked as required.
+Every key of run specs and study specs, with its type, default and unit. Each key is followed by its type and its
+default; a key without a default is optional unless it is marked as required.
 
 <!-- Written by `python -m mbdkit.spec.spec_page mbdkit/guide/spec.md`; do not edit. -->
 
@@ -101,7 +101,7 @@ def page(installed: Registry) -> str:
 
 
 def _version(key: str, schema: dict[str, Any]) -> str:
-    """Return the line of the key that tells the kind of a spec and its version."""
+    """Return the line of the key that identifies the kind of a spec and its version."""
     info = schema["properties"][key]
     return f"- `{key}` ({info['const']}, required): {_flat(info['description'])}"
 

@@ -115,7 +115,7 @@ def _check_axes(axes: Any, path: Path, assignment: str) -> None:
 
 
 def recognized(source: str) -> tuple[str | Document, bool]:
-    """Return what `load_study_spec` or `load_spec` take for a spec of either kind, and whether it is that of a study.
+    """Return a source for `load_study_spec` or `load_spec`, and whether it is the spec of a study.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _document_of(item: Registered) -> tuple[Document, FilePath]:
 
 
 def by_text(document: Document) -> Document:
-    """Convert the paths in `lines` as `parse_path` would, so that keys with dots in them are found."""
+    """Convert the paths in `lines` like `parse_path`, so that keys with dots in them can be looked up."""
     lines = document.lines
     document.lines = lambda: {parse_path(path_text(path)): line for path, line in lines().items()}
     return document

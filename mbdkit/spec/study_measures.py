@@ -30,7 +30,7 @@ ErrorMeasure = Literal[
 ]
 """Measures that compare a run with its reference run."""
 SecondRunMeasure = Literal["reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step"]
-"""Measures that need a second run of each spec; taken only if listed by name."""
+"""Measures that need a second run of each spec; computed only if listed by name."""
 Measure = Literal[
     "misalignment_max",
     "velocity_misalignment_max",
@@ -74,8 +74,8 @@ class DefinedMeasure:
     item, options
         Measure of a plugin and its options, instead of an expression.
     of_base
-        Whether it stands in the base of a study, and not in the study itself. It is then taken of those runs whose
-        spec has it, because other families may have other bases.
+        Whether it is defined in the base of a study instead of the study itself. It is then computed for the runs whose
+        spec contains it, because other families may have other bases.
     """
 
     name: str
@@ -92,12 +92,14 @@ class DefinedMeasure:
 
 
 def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
-    """Return the expressions of measures that a study defines itself; its bases give those of theirs to the runs."""
+    """Return the expressions of measures that a study defines itself; those of its bases are part of the specs of
+    runs.
+    """
     return tuple(one.expression for one in measures if one.item is None and not one.of_base)
 
 
 def built_in(measures: Any) -> tuple[str, ...] | None:
-    """Return the names of built-in measures that a study lists; None if it takes all of them."""
+    """Return the names of built-in measures that a study lists; None if all of them are computed."""
     if isinstance(measures, list):
         return tuple(entry for entry in measures if entry in BUILT_IN)
     return None
@@ -169,7 +171,7 @@ def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> Defined
     items = installed.of_kind("measure")
     if not any(wanted in (item.name, item.id) for item in items):
         if wanted in BUILT_IN:
-            message = f"'{wanted}' is a built-in measure, which is taken by its name alone: `measures: [{wanted}]`"
+            message = f"'{wanted}' is a built-in measure, which is selected by its name alone: `measures: [{wanted}]`"
             raise SpecError(message, key=path_text(place))
         known = [*(BUILT_IN if isinstance(place[-1], int) else ()), *installed.names("measure")]
         told = f"; known: {listed(known)}" if known else "; no installed plugin has any"

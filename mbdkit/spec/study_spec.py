@@ -139,7 +139,7 @@ class Members(Section):
 
 
 class StudySpec(StrictSpec):
-    """The complete input of a study: a base run spec, the parameters that vary, and the measures to take.
+    """The complete input of a study: a base run spec, the parameters that vary, and the measures to compute.
 
     Raises
     ------
@@ -165,17 +165,18 @@ class StudySpec(StrictSpec):
     families: dict[str, Family] = Field(default_factory=dict)
     """Several grids of runs by name, instead of `axes`."""
     sample: Sample | None = None
-    """Keys whose values are drawn from distributions. A study may have axes or families as well: it then makes the runs
-    of the same sample for each combination of these."""
+    """Keys whose values are drawn from distributions. A study may have axes or families as well: the sample is then
+    repeated for each combination of these."""
     reference: Reference = "none"
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
     """Number of timings of each run; if more than one, timing is serial, after all runs."""
     measures: Measures = "all"
-    """Measures to take of each run, in addition to counters and times. `all` takes the built-in ones that are computed
-    from the archive, not the reversibility defects and the velocity misalignment over every step, which need a second
-    run. A mapping defines further ones by expressions, such as `peak: max(abs(joints.B.force))`, or by measures of
-    plugins, and takes all built-in ones too. A list takes what it contains: names and such mappings."""
+    """Measures to compute for each run, in addition to counters and times. `all` selects the built-in measures that are
+    computed from the archive, but not the reversibility defects and the velocity misalignment over every step, which
+    need a second run. A mapping defines further measures by expressions, such as `peak: max(abs(joints.B.force))`, or
+    by measures of plugins, in addition to all built-in ones. A list selects only its entries: names and such
+    mappings."""
     verdict: str = ""
     """Name of the function that evaluates the results in the report; empty for none."""
 
@@ -190,11 +191,11 @@ class StudySpec(StrictSpec):
     """Whether the arrays of blocks are compressed."""
     members: Members | None = None
     """A table of values, one row for each run, instead of `axes`; `mbdkit.ensemble` writes it, and each study with a
-    `sample` writes that of its values into its folder."""
+    `sample` writes the table of its values into its folder."""
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
     _folder: FilePath = PrivateAttr(default_factory=FilePath)
-    _columns: Any = PrivateAttr(default=None)  # of the table of members, once it is read
+    _columns: Any = PrivateAttr(default=None)  # folder of the table of members, once it has been read
 
     @model_validator(mode="after")
     def _consistent(self) -> StudySpec:
@@ -255,12 +256,12 @@ class StudySpec(StrictSpec):
 
     @property
     def in_blocks(self) -> bool:
-        """Whether the study asks for blocks instead of a file for each run."""
+        """Whether the study requests blocks instead of a file for each run."""
         return self.store not in (None, "files")
 
     @property
     def needs_files(self) -> str:
-        """What of the study is only possible with a file for each run, as text; empty if nothing is."""
+        """Names of the keys that require a file for each run, as text; empty if there are none."""
         families = self.families.values()
         if any(reference not in ("none", None) for reference in (self.reference, *(one.reference for one in families))):
             return "`reference`"

@@ -1,4 +1,4 @@
-"""The functions `study`, `ensemble` and `load_study`: they carry out studies and open their folders."""
+"""The functions `study`, `ensemble` and `load_study`, which run studies and open their folders."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _LOG = logger_of(__name__)
 class _TemporaryFolder:
     """A folder that is deleted with this object, or at the end of the process.
 
-    `tempfile.TemporaryDirectory` would raise a ResourceWarning, because nobody closes a study.
+    `tempfile.TemporaryDirectory` would raise a ResourceWarning, because studies are not closed.
     """
 
     def __init__(self) -> None:
@@ -98,8 +98,8 @@ def study(
     workers
         Number of processes that compute in parallel.
     executor
-        A `concurrent.futures.Executor` that computes instead of these processes, such as ``client.get_executor()`` of
-        Dask, or an executor of submitit. Its workers must see the folder under the same path. If it breaks, as a
+        A `concurrent.futures.Executor` to use instead of these processes, such as ``client.get_executor()`` of Dask, or
+        an executor of submitit. Its workers must see the folder under the same path. If it breaks, as a
         `ProcessPoolExecutor` does when a process dies, the processes of `workers` compute what is left.
     shard
         Part of the study to compute; by default all of it.
@@ -111,8 +111,8 @@ def study(
     assignments
         Assignments such as ``"time.end=5"`` that are set in the base of every run.
     overwrite
-        Whether to start the folder anew: its study.yaml, index, archives of runs and report are removed first, once the
-        new study has proved valid. Other files in it are kept.
+        Whether to replace an earlier study in the folder: its study.yaml, index, archives of runs and report are
+        removed once the new study has been validated. Other files are kept.
     store
         What is stored of each run, instead of `store` of the study spec: ``files``, ``all``, ``histories``,
         ``summary`` or ``hashes``.
@@ -121,7 +121,7 @@ def study(
     -------
     Study
         The study with its index. Failed runs do not raise an error; they are part of the results. A run for which a
-        resource is lacking, such as disk space, is missing; `Study.unfinished` has the reasons.
+        resource is not available, such as disk space, is missing; `Study.unfinished` has the reasons.
 
     Raises
     ------
@@ -191,17 +191,17 @@ def ensemble(
     source
         The spec: a file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism.
     variables
-        (N,) values by key of the spec, such as ``model.angles.0``: numbers or texts. Run i has the values at place i.
+        (N,) values by key of the spec, such as ``model.angles.0``: numbers or texts. Run i has the values at index i.
     store
-        What is stored of each run: ``all`` arrays, ``histories``, a ``summary`` or ``hashes``. With each of them,
-        `Study.remake` makes any run again and proves that it is the same.
+        What is stored of each run: ``all`` arrays, ``histories``, a ``summary`` or ``hashes``. In all cases,
+        `Study.remake` can compute a run again and verify that it is bitwise identical.
     out
         Folder of the study; by default a temporary one that is deleted with the returned study. A second call with the
         same arguments computes only what is missing in it.
     workers
         Number of processes that compute in parallel.
     executor
-        Computes instead of these processes, as for `study`.
+        Executor to use instead of these processes, as for `study`.
     measures
         Measures to take, as in a study spec.
     block

@@ -42,11 +42,11 @@ SAMPLES = 8
 """Runs of a study whose specs are validated before the first run; those of all others when they are computed."""
 
 PATIENCE = 10.0
-"""Time for another process that computes the same block to end, as one does whose parent was killed [s]."""
+"""Time to wait for another process that computes the same block, such as one whose parent was killed [s]."""
 
 
 class BlockStudyPlan:
-    """What a study in blocks computes.
+    """The plan of a study in blocks.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class BlockStudyPlan:
         return any(point.spec.estimates_errors for point in self.samples[:1] if not point.lacking)
 
     def measured(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
-        """Return the measures of runs by name, or why they could not be taken."""
+        """Return the measures of runs by name, or the reason why they could not be computed."""
         runs = [Run(ArrayContents(finished, Heading(spec))) for finished, spec in results]
         taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
         for places in places_by_group([finished for finished, _ in results]):
@@ -178,7 +178,7 @@ def compute_block(
     """Compute the runs of a block and write its file.
 
     Everything else is read from the folder, so that any process that sees it can do this. While the block is computed,
-    a file beside it contains the number of the run at work, see `StudyFolder.run_at_work`.
+    a file beside it contains the number of the run in progress, see `StudyFolder.run_at_work`.
 
     Parameters
     ----------
@@ -236,13 +236,13 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
         return _Member(point, base, values, Refused("left-out", reason))
     if point.number in skip:
         return _Member(point, base, values, Refused("failed", skip[point.number]))
-    mark.note(point.number)  # a model of a plugin may end the process
+    mark.note(point.number)  # recorded first, because recorded first, because a model of a plugin may end the process
     try:
         spec = varied[base].spec([(one.path, one.value) for one in point.settings])
         spec.mechanism()
     except SpecError:
         try:
-            return _Member(point, base, values, point.spec)  # for the place of the error in the study
+            return _Member(point, base, values, point.spec)  # for the location of the error in the study
         except SpecError as error:  # without the file, which depends on the folder
             told = f"{error.key}: {error.message}" if error.key else error.message
             return _Member(point, base, values, Refused("failed", f"wrong-input: {told}"))
@@ -265,7 +265,7 @@ def _results(
 
 
 def _stored(plan: BlockStudyPlan, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:
-    """Return what the block keeps of runs."""
+    """Return the data that the block stores of runs."""
     finished = [
         (result, member.spec)
         for member, result in some
@@ -281,7 +281,7 @@ def _stored(plan: BlockStudyPlan, some: Sequence[tuple[_Member, FinishedRun | Re
 def _block_run(
     plan: BlockStudyPlan, member: _Member, result: FinishedRun | Refused, measured: dict[str, float] | Refused
 ) -> BlockRun:
-    """Return what the block keeps of a run."""
+    """Return the data that the block stores of a run."""
     point, spec = member.point, member.spec
     if not isinstance(spec, RunSpec):
         assert isinstance(result, Refused)
@@ -304,9 +304,10 @@ def _block_run(
 
 
 class _Mark:
-    """The file that contains the number of the run at work in a block; it is removed at the end.
+    """The file that contains the number of the run in progress in a block; it is removed at the end.
 
-    It is locked, so that no two processes compute a block, as when the worker of an executor only seems to be lost.
+    It is locked, so that two processes cannot compute the same block, for example if the worker of an executor is
+    wrongly considered lost.
     """
 
     def __init__(self, folder: StudyFolder, block: int):

@@ -22,7 +22,7 @@ Progress = Callable[[int, int, int], None]
 
 @dataclass(frozen=True)
 class Options:
-    """How a study is executed.
+    """Settings of the execution of a study.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Options:
     def __post_init__(self) -> None:
         if self.overwrite and self.shard is not None:
             raise SpecError(
-                "--overwrite cannot be combined with --shard: it would remove what the calls for other parts computed"
+                "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
             )
 
 
@@ -61,7 +61,7 @@ class Execution:
     computed, failed
         Numbers of runs that were computed, and of those that failed.
     unfinished
-        Reasons outside the study why something was not computed.
+        External reasons why runs were not computed.
 
     Raises
     ------
@@ -77,12 +77,12 @@ class Execution:
         folder.check(spec, overwrite=options.overwrite)
 
     def run(self, engine: Engine) -> None:
-        """Compute what is missing and write the index; after Ctrl-C, index the results so far.
+        """Compute the missing results and write the index; after Ctrl-C, index the results so far.
 
         Parameters
         ----------
         engine
-            What computes the runs.
+            Processes or executor that compute the runs.
         """
         if self.options.overwrite:
             self.folder.clear()
@@ -96,7 +96,7 @@ class Execution:
                     study_index.write(self.folder.index, self.spec, self.store.index())
 
     def _compute(self, engine: Engine, total: int) -> None:
-        """Compute what is missing."""
+        """Compute the missing results."""
         ended = 0  # runs of the rounds before
         for some in self.store.rounds():
             ended += some.planned

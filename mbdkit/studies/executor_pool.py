@@ -24,14 +24,14 @@ from mbdkit.studies.tasks import Outcome, Work, died
 
 @dataclass(frozen=True)
 class Engine:
-    """What computes the tasks of a study.
+    """Settings for computing the tasks of a study.
 
     Parameters
     ----------
     workers
         Number of worker processes of this machine.
     executor
-        Computes the tasks instead of them. Only if it breaks do they compute what is left.
+        Executor that computes the tasks instead. If it breaks, worker processes compute the remaining tasks.
     program
         Module that carries out the tasks, with the functions `main` and `compute` of `mbdkit.studies.worker`.
     """
@@ -53,7 +53,7 @@ class Engine:
 
 
 def checked_executor(executor: Any) -> Executor | None:
-    """Return an executor that a user passes, one of submitit included.
+    """Return an executor passed by the user, which may be one of submitit.
 
     Raises
     ------
@@ -70,13 +70,14 @@ def checked_executor(executor: Any) -> Executor | None:
 class ExecutorPool(Generic[Work]):
     """Tasks that an executor computes, with the methods of `Pool`.
 
-    What is sent to the workers are texts, numbers, and paths that all of them must see. A worker writes the archive or
-    the block of its task; a task whose worker is lost is sent once more.
+    Workers receive texts, numbers, and paths, which all of them must see. A worker writes the archive or the block of
+    its task; a task whose worker is lost is submitted once more.
 
     Parameters
     ----------
     local
-        Computes what is left if the executor breaks, as a `ProcessPoolExecutor` does when one of its processes dies.
+        Computes the remaining tasks if the executor breaks, as a `ProcessPoolExecutor` does when one of its processes
+        dies.
     """
 
     def __init__(self, executor: Executor, local: Pool[Work]):
@@ -148,9 +149,9 @@ class ExecutorPool(Generic[Work]):
         return [task for batch in batches[submitted:] for task in batch]
 
     def _without_executor(self, batches: list[list[Work]], error: BrokenExecutor) -> Iterator[tuple[Work, Outcome]]:
-        """Compute by local processes what a broken executor has not."""
-        self.executor.shutdown()  # its last processes no longer write
-        self.local.say(f"the executor broke, and processes of this machine compute the rest ({_told(error)})")
+        """Compute the remaining tasks of a broken executor by local processes."""
+        self.executor.shutdown()  # wait until its last processes have ended
+        self.local.say(f"the executor failed, and processes on this machine compute the rest ({_told(error)})")
         begun: list[list[Any]] = [batch.tasks for batch in self._begun.values()]
         left: list[Any] = [task for batch in (*begun, *batches) for task in batch]
         self._begun.clear()
@@ -158,7 +159,7 @@ class ExecutorPool(Generic[Work]):
             yield from pool.work(left)
 
     def _outcome(self, task: Work, answer: dict[str, Any]) -> Outcome:
-        """Return the outcome that a worker tells, if this process sees its file, too."""
+        """Return the outcome reported by a worker, if this process can see its file as well."""
         for note in answer.pop("notes"):
             self.local.say(note)
         outcome = Outcome.of(answer)
@@ -177,7 +178,7 @@ class ExecutorPool(Generic[Work]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for future in self._begun:
-            future.cancel()  # has no effect on those that are computed already, which end by themselves
+            future.cancel()  # has no effect on running tasks, which end by themselves
 
 
 class _Batch(Generic[Work]):
@@ -188,9 +189,9 @@ class _Batch(Generic[Work]):
         self._before = [_written(task.path) for task in tasks]
 
     def divided(self) -> tuple[list[Work], list[Work]]:
-        """Return the tasks of which the worker may have died, and the others, once it is lost.
+        """Return the tasks that may have killed a lost worker, and the others.
 
-        Tasks are computed one after another, so it died of the first one whose file it has not written.
+        Tasks are computed in order, so that the worker died during the first one whose file it has not written.
         """
         if not all(task.writes for task in self.tasks):
             return self.tasks, []

@@ -143,7 +143,7 @@ class Asked:
     workers: int | None = None
 
     def check(self) -> None:
-        """Raise SpecError if options do not fit together."""
+        """Raise SpecError if options are inconsistent."""
         if self.slurm and self.name != "submitit":
             raise SpecError("--slurm is for --executor submitit")
         if self.scheduler is not None and self.name == "local":
@@ -161,7 +161,7 @@ class Asked:
 
 @contextlib.contextmanager
 def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterator[Executor | None]:
-    """Yield the executor that is asked for, None for the processes of this machine, and close it.
+    """Yield the requested executor, None for processes on this machine, and close it at the end.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterato
     Raises
     ------
     SpecError
-        If options do not fit together, a package is not installed, or no scheduler answers.
+        If options are inconsistent, a package is not installed, or no scheduler answers.
     """
     asked.check()
     match asked.name:
@@ -204,7 +204,7 @@ def _dask(scheduler: str, notify: Callable[[str], None]) -> Iterator[Executor]:
         if "address" in place:  # a client with a wrong one ends with a traceback
             distributed.comm.resolve_address(scheduler)
         client = distributed.Client(**place, timeout=TIMEOUT, set_as_default=False)
-    except Exception as error:  # the scheduler of another version, or no scheduler, may answer
+    except Exception as error:  # a scheduler of another version, or another server, may answer
         raise SpecError(
             f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
         ) from error
@@ -222,7 +222,7 @@ def _submitit(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iter
     if cluster == "slurm" and shutil.which("sbatch") is None:
         raise SpecError(
             "there is no Slurm on this machine: the command sbatch is not found; "
-            "`--scheduler local` tries the jobs on this machine"
+            "`--scheduler local` runs the jobs on this machine"
         )
     files: list[Path] = []
 

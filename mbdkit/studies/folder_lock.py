@@ -50,11 +50,11 @@ class Shard:
         return cls(int(found[1]), int(found[2]))
 
     def has(self, place: int) -> bool:
-        """Return whether the run at this place, counted from 0, belongs to the part."""
+        """Return whether the run at this index, from 0, belongs to the part."""
         return place % self.count == self.number - 1
 
     def overlaps(self, other: Shard) -> bool:
-        """Return whether a run may belong to both parts, whatever the number of runs."""
+        """Return whether a run may belong to both parts, for some number of runs."""
         return (self.number - other.number) % math.gcd(self.count, other.count) == 0
 
 
@@ -79,14 +79,14 @@ class Owner:
     host
         Name of its machine.
     boot
-        Identifies the start of this machine, since when process numbers are unique together with `started`; empty where
-        the system does not tell.
+        Identifier of the last boot of the machine; process numbers are unique since then, together with `started`.
+        Empty if unknown.
     started
-        When the process started, as the system tells it.
+        Start time of the process, as reported by the system.
     since
-        When it took the lock, as text.
+        Time at which it took the lock, as text.
     token
-        Tells this lock from others of the process.
+        Distinguishes this lock from others of the process.
     """
 
     host: str
@@ -104,7 +104,7 @@ class Owner:
 
     @classmethod
     def of(cls, lock: Path) -> Owner | None:
-        """Return the owner of a lock; None if the file does not exist, or does not tell."""
+        """Return the owner of a lock; None if the file does not exist, or is not readable as a lock."""
         try:
             handle = os.open(lock, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
             with os.fdopen(handle, "rb") as file:
@@ -121,7 +121,7 @@ class Owner:
 
     @property
     def is_dead(self) -> bool:
-        """Whether the process is known to have ended, which only its own machine can tell."""
+        """Whether the process is known to have ended; this can be determined on its own machine only."""
         return self.is_here and (self.boot != _boot() or self.started != _started(self.pid))
 
 
@@ -136,10 +136,12 @@ def _started(pid: int) -> str:
     """Return when a process started, as text; empty if it has ended."""
     if _BOOT.exists():  # Linux
         try:
-            status = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()  # after the name of the program
+            status = (
+                Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+            )  # the fields follow the name of the program
         except OSError:
             return ""
-        return "" if status[0] in "ZX" else status[19]  # a dead process whose parent has not taken note; see proc(5)
+        return "" if status[0] in "ZX" else status[19]  # a dead process that its parent has not waited for; see proc(5)
     told = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False)
     return told.stdout.strip()
 
@@ -153,9 +155,9 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
     Parameters
     ----------
     mutex
-        An existing file, which is locked while the locks of others are looked at.
+        An existing file, which is locked while the locks of other calls are checked.
     command
-        The command that is said to use the folder.
+        The command named in messages.
 
     Raises
     ------
@@ -194,7 +196,7 @@ def _write(lock: Path, owner: Owner) -> None:
 
 
 def _remove_stale(lock: Path, command: str) -> None:
-    """Remove a lock whose owner is dead; raise ResourceError if it may be alive."""
+    """Remove a lock whose owner is dead; raise ResourceError if the owner may be alive."""
     owner = Owner.of(lock)
     folder = lock.parent
     if owner is None and not lock.exists():

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study_point import StudyPoint
 
 _ROUNDINGS = 4.0
-"""Number of roundings of the mechanism's size below which an error says nothing about an order."""
+"""An error below this many units of round-off of the mechanism's size is not used to determine an order."""
 
 
 def general_verdict(study: Study) -> Verdict:

@@ -44,7 +44,7 @@ class KnownRuns:
         try:
             before = study_index.read(folder.index)
         except (SpecError, ResourceError):
-            pass  # no index, or a damaged one: read the archives instead
+            pass  # without a valid index, the archives are read instead
         else:
             if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
                 count = len(before.references["status"])

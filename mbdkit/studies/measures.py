@@ -1,4 +1,4 @@
-"""Measures: scalar results of each run of a study, taken of many at once; nan if a run does not provide one."""
+"""Measures: scalar results of each run of a study, computed for many runs at once; nan if undefined for a run."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class RunGroup:
 
 
 def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
-    """Yield the places of those runs that can be a `RunGroup`."""
+    """Yield the indices of runs that can form a `RunGroup`."""
     groups: dict[bytes, list[list[int]]] = {}
     for place, run in enumerate(runs):
         alike = groups.setdefault(run.arrays["time"].tobytes(), [])
@@ -109,7 +109,7 @@ class Measure:
 
 
 def _one_by_one(take: Callable[[Run, Run | None], float]) -> Callable[[RunGroup], np.ndarray]:
-    """Return a measure that is taken of each run with its reference, or None if it has no reference."""
+    """Return a measure that is computed for each run with its reference, or None if there is no reference."""
     return lambda group: np.array([take(run, group.reference) for run in group.runs])
 
 

@@ -1,4 +1,4 @@
-"""The table of members of a study: an HDF5 file with a column of values for each key that varies."""
+"""The table of members (runs) of a study: an HDF5 file with a column of values for each key that varies."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ def read_members(spec: StudySpec) -> dict[str, np.ndarray]:
 def _read(path: Path, runs: int, sha256: str) -> dict[str, np.ndarray]:
     if not path.is_file():
         raise SpecError("there is no such file, which the study names as the table of its members", file=path)
-    hint = "restore it, or make the study again"
+    hint = "restore it, or create the study again"
     with reading("its columns", path, hint=hint), open_hdf5(path, "table of members", hint=hint) as file:
         if file.attrs.get("format") != _FORMAT:
             raise SpecError("this is not a table of members", file=path)
         if data_sha256(file) != sha256:
-            raise SpecError("this is not the table of this study: its hash is another one", file=path)
+            raise SpecError("this is not the table of this study: its hash differs", file=path)
         items = [item for item in file["members"].values() if "key" in item.attrs]
         columns = {str(item.attrs["key"]): read_column(item) for item in items}
         if not columns or any(column.shape != (runs,) for column in columns.values()):

@@ -1,4 +1,4 @@
-"""A folder that belongs to one study or design: its spec, its locks, and how it is started anew."""
+"""A folder that belongs to one study or design: its spec, its locks, and its replacement by a new one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ JOBS = ".jobs-"
 """Beginning of the name of the folder for the files of submitted jobs."""
 
 _GENERATOR = b'<meta name="generator" content="mbdkit '
-"""What every page of mbdkit contains near its beginning."""
+"""Text that every page of mbdkit contains near its beginning."""
 
 Spec = TypeVar("Spec")
 
@@ -52,11 +52,11 @@ class OwnedFolder(ABC, Generic[Spec]):
 
     @abstractmethod
     def plain_spec(self, spec: Spec) -> dict[str, Any]:
-        """Return what is written into the folder as its spec."""
+        """Return the text of the spec in the folder."""
 
     @abstractmethod
     def remove_results(self) -> None:
-        """Remove what a study or design writes into the folder, apart from `files`, spec and report."""
+        """Remove the other files that a study or design writes into the folder, apart from `files`, spec and report."""
 
     def check(self, spec: Spec, *, overwrite: bool = False) -> None:
         """Check that the folder can be used for this study or design, without changing anything.
@@ -82,7 +82,7 @@ class OwnedFolder(ABC, Generic[Spec]):
             raise SpecError(f"this is not a folder; name a folder for the {kind} with -o", file=path)
         check_writable(path, path)
         has_others = not all(entry.name.startswith((self._begun, LOCK, JOBS)) for entry in path.iterdir())
-        if self.spec.is_file():  # asked last: another call may be creating it, before any other file
+        if self.spec.is_file():  # checked last: another call may be creating it, before any other file
             if overwrite:
                 self._check_own()
             else:
@@ -100,7 +100,7 @@ class OwnedFolder(ABC, Generic[Spec]):
         if not self.is_same(spec):
             raise SpecError(
                 f"this folder belongs to another {self.KIND}, or to an earlier version of this one: its "
-                f"{self.spec.name} differs; choose another folder with -o, or start it anew with --overwrite",
+                f"{self.spec.name} differs; choose another folder with -o, or replace its contents with --overwrite",
                 file=self.path,
             )
 
@@ -163,11 +163,11 @@ class OwnedFolder(ABC, Generic[Spec]):
             raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error
 
     def create_more(self, spec: Spec) -> None:
-        """Create what the folder needs beside the spec."""
+        """Create the other files and folders besides the spec."""
 
     @contextlib.contextmanager
     def locked(self, shard: Shard | None = None) -> Iterator[None]:
-        """Lock the folder against other calls, and remove what killed ones have left.
+        """Lock the folder against other calls, and remove files left by killed ones.
 
         Parameters
         ----------

@@ -34,7 +34,7 @@ Label = int | float | str
 
 @dataclass(frozen=True)
 class Setting:
-    """A key of the run spec that the study sets: its path, its value, and its place in the study spec."""
+    """A key of the run spec that the study sets: its path, its value, and its location in the study spec."""
 
     path: Path
     value: Any
@@ -141,7 +141,7 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
 
 
 def number_of_points(spec: StudySpec) -> int:
-    """Return the number of points of a study, of which none is made for that."""
+    """Return the number of points of a study, without creating them."""
     return rows_of(spec) * sum(math.prod(size(next(iter(axis.values()))) for axis in axes) for axes in _axes(spec))
 
 
@@ -221,7 +221,7 @@ class PlannedPoint:
         Raises
         ------
         SpecError
-            If the spec is invalid; the error names the place in the study that causes it.
+            If the spec is invalid; the error names the location in the study that causes it.
         """
         return self._checked((*self.grid.overrides, *self.settings), f"run {self.number}")
 
@@ -232,7 +232,7 @@ class PlannedPoint:
         Raises
         ------
         SpecError
-            If the spec is invalid; the error names the place in the study that causes it.
+            If the spec is invalid; the error names the location in the study that causes it.
         """
         if self.grid.reference is None:
             return None
@@ -282,12 +282,12 @@ class PlannedPoint:
         return spec
 
     def _placed(self, error: SpecError, place: Path) -> SpecError:
-        """Return an error with the file and line of its place in the study, or in the file of its base spec."""
+        """Return an error with its file and line in the study, or in the file of its base spec."""
         return self.study.placed(error.located(prefix=path_text(place)))
 
 
 def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path, bool]:
-    """Return the place in the study at which a run spec key is set, and whether the place identifies the key."""
+    """Return the location in the study at which a run spec key is set, and whether it identifies the key."""
     above = [setting for setting in settings if path[: len(setting.path)] == setting.path]
     if above:
         last = max(enumerate(above), key=lambda item: (len(item[1].path), item[0]))[1]
@@ -299,7 +299,7 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid) -> tuple[Path
 
 
 class PlannedPoints(Sequence[PlannedPoint]):
-    """All points of a study, each made when it is asked for.
+    """All points of a study, each created on access.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ from mbdkit.studies.tasks import Outcome, Work, died
 PROGRAM = "mbdkit.studies.worker"
 """Module that carries out the tasks of studies."""
 
-#: Thread counts of the linear algebra libraries: several threads do not pay for small matrices, and the workers would
+#: Thread counts of the linear algebra libraries: several threads do not help with small matrices, and the workers would
 #: compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
@@ -57,7 +57,7 @@ class Pool(Generic[Work]):
     def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
         """Start the tasks in order, and yield each with its outcome when it is finished.
 
-        Processes that earlier tasks have left are used again.
+        Processes of earlier tasks are reused.
 
         Raises
         ------
@@ -72,7 +72,7 @@ class Pool(Generic[Work]):
         while any(worker.task for worker in self._workers):
             worker, line = self._lines.get()
             task = worker.task
-            if task is None:  # it died while it was idle
+            if task is None:  # the process died while it was idle
                 self._workers.remove(worker)
                 worker.end()
                 continue
@@ -169,7 +169,7 @@ class _Worker(Generic[Work]):
             self.process.stdin.flush()
 
     def death(self) -> str:
-        """Return words that say how the process ended."""
+        """Return a description of how the process ended."""
         code = self.process.wait()
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {code}"
         self.errors.seek(0)

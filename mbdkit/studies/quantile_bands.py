@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 MOST_ROWS = 501
-"""Most times at which quantiles are computed by default, if all runs recorded the same times."""
+"""Largest number of times at which quantiles are computed by default, if all runs recorded the same times."""
 TIMES = 201
 """Number of these times if the runs recorded different ones."""
 
@@ -100,7 +100,7 @@ def _given(times: Any) -> np.ndarray:
 def _by_run(
     time: np.ndarray, values: np.ndarray, numbers: Iterable[int], counts: np.ndarray, places: Set[int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield times and values of each run at some places of a study, from the rows of many."""
+    """Yield times and values of each run at some indices of a study, from joined runs."""
     ends = np.cumsum(counts)
     for number, end, count in zip(numbers, ends.tolist(), counts.tolist(), strict=True):
         if number - 1 in places and count:

@@ -31,16 +31,16 @@ OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", 
 """Columns of texts and hashes in the index of a study in blocks."""
 
 SETTLED = 2.0
-"""Time since the last change of a file after which its times tell the next change apart from it [s].
+"""Time since the last change of a file after which a further change is visible in its times [s].
 
-File systems count time in steps, of 2 s at most.
+File systems record times with a resolution of 2 s or better.
 """
 
 
 UNKNOWN = (0, 0, 0, 0)
 
 CHANGED = 2
-"""Place of the time of the last change in a state."""
+"""Index of the time of the last change in a state."""
 
 
 class RunBlocks(RunStore):
@@ -60,13 +60,15 @@ class RunBlocks(RunStore):
             if (shard is None or shard.has(block)) and not self._known.is_whole(block)
         ]
         if self._tasks and (reason := self._why_alone()):
-            notify(f"the runs are advanced one after another, not in lanes, because {reason}")
+            notify(f"the runs are not vectorized but computed one after another, because {reason}")
         for task in self._tasks:
             self.folder.forget_run_at_work(task.block)  # of a process that was killed in an earlier call
         return sum(map(self.size, self._tasks))
 
     def _why_alone(self) -> str:
-        """Return why some runs of the study, and so probably all, are not advanced in lanes; empty if one is."""
+        """Return the reason why the sampled runs of the study, and so probably all, are not vectorized; empty if one of
+        them is.
+        """
         reasons = []
         for point in self.plan.samples:
             with suppress(SpecError):
@@ -127,7 +129,7 @@ class RunBlocks(RunStore):
 
 @dataclass(frozen=True, eq=False)
 class BlockRows:
-    """The columns of the runs of one block: texts and hashes, numbers, and what the numbers are."""
+    """The columns of the runs of one block: texts and hashes, numbers, and descriptions of the numbers."""
 
     texts: Mapping[str, np.ndarray]
     numbers: Mapping[str, np.ndarray]
@@ -163,7 +165,7 @@ def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
 class KnownBlocks:
     """State of the blocks in the folder of a study.
 
-    A block is read, and its hashes are computed, if its file has changed since it was indexed. The system notes the
+    A block is read, and its hashes are computed, if its file has changed since it was indexed. The system records the
     time of a change (ctime) of the content, the modification time or the name of a file; programs cannot set it.
     """
 
@@ -173,12 +175,12 @@ class KnownBlocks:
         try:
             before = study_index.read(folder.index)
         except (SpecError, ResourceError):
-            pass  # no index, or a damaged one: read the blocks instead
+            pass  # without a valid index, the blocks are read instead
         else:
             is_same = before.study_sha256 == spec.sha256() and before.version == version("mbdkit")
             if is_same and before.states is not None and len(before.states) == blocks.count:
                 self._before = before
-        self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be sound
+        self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
 
     def is_whole(self, block: int) -> bool:
         """Return whether the file of a block is sound, and no run in it failed for a reason outside the study.
@@ -209,7 +211,7 @@ class KnownBlocks:
         )
 
     def states(self) -> np.ndarray:
-        """Return (B, 4) the states of the files that are sound and will not change unnoticed; zero for others."""
+        """Return (B, 4) the states of the valid files whose changes would be detected; zero for others."""
         states = np.zeros((self.blocks.count, len(UNKNOWN)), np.int64)
         now = time.time_ns()
         for block in range(self.blocks.count):

@@ -40,7 +40,7 @@ class Noted:
     failed
         Number of failed ones.
     unfinished
-        Reasons outside the study why something was not computed.
+        External reasons why runs were not computed.
     """
 
     runs: int = 0

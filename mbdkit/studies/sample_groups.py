@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class SampledStudy(Protocol):
-    """What is needed of a `Study` to evaluate its sample."""
+    """The interface of `Study` that is needed to evaluate its sample."""
 
     spec: StudySpec
 
@@ -51,7 +51,7 @@ class SampleGroup:
     axes
         Labels on the axes by dotted key, without those of the variables; empty in a study without axes.
     places
-        Places of its runs among the points of the study, counted from 0.
+        Indices of its runs among the points of the study, from 0.
     """
 
     family: str

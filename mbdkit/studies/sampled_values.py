@@ -21,8 +21,8 @@ _SMALLEST = 2.0**-54
 def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
     """Return the values of each variable, (N,) by dotted key, where N is the number of runs.
 
-    The runs of a member follow each other. In a Saltelli design with d variables these are: one run with a point of the
-    matrix A, one with a point of B, and d runs with the point of A in which one coordinate is that of B.
+    The runs of a member follow each other. In a Saltelli design with d variables, these are one run with a point of the
+    matrix A, one with a point of B, and d runs with the point of A in which one coordinate is replaced by that of B.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
 
     random = np.random.default_rng(sample.seed)
     match sample.method:
-        case "sobol":  # whole powers of 2, because scipy warns of others
+        case "sobol":  # a power of 2, because SciPy warns about other numbers
             points = qmc.Sobol(dimensions, seed=random).random_base2((sample.n - 1).bit_length())[: sample.n]
         case "halton":
             points = qmc.Halton(dimensions, seed=random).random(sample.n)
@@ -70,8 +70,8 @@ def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
 def settled_sample(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
     """Return a study with the table of the values of its sample; other studies are returned unchanged.
 
-    The table of the folder is used if it belongs to the same study, so that a study goes on with the same values under
-    another version of SciPy.
+    The table in the folder is used if it belongs to the same study, so that a study continues with the same values even
+    with another version of SciPy.
     """
     if spec.sample is None or spec.members is not None:
         return spec
@@ -90,7 +90,7 @@ def settled_sample(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = Fa
 
 
 def _study_in(folder: StudyFolder) -> StudySpec | None:
-    """Return the study in a folder; None if there is none that can be read, which is reported elsewhere."""
+    """Return the study in a folder; None if there is no readable one, which is reported elsewhere."""
     if not folder.spec.is_file():
         return None
     try:
@@ -128,5 +128,5 @@ def rows_of(spec: StudySpec) -> int:
 
 
 def table_place(spec: StudySpec) -> Path:
-    """Return the place in the study spec of the keys of `values_of`."""
+    """Return the location in the study spec of the keys of `values_of`."""
     return ("members",) if spec.sample is None else ("sample", "variables")

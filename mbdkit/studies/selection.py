@@ -1,6 +1,7 @@
 """Conditions on the columns of a study, such as ``misalignment_max < 1e-6 and integrator == 'gauss'``.
 
-Conditions may come from strangers: they are parsed, never evaluated as Python, and only what is listed here is allowed.
+Conditions may come from untrusted sources: they are parsed, never evaluated as Python, and only the operations listed
+here are allowed.
 """
 
 from __future__ import annotations
@@ -67,7 +68,9 @@ class _Condition(Compiler):
         return re.sub(_QUOTED, lambda found: " " * len(found[0]), self.source)
 
     def tree(self) -> ast.expr:
-        """Return the syntax tree, in which names of columns that are not those of Python have others as long."""
+        """Return the syntax tree, in which columns whose names are not Python identifiers have substitutes of the same
+        length.
+        """
         original = self.source
         odd = sorted((name for name in self.columns if not name.isidentifier()), key=len, reverse=True)
         if odd:
@@ -80,7 +83,9 @@ class _Condition(Compiler):
             self.source = original
 
     def alias(self, name: str) -> str:
-        """Return a name of Python for a column, of the same length if possible, so that positions stay the same."""
+        """Return a Python identifier for a column, of the same length if possible, so that positions in messages stay
+        correct.
+        """
         found = f"_{len(self.aliases)}".ljust(len(name), "_")
         self.aliases[found] = name
         return found
@@ -92,7 +97,7 @@ class _Condition(Compiler):
             found = self.value(node, 0)
         count = len(next(iter(self.columns.values())))
         if np.asarray(found).dtype != bool:
-            self.refuse("this is no condition: it should compare a column, as in misalignment_max < 1e-6", node)
+            self.refuse("this is not a condition: it should compare a column, as in misalignment_max < 1e-6", node)
         return np.array(np.broadcast_to(found, (count,)))
 
     def value(self, node: ast.expr, nesting: int) -> Any:

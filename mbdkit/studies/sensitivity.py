@@ -93,7 +93,7 @@ def sensitivity(
     """Return the Sobol indices of a measure; see `Study.sensitivity`."""
     sample = study.spec.sample
     if sample is None or sample.design != "saltelli":
-        message = "Sobol indices need a sample with `design: saltelli`, which makes the runs from which they follow"
+        message = "Sobol indices need a sample with `design: saltelli`, which creates the runs needed to compute them"
         raise study.spec.placed(SpecError(message, key="sample" if sample is None else "sample.design"))
     if not 0 < confidence < 1:
         raise MbdkitError(f"the confidence should be a probability between 0 and 1, such as 0.95, not {confidence!r}")

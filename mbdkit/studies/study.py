@@ -52,7 +52,7 @@ class Study(HtmlView):
     computed
         Number of runs that were computed before the study was opened in the same call.
     unfinished
-        Reasons outside the study why runs or timings were not finished in the same call; the next call tries again.
+        External reasons why runs or timings were not finished in the same call; the next call tries again.
     keep
         An object that deletes the folder when it is deleted itself, if the folder is temporary.
 
@@ -217,16 +217,19 @@ class Study(HtmlView):
         Raises
         ------
         MbdkitError
-            If the run has no results, or if its data are not those that were stored, to the bit: `data_sha256` differs.
+            If the run has no results, or if its data are not bitwise identical to those that were stored: `data_sha256`
+            differs.
         """
         chosen = self._point(point)
         if not chosen.row.data_sha256:
-            raise MbdkitError(f"run {chosen.number} has no results, so it cannot be made again: {chosen.status}")
+            raise MbdkitError(
+                f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
+            )
         run = simulate(chosen.spec)
         if run.data_sha256 != chosen.row.data_sha256:
             written, now = self._written_by(chosen), version("mbdkit")
             why = f"; mbdkit {written} wrote it, this is {now}" if written != now else ""
-            raise MbdkitError(f"run {chosen.number} computed again has other data than those stored{why}")
+            raise MbdkitError(f"run {chosen.number} has different data than those stored when computed again{why}")
         return run
 
     def _point(self, point: StudyPoint | int) -> StudyPoint:

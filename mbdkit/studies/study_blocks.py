@@ -1,4 +1,4 @@
-"""The blocks of a study: which runs belong to which, and whether the file of one is whole."""
+"""The blocks of a study: the assignment of runs to blocks, and the validity of their files."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from mbdkit.studies.planned_points import PlannedPoints, number_of_points
 from mbdkit.studies.study_folder import StudyFolder
 
 MOST_FILES = 500
-"""Studies with more runs are stored in blocks unless they ask for files."""
+"""Number of runs above which studies are stored in blocks, unless files are requested."""
 
 RUNS = 1000
-"""Runs of a block."""
+"""Number of runs in a block."""
 
 BYTES = 1 << 26
 """Size of the arrays of a block, which is held in memory, above which it has fewer runs [bytes]."""
 
 ROWS = 1000
-"""Rows that a run is assumed to record if their number depends on step control."""
+"""Assumed number of recorded rows of a run if it depends on step-size control."""
 
 
 def settled_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
@@ -48,7 +48,7 @@ def settled_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = Fal
 
 
 def is_for_blocks(spec: StudySpec) -> bool:
-    """Return whether a study is stored in blocks, because it asks for them or is large."""
+    """Return whether a study is stored in blocks, on request or because it is large."""
     if spec.store is not None:
         return spec.in_blocks
     return spec.has_table or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
@@ -93,11 +93,11 @@ class StudyBlocks:
         return math.ceil(self.runs / self.size)
 
     def places(self, block: int) -> range:
-        """Return the places, from 0, of the runs of a block, whose number counts from 0."""
+        """Return the indices, from 0, of the runs of a block, also numbered from 0."""
         return range(block * self.size, min(self.runs, (block + 1) * self.size))
 
     def block_of(self, place: int) -> int:
-        """Return the block of a run by its place."""
+        """Return the block of a run by its index."""
         return place // self.size
 
     def is_whole(self, folder: StudyFolder, spec: StudySpec, block: int) -> bool:
@@ -124,12 +124,12 @@ class StudyBlocks:
 
 
 def is_passing(statuses: np.ndarray, reasons: np.ndarray) -> bool:
-    """Return whether one of some runs failed for a reason outside the study, so that a second attempt may succeed."""
+    """Return whether any of the runs failed for an external reason, so that a second attempt may succeed."""
     return "missing" in statuses or any(str(reason).startswith(TRIED_AGAIN) for reason in set(reasons))
 
 
 def stored(spec: StudySpec) -> Store:
-    """Return what the blocks of a study keep of each run."""
+    """Return the value of `store`: the data that the blocks of a study keep of each run."""
     assert spec.store is not None
     assert spec.store != "files"
     return spec.store

@@ -19,7 +19,7 @@ from mbdkit.studies.owned_folder import OwnedFolder, contains
 #: Names of archives of runs, see `RunSpec.run_id`, of blocks and their marks, also of unfinished ones with checkpoints.
 _ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part(\.checkpoint(\.new)?)?)?|\.block-[0-9]{6,}\.at")
 
-#: What every chart of a report contains near its beginning, by suffix; see the metadata in plot/style.py.
+#: Text that every chart of a report contains near its beginning, by suffix; see the metadata in plot/style.py.
 _DRAWN = {".png": b"Software\0mbdkit", ".svg": b"<dc:title>mbdkit</dc:title>"}
 
 
@@ -43,7 +43,7 @@ class StudyFolder(OwnedFolder[StudySpec]):
         return self.runs / f"block-{number:06d}.h5"
 
     def mark(self, number: int) -> Path:
-        """Return the path of the file that names the run at work in a block."""
+        """Return the path of the file with the number of the run in progress in a block."""
         return self.runs / f".block-{number:06d}.at"
 
     def run_at_work(self, number: int) -> int | None:
@@ -54,7 +54,9 @@ class StudyFolder(OwnedFolder[StudySpec]):
             return None
 
     def forget_run_at_work(self, number: int) -> None:
-        """Empty the file that names the run at work in a block; it is kept, as a process may hold a lock on it."""
+        """Empty the file with the number of the run in progress in a block; it is kept, because a process may hold a
+        lock on it.
+        """
         with contextlib.suppress(OSError):
             os.truncate(self.mark(number), 0)
 

@@ -20,12 +20,12 @@ from mbdkit.studies.study_index import COLUMNS, axis_column
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """What a study will compute.
+    """The plan of a study.
 
     Parameters
     ----------
     points
-        Points in the order of the study, those that are left out included.
+        Points in the order of the study, including those that are left out.
     runs
         Specs of the different runs by run id, references first.
     defined
@@ -164,7 +164,7 @@ def _check_sets_no_measure(spec: StudySpec, key: str, place: Path) -> None:
 
 
 def _refusal(key: str, other: str) -> str:
-    """Return why an axis cannot have this name; empty if it can."""
+    """Return the reason why an axis cannot have this name; empty if it can."""
     if not key.strip():
         return "is blank; an axis needs a name"
     if len(key.encode()) > LONGEST:

@@ -1,6 +1,6 @@
-"""A point of a study, one run with its entry in the index; all of them, each made when it is asked for; and its words.
+"""A point of a study (a run with its entry in the index), the sequence of all points, and their descriptions.
 
-The words are what readers see: ``RK4, step 0.1 s``.
+Descriptions are shown to readers: ``RK4, step 0.1 s``.
 """
 
 from __future__ import annotations
@@ -98,12 +98,12 @@ class StudyPoint:
 
 
 class Points(Sequence[StudyPoint]):
-    """Points of a study, each made when it is asked for.
+    """Points of a study, each created on access.
 
     Parameters
     ----------
     places
-        Places of the points among those of the study; all by default.
+        Indices of the points among those of the study; all by default.
     """
 
     def __init__(self, planned: PlannedPoints, index: Index, folder: StudyFolder, places: Sequence[int] | None = None):
@@ -128,7 +128,7 @@ class Points(Sequence[StudyPoint]):
         return StudyPoint(planned.number, replace(row, family=planned.family), planned, path, planned.axes)
 
     def at(self, places: Sequence[int]) -> Points:
-        """Return those at some places of the study."""
+        """Return the points at some indices of the study."""
         return Points(self._planned, self._index, self._folder, places)
 
 

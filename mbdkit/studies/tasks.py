@@ -1,4 +1,4 @@
-"""What a study has to compute: a run or a block of runs as a task of plain data, and its outcome."""
+"""Tasks of a study as plain data (a run, or a block of runs), and their outcomes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self, TypeVar
 from mbdkit.spec import RunSpec
 from mbdkit.studies.study_folder import StudyFolder
 
-#: Reasons of failure that are outside the study: a resource that was refused, a process that died, a defect of mbdkit.
+#: External reasons of failure: a resource that is not available, a process that died, a defect of mbdkit.
 PASSING = ("no-resources", "worker-died", "error")
 
 
@@ -45,7 +45,7 @@ class Task:
         return not self.repeats and not self.second
 
     def message(self) -> dict[str, Any]:
-        """Return what a worker needs to carry out the task."""
+        """Return the message with which a worker can carry out the task."""
         spec = json.loads(self.spec.canonical_json())
         return {
             "spec": spec,
@@ -56,7 +56,9 @@ class Task:
         }
 
     def after_death(self, how: str) -> Task | None:
-        """Return the task to try after a process died of this one, as `how` says; None if it is given up."""
+        """Return the task to try after a process died in this one, as described by `how`; None if it is not tried
+        again.
+        """
         return None if self.tried else replace(self, tried=True)
 
 
@@ -84,12 +86,12 @@ class BlockTask:
         return self.folder.block(self.block)
 
     def message(self) -> dict[str, Any]:
-        """Return what a worker needs to carry out the task."""
+        """Return the message with which a worker can carry out the task."""
         place, skip = str(self.folder.path.absolute()), {str(run): reason for run, reason in self.skip.items()}
         return {"folder": place, "block": self.block, "skip": skip, "path": str(self.path.absolute())}
 
     def after_death(self, how: str) -> BlockTask | None:
-        """Return the task to try after a process died of this one; the second time, the run at work is left out."""
+        """Return the task to try after a process died in this one; the second time, the run in progress is left out."""
         run = self.folder.run_at_work(self.block) or 0
         deaths = {**self.deaths, run: self.deaths.get(run, 0) + 1}
         if sum(deaths.values()) > MOST_DEATHS or deaths.get(0, 0) > 1:
@@ -115,19 +117,19 @@ class Outcome:
 
     @classmethod
     def of(cls, answer: Mapping[str, Any]) -> Outcome:
-        """Return the outcome that the answer of a worker tells."""
+        """Return the outcome from the answer of a worker."""
         values = {name: math.nan if found is None else found for name, found in answer.get("values", {}).items()}
         results = tuple(answer.get("results", ()))
         return cls(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values, results)
 
     @property
     def is_passing(self) -> bool:
-        """Whether the cause of a failure is outside the study, so that the next call tries again."""
+        """Whether the cause of a failure is external, so that the next call tries again."""
         return self.reason.startswith(PASSING)
 
 
 class AnyTask(Protocol):
-    """What a pool needs of a task."""
+    """The interface of tasks for a pool."""
 
     @property
     def path(self) -> Path:
@@ -138,18 +140,20 @@ class AnyTask(Protocol):
         """Whether it writes this file."""
 
     def message(self) -> dict[str, Any]:
-        """Return what a worker needs to carry it out."""
+        """Return the message with which a worker can carry it out."""
 
     def after_death(self, how: str) -> Self | None:
-        """Return the task to try after a process died of this one, as `how` says; None if it is given up."""
+        """Return the task to try after a process died in this one, as described by `how`; None if it is not tried
+        again.
+        """
 
 
 Work = TypeVar("Work", bound=AnyTask)
 
 MOST_DEATHS = 20
-"""Processes that may die in one block before it is given up."""
+"""Number of processes that may die in one block before it is not tried again."""
 
 
 def died(how: str) -> str:
-    """Return the reason of failure of a run of which two processes died, the second one as `how` says."""
+    """Return the reason of failure of a run in which two processes died, the second one as described by `how`."""
     return f"worker-died: two processes that computed it died; the second one {how}."

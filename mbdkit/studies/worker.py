@@ -54,7 +54,7 @@ def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
 
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Held while tasks are computed: threads of one process would compete for the interpreter, and share its state."""
+"""Lock held while tasks are computed: threads of one process would compete for the interpreter and share its state."""
 
 
 def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | None = None) -> list[dict[str, Any]]:
@@ -85,7 +85,7 @@ def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, 
         why = f"{host} has mbdkit {version('mbdkit')}, the study needs {of_version}; install the same version there."
     elif not Path(task["path"]).parent.is_dir():
         folder = shown(Path(task["path"]).parent)
-        why = f"{host} does not see the folder {folder}; it must be on a file system that all workers share."
+        why = f"{host} cannot access the folder {folder}; it must be on a file system that all workers share."
     else:
         return _outcome(task, notes.append, carry) | {"notes": notes, "host": host}
     return {"status": "missing", "reason": f"no-resources: {why}", "notes": notes, "host": host}
@@ -95,7 +95,7 @@ def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) 
     try:
         return carry(task, notify)
     except SpecError as error:
-        if error.file == task["path"]:  # the folder of the study was changed, and the spec is not to blame
+        if error.file == task["path"]:  # the folder of the study was changed; the spec is not the cause
             return {"status": "missing", "reason": f"no-resources: {error}"}
         return asdict(refusal(error))
     except (Exception, SystemExit) as error:

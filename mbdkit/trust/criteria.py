@@ -30,7 +30,7 @@ class Limits:
 
     def level(self, value: float) -> Level | None:
         """Return the level of a value; None if it is not above either limit. A value that is not finite is bad."""
-        if not value <= self.bad:  # nan, too
+        if not value <= self.bad:  # also true for nan
             return "bad"
         return "doubtful" if value > self.doubtful else None
 

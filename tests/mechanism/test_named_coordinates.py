@@ -42,13 +42,13 @@ def test_the_builder_adds_the_same() -> None:
     [
         ("knee.angel", "of", "'knee' has no 'angel' (did you mean 'angle'?)"),
         ("knee.x", "of", "'knee' has no 'x'; there are angle"),
-        ("foot.x", "of", "'foot.x' names no quantity"),
-        ("knee", "of", "'knee' names no quantity of a joint, body or marker"),
-        ("ground.x", "of", "'ground.x' names no quantity"),
+        ("foot.x", "of", "'foot.x' is not a quantity"),
+        ("knee", "of", "'knee' is not a quantity of a joint, body or marker"),
+        ("ground.x", "of", "'ground.x' is not a quantity"),
         ({"of": "knee.angle", "scale": 0}, "scale", "should not be zero"),
         ({"scale": 1.0}, "of", "is missing"),
         ({"of": "knee.angle", "relative_to": "ground"}, "relative_to", "'knee.angle' is not BODY.angle"),
-        ({"of": "shank.angle", "relative_to": "thigh"}, "relative_to", "'thigh' is no other body"),
+        ({"of": "shank.angle", "relative_to": "thigh"}, "relative_to", "'thigh' is not another body"),
         ({"of": "knee.angle", "sign": -1}, "sign", "unknown key"),
     ],
 )

@@ -101,7 +101,7 @@ def test_a_comparison_is_a_claim_a_row_and_a_curve(tmp_path: Path) -> None:
     page = page_of(tuned(compare={"RK-Gill": coarse, "rk4": {"integrator": {"name": "rk4"}}}), tmp_path / "out")
     assert page.verdict.claim("compared-1").answer is Answer.NO
     assert page.verdict.claim("compared-2").answer is Answer.YES
-    assert "With RK-Gill, a designer would believe in a goal of" in page.verdict.sentence
+    assert "With RK-Gill, the optimum seems to have a goal of" in page.verdict.sentence
     rows = page.verdict.table("compared").rows
     assert [row[0] for row in rows] == ["this design", "RK-Gill", "rk4"]
     assert [row[1] for row in rows] == pytest.approx(

@@ -103,7 +103,7 @@ def test_the_page_has_the_sections_and_charts(run: mbdkit.Run) -> None:
     assert {"residual-angles", "residual-lengths"} <= {figure.name for figure in page.verdict.figures}
     assert "mbdkit inverse run.yaml" in page.commands
     assert [one.anchor for one in page.sections][:4] == ["model", "loads", "workload", "data"]
-    assert "Where model and data disagree" in page.html()
+    assert "Differences between model and data" in page.html()
 
 
 def test_a_forward_run_has_no_such_sections() -> None:

@@ -106,9 +106,9 @@ def test_the_verdict_names_the_worst_joint_and_the_size_of_its_gap(make_run):
     ("path", "values", "name", "words"),
     [
         ("joints/misalignment", 0.05, "misalignment", "too large for reliable forces"),
-        ("joints/misalignment", np.inf, "misalignment", "has an unbounded misalignment"),
+        ("joints/misalignment", np.inf, "misalignment", "is not finite"),
         ("energy/balance", 0.2, "energy", "This is too large"),
-        ("energy/balance", np.nan, "energy", "energy is unbounded"),
+        ("energy/balance", np.nan, "energy", "energy is not finite"),
     ],
 )
 def test_what_cannot_be_trusted_is_called_so(make_run, path, values, name, words):

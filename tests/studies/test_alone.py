@@ -33,5 +33,5 @@ def test_a_study_says_why_its_runs_are_advanced_alone(sections: dict[str, Any], 
     said: list[str] = []
     mbdkit.ensemble(BASE | sections, {"model.angles.0": [0.1, 0.2]}, out=tmp_path / "study", notify=said.append)
     told = [text for text in said if "not in lanes" in text]
-    wanted = f"the runs are advanced one after another, not in lanes, because {reason}"
+    wanted = f"the runs are not vectorized but computed one after another, because {reason}"
     assert told == ([wanted] if reason else [])

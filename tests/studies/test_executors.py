@@ -110,7 +110,7 @@ def test_processes_of_this_machine_complete_what_a_broken_executor_has_not(block
     study = pendulums(out=tmp_path / "s", executor=Here(trouble), notify=said.append)
     assert study.status == "complete"
     why = "BrokenExecutor: a process of the pool is gone"
-    assert said == [f"the executor broke, and processes of this machine compute the rest ({why})"]
+    assert said == [f"the executor failed, and processes on this machine compute the rest ({why})"]
     assert index_hash(study.folder) == index_hash(blocks.folder)
 
 

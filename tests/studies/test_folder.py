@@ -105,7 +105,7 @@ def test_overwriting_starts_a_folder_anew_and_keeps_the_files_of_others(copied: 
         (copied / name).write_text(text)
     before = {path.name for path in (copied / "runs").glob("*.h5")} - {"mine.h5"}
     changed = small | {"reference": "none", "axes": [{"integrator": [{"name": "rk4"}]}]}
-    with pytest.raises(SpecError, match=r"start it anew with --overwrite"):
+    with pytest.raises(SpecError, match=r"replace its contents with --overwrite"):
         mbdkit.study(changed, out=copied)
     with pytest.raises(SpecError, match="unknown key"):
         mbdkit.study(changed | {"overrides": {"time.stp": 1}}, out=copied, overwrite=True)

@@ -216,8 +216,8 @@ def test_archives_of_earlier_versions_are_unknown_and_valid(tmp_path: Path) -> N
     assert check(path) == []
     with mbdkit.load(path) as run:
         assert (run.verdict, run.verdict_reasons, run.warnings, run.is_judged) == ("unknown", [], [], False)
-        assert "verdict       unknown: written by a version that did not judge runs" in run.summary()
-        assert "The archive holds no verdict" in run_report(run).verdict.sentence
+        assert "verdict       unknown: written by a version without verdicts" in run.summary()
+        assert "The archive contains no verdict" in run_report(run).verdict.sentence
 
 
 def test_the_verdict_is_no_part_of_the_data_hash(tmp_path: Path) -> None:

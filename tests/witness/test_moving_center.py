@@ -193,7 +193,7 @@ def test_at_places_the_displaced_point() -> None:
         ({"x": LINES}, "x.interpolation", "should be cubic or quintic"),
         ({"x": {"table": [[0, 1, 0.5], [0, 1, 2]]}}, "x.table[0][2]", "angles must increase: 0.5 comes after 1.0"),
         ({"y": "0.1*t"}, "y", "unknown name 't'; known: angle, pi and functions"),
-        ({"y": "abs(angle)"}, "y", "abs cannot be used here: a derivative jumps"),
+        ({"y": "abs(angle)"}, "y", "abs cannot be used here: a derivative is discontinuous"),
         ({"z": 1.0}, "z", "unknown key"),
         ({"y": "log(angle - 2)"}, "y", "is not finite at the initial angle of the joint"),
         ({"x": {"table": [[1, 2], [0, 1]]}}, "x.table[0]", "covers 1 rad to 2 rad, but the joint starts at 0.4 rad"),

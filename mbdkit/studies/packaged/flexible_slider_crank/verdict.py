@@ -1,4 +1,5 @@
-"""Verdict on the packaged study `flexible-slider-crank`: what misalignment tells about forces of a flexible linkage.
+"""Verdict on the packaged study `flexible-slider-crank`: relation between misalignment and errors of forces in a
+flexible linkage.
 
 Errors of joint forces are differences from the run of Gauss 3 with the smallest step.
 """
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 REFERENCE = ("Gauss 3", 2e-6)
 HELD = 1e-7
-"""Bound of the misalignment [m] below which joints count as held."""
+"""Misalignment [m] below which joints count as held."""
 SMALL, LARGE = 0.1, 0.2
 """Errors of joint forces, relative to their root mean squares, below which they are right, and above which wrong."""
 EXPLICIT = 2e-6
@@ -140,7 +141,7 @@ def _stable(found: Sequence[CrankRun]) -> Claim:
     implicit = max((one.step for one in found if one.family == "implicit" and one.error < SMALL), default=math.nan)
     told_steps = ", ".join(f"{method} {step:g} s" for method, step in largest.items())
     unknown = not explicit or any(one.state in ("missing", "not installed") for one in explicit)
-    holds = all(step <= EXPLICIT for step in largest.values())  # nan, too, is not
+    holds = all(step <= EXPLICIT for step in largest.values())  # also false for nan
     return Claim(
         "stable",
         f"Explicit methods need steps of {EXPLICIT:g} s or less, although the crank turns in 0.042 s.",
