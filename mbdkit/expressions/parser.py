@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
@@ -127,12 +127,16 @@ class Compiler:
         Name of the argument, which the instruction ``t`` pushes.
     error
         Type of the errors raised for a place in the text.
+    own_functions
+        Functions of this context alone, with their numbers of arguments. One that is also a function of all contexts
+        is chosen by the number of arguments.
     """
 
     wanted = "an expression of t, which consists of numbers, t, pi"
     hint = ""
     variable = "t"
     error = ExpressionError
+    own_functions: ClassVar[Mapping[str, int]] = {}
 
     def __init__(self, text: str, parameters: Mapping[str, float] | None = None):
         self.parameters: Mapping[str, float] = parameters or {}
@@ -188,7 +192,7 @@ class Compiler:
                 return [("const", math.pi)]
             case ast.Name(id=name) if name in self.parameters:
                 return [("const", self.parameters[name])]
-            case ast.Name(id=name) if name in FUNCTIONS:
+            case ast.Name(id=name) if name in FUNCTIONS or name in self.own_functions:
                 self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.compile(operand, nesting + 1)
@@ -230,10 +234,15 @@ class Compiler:
 
     def call(self, node: ast.Call, nesting: int) -> Code:
         """Compile a function call."""
-        if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
-            name = self.segment(node.func)
-            self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, FUNCTIONS)}", node)
-        name, count = node.func.id, len(node.args)
+        name = node.func.id if isinstance(node.func, ast.Name) else self.segment(node.func)
+        own, count = self.own_functions.get(name), len(node.args)
+        if own is not None and (count == own or name not in FUNCTIONS):
+            if node.keywords or count != own:
+                self.refuse(f"'{name}' takes {own} argument{'s' * (own > 1)}", node)
+            return self.of_function(name, [self.compile(argument, nesting + 1) for argument in node.args], node)
+        if not isinstance(node.func, ast.Name) or name not in FUNCTIONS:
+            hint = did_you_mean(name, [*FUNCTIONS, *self.own_functions])
+            self.refuse(f"'{name}' is not a function that can be used{hint}", node)
         operation = OPERATIONS.get(name)
         least = operation.arity if operation else 1
         takes_more = operation is not None and operation.takes_more
@@ -248,6 +257,10 @@ class Compiler:
         for operand in others:
             program = self.apply(name, [program, operand], node)
         return program
+
+    def of_function(self, name: str, arguments: list[Code], node: ast.Call) -> Code:
+        """Return the program of one of `own_functions`."""
+        raise NotImplementedError
 
     def apply(self, operation: str, operands: list[Code], node: ast.expr) -> Code:
         """Append `operation` to the programs of its operands, or evaluate it if all of them are constants."""

@@ -31,7 +31,7 @@ from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.spec.run_source import RunSource
+from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.stepping.dual_run import NO_SEEDS
 

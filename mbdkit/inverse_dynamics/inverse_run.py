@@ -14,7 +14,7 @@ from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.record import archive_of
 from mbdkit.measures.take import check_measures
 from mbdkit.spec import InverseSpec, load_inverse_spec
-from mbdkit.spec.run_source import InverseSource
+from mbdkit.spec.loading import InverseSource
 
 _LOG = logger_of(__name__)
 

@@ -21,10 +21,10 @@ import numpy as np
 
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.base.errors import SpecError
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.text import listed
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.events.event_expression import RunCompiler
-from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS, REDUCE
+from mbdkit.expressions.operations import OPERATIONS, REDUCE
 from mbdkit.expressions.parser import Code
 from mbdkit.expressions.program import Program, execute
 from mbdkit.measures.measured_quantities import ATTRIBUTES, recorded, unit_of
@@ -225,6 +225,7 @@ class _MeasureCompiler(RunCompiler):
         "an expression of a run, which has numbers, t, pi, bodies.NAME.angle, joints.NAME.force, forces.NAME.value, "
         "markers.NAME.position, beams.NAME.moment, events.NAME.time, energy.total"
     )
+    own_functions: ClassVar[Mapping[str, int]] = {**dict.fromkeys((*REDUCTIONS, *ALONG.values()), 1), "at": 2}
 
     def __init__(self, text: str, spec: ModelSpec, parameters: Mapping[str, float] | None = None):
         self.spec = spec
@@ -280,12 +281,6 @@ class _MeasureCompiler(RunCompiler):
                 return _Code(super().compile(node, nesting), _PARAMETER)
         return super().compile(node, nesting)
 
-    def operand(self, node: ast.expr) -> Code:
-        """Return the program of a quantity."""
-        if isinstance(node, ast.Name) and (node.id in REDUCTIONS or node.id in ALONG.values() or node.id == "at"):
-            self.refuse(f"'{node.id}' is a function and needs its argument in parentheses", node)
-        return super().operand(node)
-
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
         """Return the program of a quantity of an element."""
         if kind == "actuators" and not self.known[kind]:
@@ -311,26 +306,16 @@ class _MeasureCompiler(RunCompiler):
         """Return the program of a quantity in all elements of a beam."""
         return self.get(Quantity("beams", name, attribute))
 
-    def call(self, node: ast.Call, nesting: int) -> Code:
-        """Compile a function call."""
-        name = node.func.id if isinstance(node.func, ast.Name) else ""
+    def of_function(self, name: str, arguments: list[Code], node: ast.Call) -> Code:
+        """Return the program of a function over time or along a beam."""
+        program, *others = arguments
         if name == "at":
-            return self.at(node, nesting)
-        if name in REDUCTIONS and (len(node.args) == 1 or name not in FUNCTIONS):
-            if node.keywords or len(node.args) != 1:
-                self.refuse(f"'{name}' takes 1 argument", node)
-            program = self.compile(node.args[0], nesting + 1)
-            if _known(program).along and name in ALONG:
-                program = self.extreme(ALONG[name], program, node)
-            return self.reduced(name, program, node)
+            return self.at(program, others[0], node)
         if name in ALONG.values():
-            if node.keywords or len(node.args) != 1:
-                self.refuse(f"'{name}' takes 1 argument", node)
-            return self.extreme(name, self.compile(node.args[0], nesting + 1), node)
-        if name and name not in FUNCTIONS:
-            known = [*FUNCTIONS, *REDUCTIONS, *ALONG.values(), "at"]
-            self.refuse(f"'{name}' is not a function that can be used{did_you_mean(name, known)}", node)
-        return super().call(node, nesting)
+            return self.extreme(name, program, node)
+        if name in ALONG and _known(program).along:
+            program = self.extreme(ALONG[name], program, node)
+        return self.reduced(name, program, node)
 
     def extreme(self, operation: str, program: Code, node: ast.Call) -> _Code:
         """Return a program that takes the largest or smallest value along a beam."""
@@ -339,11 +324,8 @@ class _MeasureCompiler(RunCompiler):
             self.refuse(f"'{operation}' needs a quantity along a beam, such as beams.NAME.moment", node)
         return _Code([*program, (operation, 0.0)], replace(value, along=""))
 
-    def at(self, node: ast.Call, nesting: int) -> Code:
-        """Compile ``at(quantity, time)``."""
-        if node.keywords or len(node.args) != 2:
-            self.refuse("'at' takes 2 arguments, a quantity and a time", node)
-        program, when = (self.compile(argument, nesting + 1) for argument in node.args)
+    def at(self, program: Code, when: Code, node: ast.Call) -> Code:
+        """Return the program of ``at(quantity, time)``."""
         time = _known(when)
         if time.is_series or time.is_vector:
             self.refuse("the second argument of 'at' is one time, such as 0.5 or events.NAME.time", node.args[1])

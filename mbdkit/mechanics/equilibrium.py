@@ -30,7 +30,7 @@ from mbdkit.mechanics.reduced import (
 )
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.spec.run_source import RunSource, Sections
+from mbdkit.spec.loading import RunSource, Sections
 
 MOST_STEPS = 500
 """Largest number of attempted steps, including rejected ones, after which the search fails."""

@@ -16,7 +16,7 @@ from mbdkit.mechanics.equilibrium import joint_reactions, rest
 from mbdkit.mechanics.reduced import State, least_stiffness
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanics.static_stability import distance_to_singular, singular_motion, unstable_motions
-from mbdkit.spec.run_source import RunSource, Sections
+from mbdkit.spec.loading import RunSource, Sections
 
 Kind = Literal["limit point", "bifurcation"]
 

@@ -13,7 +13,7 @@ from mbdkit.base.errors import RunError, StepError
 from mbdkit.base.text import counted, csv_cell, listed
 from mbdkit.mechanics.reduced import at_rest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
-from mbdkit.spec.run_source import RunSource, Sections
+from mbdkit.spec.loading import RunSource, Sections
 
 ASIDE = 0.1
 """A step is halved if the position deviates from its extrapolation by more than this fraction of the displacement."""

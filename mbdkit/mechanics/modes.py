@@ -13,7 +13,7 @@ from mbdkit.mechanics.equilibrium import rest
 from mbdkit.mechanics.reduced import DENSE, State, at_rest, lowest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.spec.run_source import RunSource, Sections
+from mbdkit.spec.loading import RunSource, Sections
 
 Where = Literal["equilibrium", "start"]
 

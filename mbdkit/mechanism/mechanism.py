@@ -20,8 +20,7 @@ from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism,
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
-from mbdkit.mechanism.named_coordinates import NamedCoordinate, check_coordinates
+from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table

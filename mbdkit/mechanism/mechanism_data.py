@@ -1,19 +1,90 @@
-"""Data of the free-form model ``mechanism`` in a spec: gravity, bodies, beams, joints, forces, markers, assembly."""
+"""Data of the free-form model ``mechanism`` in a spec: gravity, named elements and coordinates, and assembly."""
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from collections.abc import Container, Mapping
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam
-from mbdkit.mechanism.bodies import Body, Marker
+from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.named_coordinates import AnyNamedCoordinate
-from mbdkit.mechanism.values import Point, Positive, sequence
+from mbdkit.mechanism.values import Number, Point, Positive, sequence
+
+OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
+
+
+class NamedCoordinate(StrictModel):
+    """A quantity with a name of its own: ``scale * of + offset``, or ``scale * (of - angle of a body) + offset``.
+
+    The force or torque of the coordinate is conjugate to it: that of the quantity, divided by `scale`.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("relative_to", "scale", "offset")
+
+    of: str
+    """The quantity: `JOINT.angle` (the relative angle [rad], or the travel of a slide [m]), `BODY.x`, `BODY.y` [m] of
+    the centre of mass, `BODY.angle` [rad], `MARKER.x` or `MARKER.y` [m]."""
+    relative_to: str | None = None
+    """Body whose angle is subtracted from that of another body: for relative angles where there is no joint."""
+    scale: Number = 1.0
+    """Change of the coordinate per change of the quantity; not zero."""
+    offset: Number = 0.0
+    """The coordinate where the quantity is zero [rad or m]."""
+
+
+def _named(value: Any) -> Any:
+    """Accept the quantity alone."""
+    return {"of": value} if isinstance(value, str) else value
+
+
+AnyNamedCoordinate = Annotated[NamedCoordinate, BeforeValidator(_named)]
+
+
+def check_coordinates(
+    coordinates: Mapping[str, NamedCoordinate],
+    joints: Container[str],
+    bodies: Container[str],
+    markers: Container[str],
+) -> None:
+    """Raise a SpecError for the first coordinate whose quantity does not exist."""
+    for name, one in coordinates.items():
+        key = f"model.coordinates.{name}"
+        if one.scale == 0:
+            raise SpecError("should not be zero", key=f"{key}.scale")
+        owner, _, quantity = one.of.rpartition(".")
+        offered = [
+            *(OF_JOINT if owner in joints else ()),
+            *(OF_BODY if owner in bodies and owner != GROUND else ()),
+            *(OF_MARKER if owner in markers else ()),
+        ]
+        if quantity in offered:
+            _check_relative(one, bodies, f"{key}.relative_to")
+            continue
+        if offered:
+            hint = did_you_mean(quantity, offered) or f"; there are {listed(dict.fromkeys(offered))}"
+            raise SpecError(f"'{owner}' has no '{quantity}'{hint}", key=f"{key}.of")
+        raise SpecError(
+            f"'{one.of}' is not a quantity of a joint, body or marker; write JOINT.angle, BODY.x, BODY.y, BODY.angle, "
+            "MARKER.x or MARKER.y",
+            key=f"{key}.of",
+        )
+
+
+def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> None:
+    owner, _, quantity = one.of.rpartition(".")
+    if one.relative_to is None:
+        return
+    if quantity != "angle" or owner not in bodies or owner == GROUND:
+        raise SpecError(f"'{one.of}' is not BODY.angle, from which the angle of a body could be subtracted", key=key)
+    if one.relative_to not in bodies or one.relative_to == owner:
+        raise SpecError(f"'{one.relative_to}' is not another body", key=key)
+
 
 NO_BODY = "a mechanism needs at least one body or beam"
 

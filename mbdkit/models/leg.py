@@ -50,8 +50,7 @@ from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_data import MechanismData
-from mbdkit.mechanism.named_coordinates import NamedCoordinate
+from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._knee_linkage import Frame, knee_of, xy
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person

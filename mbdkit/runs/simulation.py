@@ -44,7 +44,7 @@ from mbdkit.runs.run_checkpoint import Continuation
 from mbdkit.runs.simulated_run import Progress, SimulatedRun
 from mbdkit.runs.warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.spec.run_source import RunSource, Sections
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.stepping.warm_up import to_stderr
 
 _Start = tuple[Workspace, AssembledState]

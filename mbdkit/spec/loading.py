@@ -1,21 +1,59 @@
-"""Loading of specs of runs and of inverse dynamics from files, examples, mappings and mechanisms."""
+"""Loading of specs of runs and of inverse dynamics from files, examples, mappings and mechanisms, and their types."""
 
 from __future__ import annotations
 
 import functools
 import importlib.resources
 import os
-from collections.abc import Iterable, Mapping
-from pathlib import Path as FilePath
-from typing import Any, Literal, TypeVar
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeAlias, TypedDict, TypeVar
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.engine.formulation import FormulationName
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.inverse_spec import InverseSpec, is_inverse, refused_as_inverse, refused_as_run
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.study_spec import StudySpec
+
+Section: TypeAlias = Mapping[str, object]
+"""A section of a spec, such as ``{"name": "gauss", "stages": 2}``."""
+
+RunSource: TypeAlias = str | Path | Mapping[str, object] | RunSpec | Mechanism
+"""A file, the name of a packaged example, a mapping, a validated spec, or a mechanism."""
+
+InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
+"""A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""
+
+StudySource: TypeAlias = str | Path | Mapping[str, object] | StudySpec
+"""A file, the name of a packaged study, a mapping, or a validated spec."""
+
+
+class Sections(TypedDict, total=False):
+    """Top-level keys of a run spec as keyword arguments; see `mbdkit.RunSpec` for their meaning."""
+
+    mbdkit: Literal[1]
+    title: str
+    parameters: Mapping[str, float | str]
+    model: Section
+    formulation: FormulationName
+    stabilization: Section
+    integrator: Section
+    time: Section
+    output: Section
+    events: Mapping[str, Section]
+    measures: Mapping[str, str | Mapping[str, Any]]
+    gradients: Sequence[str]
+    limits: Section
+    check: bool
+    accuracy: float | None
+    choose: Literal["method", "step", "nothing"] | None
+    impacts: Literal["refuse", "allow"]
+
 
 VERSION = 1
 
@@ -143,12 +181,12 @@ def read_source(source: Any) -> Document:
         values = source.sections()
         # keys that a copy omits by default: `check: false` is no statement of the user, as it is in a file
         kept = {name: value for name, value in values.items() if name not in omitted or value != default[name]}
-        return Document(kept, folder=FilePath() if source._document is None else source._document.folder)
+        return Document(kept, folder=Path() if source._document is None else source._document.folder)
     if isinstance(source, Mapping):
         return Document(copied(source))
     if isinstance(source, Document):
         return source
-    if isinstance(source, str | FilePath):
+    if isinstance(source, str | Path):
         return _named(source)
     if hasattr(source, "to_spec"):
         model = source.to_spec()
@@ -159,16 +197,16 @@ def read_source(source: Any) -> Document:
     )
 
 
-def _named(source: str | FilePath) -> Document:
+def _named(source: str | Path) -> Document:
     if source == "-":
         return read_stdin()
     names = example_names()
     if not source:
         raise SpecError(f"the name of the spec is empty: give a file or an example; examples: {listed(names)}")
-    path = FilePath(source)
+    path = Path(source)
     if str(source) in names and not os.path.isfile(path):
         document = read_text(example_text(str(source)), f"{source} (packaged example)")
-        document.folder = FilePath(str(_examples()))
+        document.folder = Path(str(_examples()))
         return document
     if not exists(path):
         raise SpecError(
@@ -179,7 +217,7 @@ def _named(source: str | FilePath) -> Document:
     return read_file(path)
 
 
-def exists(path: FilePath) -> bool:
+def exists(path: Path) -> bool:
     """Return whether a file or folder exists at `path`, readable or not."""
     try:
         path.stat()

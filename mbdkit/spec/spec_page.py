@@ -16,8 +16,7 @@ from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body, Marker
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.mechanism_data import Assembly, MechanismData
-from mbdkit.mechanism.named_coordinates import NamedCoordinate
+from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
 from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
 from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry

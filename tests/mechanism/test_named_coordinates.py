@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mbdkit import Mechanism, SpecError
-from mbdkit.mechanism.named_coordinates import NamedCoordinate
+from mbdkit.mechanism.mechanism_data import NamedCoordinate
 
 MODEL: dict[str, Any] = {
     "name": "mechanism",

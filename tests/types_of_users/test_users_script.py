@@ -8,7 +8,7 @@ import typing
 from pathlib import Path
 
 from mbdkit.spec import RunSpec
-from mbdkit.spec.run_source import Sections
+from mbdkit.spec.loading import Sections
 
 SCRIPT = Path(__file__).with_name("users_script.py")
 
