@@ -18,8 +18,7 @@ import pluggy
 from mbdkit.base.errors import PluginError, with_place
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
-from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
-from mbdkit.registry.item_options import named_options
+from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report, named_options
 from mbdkit.registry.items import Plugin, described
 from mbdkit.registry.policy import STRICT, Policy, check_api
 

@@ -18,8 +18,16 @@ from mbdkit.base.plain_data import found
 from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import listed
 from mbdkit.mechanism.law_element import Law
-from mbdkit.registry.catalogue import Kind, Registered, Registry
-from mbdkit.registry.item_options import class_name, is_of_item, item_of, name_type, named_options
+from mbdkit.registry.catalogue import (
+    Kind,
+    Registered,
+    Registry,
+    class_name,
+    is_of_item,
+    item_of,
+    name_type,
+    named_options,
+)
 from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:

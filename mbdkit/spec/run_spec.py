@@ -14,8 +14,7 @@ from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, FormulationName
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.registry.catalogue import Kind, Registered, Registry
-from mbdkit.registry.item_options import item_of
+from mbdkit.registry.catalogue import Kind, Registered, Registry, item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.model_spec import ModelSpec

@@ -1,4 +1,4 @@
-"""Checks that the counters of a run are correct."""
+"""Checks that the counters of a run are correct, and the cost of a step, which has no limit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.testing.check import check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
-from mbdkit.testing.trial_models import FORCED_PENDULUM
+from mbdkit.testing.trial_models import COASTING, FORCED_PENDULUM
 
 STEPS = 17
 
@@ -167,4 +167,24 @@ def projections(integrator: IntegratorUnderTest) -> Result:
     return passed(projections=count)
 
 
-CHECKS = (counters, rows, needs, projections)
+@check("cost.step")
+def cost_of_a_step(integrator: IntegratorUnderTest) -> Result:
+    """Time and evaluations per step on two rods without forces; reported without a limit."""
+    steps = 300
+    time = {"end": 3.0} if integrator.claims.adaptive else {"steps": steps, "step": 0.01}
+    best, stats = float("inf"), {}
+    for _ in range(3):
+        with integrator.run(COASTING, time, output={"every": 10**6}) as run:
+            if run.status != "complete":
+                return skipped(f"the run did not complete: {run.status_reason}".rstrip("."))
+            stats = dict(run.stats)
+            best = min(best, float(stats["wall_s"]))
+    count = int(stats["steps"])
+    return passed(
+        us_per_step=round(1e6 * best / count, 2),
+        rhs_per_step=round(stats["rhs_evaluations"] / count, 2),
+        iterations_per_step=round(stats["newton_iterations"] / count, 2),
+    )
+
+
+CHECKS = (counters, rows, needs, projections, cost_of_a_step)

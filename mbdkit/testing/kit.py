@@ -11,7 +11,6 @@ from mbdkit.registry.manager import registry
 from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.testing import (
     contract_checks,
-    cost_checks,
     counter_checks,
     drift_checks,
     failure_checks,
@@ -24,7 +23,6 @@ from mbdkit.testing import (
     restart_checks,
     study_checks,
     tableau_checks,
-    tolerance_checks,
 )
 from mbdkit.testing.check import Check
 from mbdkit.testing.check_result import Report, Result
@@ -35,14 +33,12 @@ INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
     *contract_checks.CHECKS,
     *tableau_checks.CHECKS,
     *order_checks.CHECKS,
-    *tolerance_checks.CHECKS,
     *newton_checks.CHECKS,
     *invariant_checks.CHECKS,
     *drift_checks.CHECKS,
     *counter_checks.CHECKS,
     *failure_checks.CHECKS,
     *restart_checks.CHECKS,
-    *cost_checks.CHECKS,
 )
 CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "integrator": INTEGRATOR_CHECKS,

@@ -1,4 +1,7 @@
-"""Order of convergence: exactness on polynomials, and observed order on nonlinear non-autonomous problems."""
+"""Convergence with the step and the tolerance.
+
+Exactness on polynomials, the observed order on nonlinear non-autonomous problems, and errors of adaptive methods.
+"""
 
 from __future__ import annotations
 
@@ -31,6 +34,9 @@ HIGH = 8
 BELOW_HIGH = 0.5
 """Like `BELOW`, for high orders, for which few step sizes are neither too coarse nor dominated by round-off. An
 observed order between both limits is inconclusive."""
+TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
+OBEYS = 10.0
+"""Least factor by which four decades of tolerance must reduce the error of an adaptive method."""
 POLYNOMIAL = 1e-13
 
 
@@ -232,4 +238,36 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     return failed(cause, defect=worst)
 
 
-CHECKS = (polynomials, *(_on(problem) for problem in PROBLEMS), multipliers, formulations)
+def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
+    def obeys(integrator: IntegratorUnderTest) -> Result:
+        if not integrator.claims.adaptive:
+            raise Skip("it has fixed steps")
+        if "rtol" not in integrator.plugin.options.model_fields:
+            raise Skip("it has no option `rtol`")
+        state, _, floor = reference(problem)
+        errors = []
+        for rtol in TOLERANCES:
+            options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
+            with integrator.run(
+                PROBLEMS[problem], {"end": ENDS[problem]}, options=options, output={"every": 10**9}
+            ) as run:
+                errors.append(float(np.max(np.abs(final_state(run) - state))))
+        figures = {f"error_at_{rtol:g}": error for rtol, error in zip(TOLERANCES, errors, strict=True)}
+        if not np.all(np.isfinite(errors)):
+            return failed("a run did not complete", **figures)
+        for coarse, fine in zip(errors, errors[2:], strict=False):
+            if fine > max(coarse / OBEYS, 100 * floor):
+                return failed("its error does not decrease with the tolerance", **figures)
+        return passed(**figures)
+
+    obeys.__doc__ = f"Its error on the {problem.replace('-', ' ')} decreases with the tolerance."
+    return Check(f"tolerance.{problem}", obeys, slow=problem == "driven-pendulum")
+
+
+CHECKS = (
+    polynomials,
+    *(_on(problem) for problem in PROBLEMS),
+    multipliers,
+    formulations,
+    *(_with_tolerance(problem) for problem in PROBLEMS),
+)
