@@ -48,7 +48,8 @@ def depth_of(program: Program) -> int:
 def derivative_of(program: Program) -> Program:
     """Return the program of the derivative of a program without operations that have a switch.
 
-    The compiled kernel computes two derivatives of a program. Those of this program are the second and the third.
+    The compiled kernel computes two derivatives of a program. Those of this program are the second and the third. The
+    rules of its operations must consist of operations themselves: that of ``cos`` needs ``sin``.
     """
 
     def step(operation: str, number: float, *operands: tuple[_Term, _Term]) -> tuple[_Term, _Term]:
