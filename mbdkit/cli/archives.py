@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from mbdkit.archive.layout import ATTRIBUTES_HASH
 from mbdkit.base import terminal
 from mbdkit.base.terminal import say, show, show_json
 from mbdkit.cli.common_options import PLAIN, Archive, Archives, AsJson, Debug, Overwrite, Quiet, output_to
@@ -37,6 +36,7 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
     Exit status 2 if an archive is damaged.
     """
     from mbdkit.archive.archive_check import examine
+    from mbdkit.archive.layout import ATTRIBUTES_HASH
 
     sound = True
     for archive in archives:

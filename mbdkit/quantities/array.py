@@ -104,6 +104,11 @@ class Array:
         return "time" if self.dims == ("time",) and self.is_scale else self.path
 
 
+def time_of(states: States) -> np.ndarray:
+    """Return the times of states, (T,) [s]."""
+    return states.time
+
+
 @dataclass(frozen=True)
 class Recorded(Array):
     """An array with a value for each recorded state, taken from the states of the mechanism.
@@ -133,7 +138,7 @@ class Recorded(Array):
         How reports draw it.
     """
 
-    take: Callable[[States], np.ndarray] = lambda states: states.time
+    take: Callable[[States], np.ndarray] = time_of
     vector: str = ""
     has_norm: bool = False
     is_not_negative: bool = False

@@ -132,8 +132,12 @@ def test_what_did_not_happen_is_not_a_number(run: Run) -> None:
 
 
 def test_a_single_row_has_a_mean_but_no_integral() -> None:
-    ball = SimpleNamespace(velocity=np.array([[3.0, 4.0]]))
-    start: Any = SimpleNamespace(time=np.array([0.0]), bodies={"ball": ball}, integrals={})
+    start: Any = SimpleNamespace(
+        time=np.array([0.0]),
+        bodies={"ball": SimpleNamespace(index=0)},
+        column=lambda path, index, part: np.array([[3.0, 4.0]]),
+        integrals={},
+    )
     assert MeasureExpression.parse("mean(ball.vy)", SPEC).of(start) == 4.0
     assert MeasureExpression.parse("rms(ball.vy)", SPEC).of(start) == 4.0
     assert MeasureExpression.parse("integral(ball.vy)", SPEC).of(start) == 0.0

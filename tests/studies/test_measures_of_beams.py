@@ -131,7 +131,7 @@ def test_an_extreme_value_that_elements_share_has_no_derivative() -> None:
         ("max(beams.leaf.moment[4])", "'4' is not an element of the beam 'leaf', which has the elements 0 to 3"),
         ("max(beams.leaf.moment[-5])", "'-5' is not an element of the beam 'leaf'"),
         ("max(beams.leaf.moment[0.5])", "'0.5' is not an element of the beam 'leaf'"),
-        ("max(beams.leaf.strain_energy[0])", "'strain_energy' is that of the whole beam"),
+        ("max(beams.leaf.strain_energy[0])", "'strain_energy' is a quantity of the whole beam"),
         ("final(beams.leaf.moment)", "has a value in each element of a beam; name an element"),
         ("beams.leaf.moment", "the expression changes over time"),
         ("along_max(beams.leaf.moment)", "the expression changes over time"),
@@ -178,5 +178,5 @@ def test_an_event_is_where_an_element_reaches_a_moment() -> None:
 
 
 def test_an_event_needs_one_element() -> None:
-    with pytest.raises(SpecError, match=r"name an element, from 0: beams\.leaf\.moment\[0\]"):
+    with pytest.raises(SpecError, match=r"choose an element, from 0: beams\.leaf\.moment\[0\]"):
         RunExpression.parse("beams.leaf.moment - 1", SPEC.mechanism())
