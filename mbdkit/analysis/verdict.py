@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mbdkit.figures.page_model import Axis, Band, Cell, Column, Figure, Guide, Line, Mark, Table
+from mbdkit.figures.page_model import Axis, Band, Cell, Column, Figure, Guide, Line, Mark, Table, columns_of
 
 __all__ = [
     "MARGIN",
@@ -32,6 +32,7 @@ __all__ = [
     "Range",
     "Table",
     "Verdict",
+    "columns_of",
     "exceeds",
     "together",
     "told",

@@ -85,8 +85,8 @@ def plot(
     from mbdkit.archive.archive_check import blaming_damage
     from mbdkit.archive.reader import load
     from mbdkit.base.files import check_output
-    from mbdkit.plot.paper_figure import size_in_mm
     from mbdkit.plot.save_plot import plot as draw
+    from mbdkit.plot.save_plot import size_in_mm
 
     options = {name: value for name, value in vars(selection).items() if value}
     _check_options(kind, options)

@@ -17,6 +17,12 @@ class Column:
     unit: str = ""
 
 
+def columns_of(headings: str) -> tuple[Column, ...]:
+    """Return columns from their headings with units, such as ``body; mass [kg]``."""
+    parts = (heading.removesuffix("]").partition(" [") for heading in headings.split("; "))
+    return tuple(Column(label, unit) for label, _, unit in parts)
+
+
 Cell = str | int | float | bool | None
 
 

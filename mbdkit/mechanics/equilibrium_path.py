@@ -13,9 +13,8 @@ from scipy.sparse.linalg import splu
 
 from mbdkit.base.errors import StepError
 from mbdkit.mechanics.equilibrium import joint_reactions, rest
-from mbdkit.mechanics.reduced import State, least_stiffness
+from mbdkit.mechanics.reduced import State, distance_to_singular, least_stiffness, singular_motion, unstable_motions
 from mbdkit.mechanics.source import PreparedMechanism
-from mbdkit.mechanics.static_stability import distance_to_singular, singular_motion, unstable_motions
 from mbdkit.spec.loading import RunSource, Sections
 
 Kind = Literal["limit point", "bifurcation"]

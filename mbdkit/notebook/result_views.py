@@ -17,7 +17,7 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
 from mbdkit.figures.curves import take
 from mbdkit.figures.mechanism_drawing import NamedPose
-from mbdkit.figures.page_model import Cell, Column, Illustration, Table
+from mbdkit.figures.page_model import Cell, Illustration, Table, columns_of
 from mbdkit.figures.plane_geometry import Array
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.mechanics_summary import (
@@ -160,8 +160,8 @@ def _(found: Equilibrium) -> View:
     forces = np.column_stack([found.reaction_force, found.reaction_torque])
     forces[np.abs(forces) < 1e-12 * np.max(np.abs(forces), initial=0.0)] = 0.0
     joints: list[tuple[Cell, ...]] = [(name, *row) for name, row in zip(found.joints, forces.tolist(), strict=True)]
-    place = (Column("body"), Column("x", "m"), Column("y", "m"), Column("angle", "rad"))
-    force = (Column("joint"), Column("force x", "N"), Column("force y", "N"), Column("torque", "N m"))
+    place = columns_of("body; x [m]; y [m]; angle [rad]")
+    force = columns_of("joint; force x [N]; force y [N]; torque [N m]")
     tables = (
         Table("bodies", "Positions of the bodies", place, tuple(bodies)),
         Table("reactions", "Reactions in the joints", force, tuple(joints), sharing(found)),
@@ -188,8 +188,7 @@ def _(found: Modes) -> View:
         if value.imag:
             swings = [float(x[k]) for x in (found.natural_frequency, found.frequency_hz, found.damping_ratio + 0.0)]
         rows.append((k + 1, *swings, moves_most(found, k), remark(value)))
-    columns = [Column("mode"), Column("natural frequency", "rad/s"), Column("frequency", "Hz")]
-    columns += [Column("damping ratio"), Column("moves most"), Column("remark")]
+    columns = [*columns_of("mode; natural frequency [rad/s]; frequency [Hz]; damping ratio; moves most; remark")]
     if not any(row[-1] for row in rows):
         rows, columns = [row[:-1] for row in rows], columns[:-1]
     pictures: tuple[Picture, ...] = ()

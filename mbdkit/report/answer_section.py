@@ -13,7 +13,7 @@ from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
 from mbdkit.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit.figures.curves import BEYOND, Array, blocks, take
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
-from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table
+from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
 from mbdkit.plot.beams_plot import beam_peak
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
     power = None
     if name == "drivers" and run.records("joints/driver_power"):
         power = Peaks.of(np.asarray(run.time), run.dataset("joints/driver_power"))
-        headings += [Column("largest power", "W"), Column("time of the power", "s")]
+        headings += columns_of("largest power [W]; time of the power [s]")
     rows: list[tuple[Cell, ...]] = []
     joints = list(run.joints.values()) if chosen else []
     for column in chosen:
@@ -190,11 +190,11 @@ def _of_forces(run: Run) -> Table:
     forces = list(run.forces.values())
     own = [column for column, force in enumerate(forces) if force.name not in loads]
     units = [unit for unit in ("N", "N m") if any(force.units == unit for force in forces)]
-    columns = [Column("force element"), Column("between")]
+    columns = [*columns_of("force element; between")]
     for unit in units:
         word = "force" if unit == "N" else "torque"
         columns += [Column(f"largest {word}", unit), Column(f"time of the {word}", "s")]
-    columns += [Column("largest power", "W"), Column("time of the power", "s")]
+    columns += columns_of("largest power [W]; time of the power [s]")
     chosen = sorted(sorted(own, key=lambda column: -np.nan_to_num(value.value[column], nan=np.inf))[:ROWS])
     rows: list[tuple[Cell, ...]] = []
     for column in chosen:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from mbdkit.analysis.workload import ElementWorkload, workload
 from mbdkit.figures.curves import bands
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name
-from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table
+from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table, columns_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.report.load_frames import load_drawing
 
@@ -63,9 +63,10 @@ def inverse_charts(run: Run) -> list[Figure]:
 
 
 def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
-    names = ("joint or actuator", "kind", "unit", "peak", "rms", "impulse", "loading rate")
-    columns = [*(Column(name) for name in names), *(Column(name, "W") for name in ("largest power", "least power"))]
-    columns += [Column("work done", "J"), Column("work absorbed", "J")]
+    columns = columns_of(
+        "joint or actuator; kind; unit; peak; rms; impulse; loading rate; largest power [W]; least power [W]; "
+        "work done [J]; work absorbed [J]"
+    )
     rows: list[tuple[Cell, ...]] = []
     for one in elements:
         load, work = one.load, one.work
@@ -74,7 +75,7 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
             power = (work.peak_power, work.least_power, work.positive, -work.negative)
         rows.append((one.name, one.kind, load.units, load.peak, load.rms, load.impulse, load.loading_rate, *power))
     note = "Impulses are in N s or N m s, loading rates in N/s or N m/s."
-    return Table("workload", "Workload of joints and actuators", tuple(columns), tuple(rows), note)
+    return Table("workload", "Workload of joints and actuators", columns, tuple(rows), note)
 
 
 def _bars(elements: tuple[ElementWorkload, ...]) -> Illustration:
@@ -136,7 +137,7 @@ def _disagreement(run: Run) -> Section:
             values = raw[known, place]
             at = float(time[known][int(np.argmax(values))])
             gaps.append((joint, float(np.sqrt(np.mean(values**2))), float(values.max()), at))
-    heads = (Column("joint"), Column("rms", "m"), Column("largest", "m"), Column("time of the largest", "s"))
+    heads = columns_of("joint; rms [m]; largest [m]; time of the largest [s]")
     note = "Misalignment of a joint if the bodies were placed by the measured data alone."
     tables = [residuals] + ([Table("raw-gaps", "Misalignment of the data", heads, tuple(gaps), note)] if gaps else [])
     told = [

@@ -13,7 +13,7 @@ from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.figures.curves import take
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg, names_shown, own_forces
-from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table
+from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
 from mbdkit.figures.quantity_text import count
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
@@ -108,8 +108,8 @@ def _bodies(shown: NamedPose) -> Table:
         body = known.get(name)
         centre = shown.place(name, (0.0, 0.0)).tolist()
         rows.append((name, *((body.mass, body.inertia) if body else ()), *centre, angle))
-    columns = [Column("body"), *([Column("mass", "kg"), Column("moment of inertia", "kg m²")] if known else [])]
-    columns += [Column("x", "m"), Column("y", "m"), Column("angle", "rad")]
+    columns = [Column("body"), *([*columns_of("mass [kg]; moment of inertia [kg m²]")] if known else [])]
+    columns += columns_of("x [m]; y [m]; angle [rad]")
     return _limited("bodies", "Bodies", columns, rows)
 
 
@@ -119,9 +119,12 @@ def _beams(mechanism: Mechanism) -> Table:
         stiffness, (mass, _) = beam.section_stiffness, beam.inertia_per_length
         nodes = f"{name}.0 to {name}.{beam.node_count - 1}"
         rows.append((name, nodes, beam.length, mass * beam.length, *stiffness, beam.damping))
-    columns = [Column("beam"), Column("nodes"), Column("length", "m"), Column("mass", "kg")]
-    columns += [Column("axial stiffness", "N"), Column("shear stiffness", "N"), Column("bending stiffness", "N m²")]
-    columns += [Column("damping", "s")]
+    columns = [
+        *columns_of(
+            "beam; nodes; length [m]; mass [kg]; axial stiffness [N]; shear stiffness [N]; "
+            "bending stiffness [N m²]; damping [s]"
+        )
+    ]
     return _limited("model-beams", "Beams", columns, rows)
 
 
@@ -135,8 +138,7 @@ def _joints(shown: NamedPose) -> Table:
             x, y = shown.place(*held[-1][1:]).tolist()
             place = (x, y)
         rows.append((name, joint.type, _between(joint.bodies), *place, _joint_details(joint)))
-    columns = [Column("joint"), Column("type"), Column("between"), Column("x", "m")]
-    columns += [Column("y", "m"), Column("data")]
+    columns = [*columns_of("joint; type; between; x [m]; y [m]; data")]
     rows, columns = _without_empty_data(rows, columns)
     return _limited("model-joints", "Joints and drivers", columns, rows)
 
@@ -162,7 +164,7 @@ def _forces(shown: NamedPose) -> Table:
             between = _between((load.reaction_body, load.body))
         kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
         rows.append((name, kind, between, _force_details(force, shown)))
-    columns = [Column("force element"), Column("type"), Column("between"), Column("data")]
+    columns = [*columns_of("force element; type; between; data")]
     rows, columns = _without_empty_data(rows, columns)
     return _limited("model-forces", "Springs, dampers and loads", columns, rows)
 
@@ -173,8 +175,7 @@ def _markers(shown: NamedPose) -> Table:
     for name, marker in shown.mechanism.markers.items():
         x, y = shown.place(marker.body, marker.held).tolist()
         rows.append((name, marker.body, *shown.rounded(marker.held).tolist(), x, y))
-    columns = [Column("marker"), Column("body"), Column("x in its frame", "m"), Column("y in its frame", "m")]
-    columns += [Column("x", "m"), Column("y", "m")]
+    columns = [*columns_of("marker; body; x in its frame [m]; y in its frame [m]; x [m]; y [m]")]
     return _limited("markers", "Markers", columns, rows)
 
 
@@ -184,7 +185,7 @@ def _parameters(spec: Mapping[str, Any]) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (name, text if isinstance(text, str) else None, values[name]) for name, text in given.items()
     ]
-    columns = [Column("parameter"), Column("expression"), Column("value")]
+    columns = [*columns_of("parameter; expression; value")]
     return _limited("parameters", "Parameters", columns, rows)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.figures.curves import require_rows
 from mbdkit.figures.drawing_geometry import build_mechanism
-from mbdkit.figures.page_model import Cell, Column, Table
+from mbdkit.figures.page_model import Cell, Table, columns_of
 from mbdkit.figures.player_data import film_data
 from mbdkit.plot.caption import caption
 from mbdkit.report.answer_section import answer_section, beam_section
@@ -82,7 +82,7 @@ def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Tabl
     """Return the table of the provenance of a run, with the rows `first` at its top."""
     rows: list[tuple[Cell, ...]] = [(name, str(value)) for name, value in first.items()]
     rows += [(name.replace("_", " "), str(value)) for name, value in sorted(provenance.items())]
-    return Table("environment", "Environment", (Column("item"), Column("value")), tuple(rows))
+    return Table("environment", "Environment", columns_of("item; value"), tuple(rows))
 
 
 def yaml_text(spec: Mapping[str, Any]) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.figures.beam_curves import has_beams
-from mbdkit.figures.page_model import Cell, Column, Table
+from mbdkit.figures.page_model import Cell, Column, Table, columns_of
 from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run_tables(run: Run) -> tuple[Table, ...]:
 def _events(run: Run) -> Table:
     """Return the table of event crossings, limited to the first."""
     specs = run.spec["events"]
-    columns = (Column("event"), Column("zero crossing of"), Column("direction"), Column("time", "s"))
+    columns = columns_of("event; zero crossing of; direction; time [s]")
     rows: list[tuple[Cell, ...]] = [
         (
             event.name,
@@ -57,7 +57,7 @@ def _events(run: Run) -> Table:
 
 
 def _joints(run: Run) -> Table:
-    columns = [Column("joint"), Column("between"), Column("largest misalignment", "m")]
+    columns = [*columns_of("joint; between; largest misalignment [m]")]
     found = []
     for name, path, unit in _QUANTITIES:
         if run.records(path):
@@ -79,13 +79,7 @@ def _joints(run: Run) -> Table:
 
 def _errors(run: Run, accuracy: Accuracy) -> Table:
     """Return the table of the estimated errors of the bodies."""
-    columns = (
-        Column("body"),
-        Column("position", "m"),
-        Column("angle", "rad"),
-        Column("velocity", "m/s"),
-        Column("angular velocity", "rad/s"),
-    )
+    columns = columns_of("body; position [m]; angle [rad]; velocity [m/s]; angular velocity [rad/s]")
     count = accuracy.rows_known
     errors = (accuracy.position_error, accuracy.velocity_error)
     largest = np.stack([np.max(one[:count], axis=0) for one in errors], axis=1)  # (B, 2, 3)
@@ -122,4 +116,4 @@ def _cost(run: Run) -> Table:
         if name in run.stats
     ]
     rows += [(f"{name.removesuffix('_s')} time [s]", float(run.stats[name])) for name in TIMINGS if name in run.stats]
-    return Table("cost", "Cost", (Column("item"), Column("value")), tuple(rows))
+    return Table("cost", "Cost", columns_of("item; value"), tuple(rows))

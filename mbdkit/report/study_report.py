@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.analysis.verdict import Verdict
+from mbdkit.analysis.verdict import Verdict, columns_of
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
@@ -140,7 +140,7 @@ def runs_table(study: Study) -> Table:
         (*_named(point, units), point.status, point.verdict, *(_cell(point, name) for _, name in shown))
         for point in points
     ]
-    named = (Column("run"), Column("family"), Column("values"), Column("status"), Column("verdict"))
+    named = columns_of("run; family; values; status; verdict")
     columns = (*named, *(column for column, _ in shown))
     if len(study.families) == 1:
         rows, columns = [(row[0], *row[2:]) for row in rows], (columns[0], *columns[2:])
@@ -167,7 +167,7 @@ def _failures(study: Study) -> Table:
         for point in study.failures[: _LISTED if study.spec.has_table else None]
     ]
     told = f"The first {len(rows)} of {len(study.failures)}." if len(rows) < len(study.failures) else NO_FAILURES.note
-    columns = Column("run"), Column("member"), Column("reason")
+    columns = columns_of("run; member; reason")
     return replace(NO_FAILURES, columns=columns, rows=tuple(rows), note=told)
 
 

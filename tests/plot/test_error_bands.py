@@ -12,7 +12,7 @@ from matplotlib.path import Path as Outline
 import mbdkit
 from mbdkit.figures.curves import band_along_path, band_over_time
 from mbdkit.plot.save_plot import figure
-from mbdkit.report.chart_data import chart_data
+from mbdkit.report.report_page import chart_data
 from mbdkit.report.run_report import run_report
 
 CHAOTIC = {"name": "double-pendulum", "angles": [1.2, 0.3]}

@@ -15,9 +15,8 @@ import pytest
 from PIL import Image
 
 from mbdkit.base.errors import SpecError
-from mbdkit.plot.paper_figure import size_in_mm
 from mbdkit.plot.plot_kinds import PLOT_KINDS
-from mbdkit.plot.save_plot import plot
+from mbdkit.plot.save_plot import plot, size_in_mm
 from tests.cli.conftest import mbdkit as mbdkit
 from tests.cli.conftest import refusal as refusal
 

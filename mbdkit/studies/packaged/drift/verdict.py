@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from mbdkit.analysis.verdict import Answer, Claim, Column, Range, Table, Verdict, exceeds, together, told
+from mbdkit.analysis.verdict import Answer, Claim, Range, Table, Verdict, columns_of, exceeds, together, told
 from mbdkit.studies.packaged.drift.combination import Combination, Undetermined, combinations
 from mbdkit.studies.packaged.drift.drift_figures import energies, errors
 
@@ -31,22 +31,10 @@ EXPECTED: tuple[tuple[str, str, tuple[float | None, ...], str], ...] = (
 PLAIN, ORDINARY, SYMMETRIC = "Gauss 2", "Gauss 2, projected", "Gauss 2, projected symmetrically"
 PROJECTED = ", projected"
 
-COLUMNS = (
-    Column("mechanism"),
-    Column("method"),
-    Column("order q"),
-    Column("v"),
-    Column("lambda"),
-    Column("multipliers"),
-    Column("drift q"),
-    Column("v", "1/s"),
-    Column("energy trend", "1/s"),
-    Column("trend / error"),
-    Column("oscillation"),
-    Column("reversal"),
-    Column("evaluations"),
-    Column("factorizations"),
-    Column("time", "us"),
+COLUMNS = columns_of(
+    "mechanism; method; order q; v; lambda; multipliers; drift q; v [1/s]; "
+    "energy trend [1/s]; trend / error; oscillation; reversal; evaluations; "
+    "factorizations; time [us]"
 )
 NOTE = (
     "Orders: from errors against Gauss 6 at the three finest neighbouring steps whose slopes agree above the round-off "

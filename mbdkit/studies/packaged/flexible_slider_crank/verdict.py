@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict, exceeds, told
+from mbdkit.analysis.verdict import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds, told
 from mbdkit.studies.packaged.drift.combination import state_of, two
 from mbdkit.studies.point_selection import METHOD, STEP, value
 
@@ -184,7 +184,7 @@ def _hidden(found: Sequence[CrankRun]) -> Claim:
 
 
 def _table(joints: Sequence[str], found: Sequence[CrankRun]) -> Table:
-    columns = [Column("method"), Column("step", "s"), Column("time", "s")]
+    columns = [*columns_of("method; step [s]; time [s]")]
     columns += [Column(f"misalignment, {name}", "m") for name in joints]
     columns += [Column(f"error of the force, {name}", "%") for name in joints]
     rows = []

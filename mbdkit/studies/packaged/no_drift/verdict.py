@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbdkit.analysis.verdict import Answer, Claim, Column, Table, Verdict, exceeds, told
+from mbdkit.analysis.verdict import Answer, Claim, Table, Verdict, columns_of, exceeds, told
 from mbdkit.studies.packaged.drift.combination import COMBINATION, state_of, two
 from mbdkit.studies.point_selection import value
 
@@ -18,15 +18,7 @@ if TYPE_CHECKING:
 HELD = 1e-12
 """Bound on misalignment, and on velocity misalignment per second, relative to the size of the mechanism."""
 
-COLUMNS = (
-    Column("mechanism"),
-    Column("method"),
-    Column("steps"),
-    Column("positions"),
-    Column("velocities", "1/s"),
-    Column("time", "s"),
-    Column("projections"),
-)
+COLUMNS = columns_of("mechanism; method; steps; positions; velocities [1/s]; time [s]; projections")
 NOTE = (
     "Largest misalignment and velocity misalignment of any joint over all steps, recorded or not, relative to the "
     "mechanism's size. Times are those of this machine."

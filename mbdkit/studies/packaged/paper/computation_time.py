@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import theilslopes
 
-from mbdkit.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, exceeds
+from mbdkit.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Table, columns_of, exceeds
 from mbdkit.figures.quantity_text import two_digits
 from mbdkit.studies.packaged.paper.published_results import GILL, METHODS
 from mbdkit.studies.packaged.paper.substitution_timing import Substitution, measured
@@ -106,13 +106,7 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
         f"For two bodies, one compiled evaluation is {two_digits(gain)} times faster than one by substitution into "
         "SymPy matrices, measured on this machine.",
     )
-    columns = (
-        Column("bodies"),
-        Column("substitution", "ms"),
-        Column("compiled", "us"),
-        Column("ratio"),
-        Column("1500 steps of RK-Gill by substitution", "s"),
-    )
+    columns = columns_of("bodies; substitution [ms]; compiled [us]; ratio; 1500 steps of RK-Gill by substitution [s]")
     table = Table(
         "substitution",
         "One evaluation of the equations of motion",

@@ -10,7 +10,7 @@ import numpy as np
 from mbdkit.analysis.cost import at_equal_work, work_for
 from mbdkit.analysis.growth import growth_law, worst_history
 from mbdkit.analysis.order import observed_order
-from mbdkit.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Column, Figure, Line, Table, together
+from mbdkit.analysis.verdict import MARGIN, Answer, Axis, Cell, Claim, Figure, Line, Table, columns_of, together
 from mbdkit.figures.quantity_text import least_most
 from mbdkit.studies.packaged.paper.published_results import GAUSS2, GAUSS3, GILL
 from mbdkit.studies.point_selection import METHOD, MODEL, STEP, Points, family, value
@@ -50,15 +50,9 @@ def orders(study: Study) -> tuple[Claim, Table]:
         f"In the asymptotic range of steps, {sum(answer is Answer.YES for answer in answers)} of {len(answers)} "
         f"observed orders lie within {TOLERANCE} of the theoretical ones.",
     )
-    columns = (
-        Column("pendulum"),
-        Column("method"),
-        Column("theoretical order"),
-        Column("observed order"),
-        Column("standard error"),
-        Column("window of steps"),
-        Column("round-off floor", "m"),
-        Column("order of the misalignment"),
+    columns = columns_of(
+        "pendulum; method; theoretical order; observed order; standard error; "
+        "window of steps; round-off floor [m]; order of the misalignment"
     )
     note = (
         "Error of the positions at 15 s against six-stage Gauss. Empty: no window, because the error reaches round-off "
@@ -105,14 +99,7 @@ def growth(study: Study) -> tuple[Claim, Table]:
         f"{late}, but from a much smaller value: constraints at acceleration level do not close the gap of a joint. "
         f"Radau IIA: {radau}.",
     )
-    columns = (
-        Column("pendulum"),
-        Column("method"),
-        Column("over", "s"),
-        Column("law"),
-        Column("exponent of t"),
-        Column("largest misalignment", "m"),
-    )
+    columns = columns_of("pendulum; method; over [s]; law; exponent of t; largest misalignment [m]")
     note = "All laws that the data do not distinguish are listed; unclear: no law can be separated from oscillation."
     return claim, Table("growth", "How misalignment grows, h = 0.1 s", columns, tuple(rows), note)
 
@@ -129,15 +116,8 @@ def work(study: Study) -> tuple[tuple[Claim, ...], Table, tuple[Figure, ...]]:
             setting = point.axes.get(STEP, point.axes.get("integrator.rtol"))
             numbers = (value(point, column) for column in (EVALUATIONS, "factorizations", ERROR, DRIFT, "wall_s"))
             rows.append((method, "step" if STEP in point.axes else "tolerance", setting, *numbers))
-    columns = (
-        Column("method"),
-        Column("set by"),
-        Column("step or tolerance"),
-        Column("evaluations"),
-        Column("factorizations"),
-        Column("error at 15 s", "m"),
-        Column("misalignment", "m"),
-        Column("time", "s"),
+    columns = columns_of(
+        "method; set by; step or tolerance; evaluations; factorizations; error at 15 s [m]; misalignment [m]; time [s]"
     )
     table = Table("work-precision", "Work, precision and drift of the double pendulum", columns, tuple(rows))
     figures = tuple(

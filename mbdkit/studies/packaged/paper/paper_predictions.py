@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Range, Table, together
+from mbdkit.analysis.verdict import (
+    Answer,
+    Axis,
+    Band,
+    Cell,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    columns_of,
+    together,
+)
 from mbdkit.figures.quantity_text import least_most
 from mbdkit.studies.packaged.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP
 from mbdkit.studies.point_selection import METHOD, STEP, family
@@ -232,13 +245,7 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
         f"The misalignment {'grows' if answer is Answer.YES else 'does not grow'} by a factor of 10 to 100 with each "
         f"further joint: {cost}{least_most(later)}, {beyond or 'none'} {'is' if beyond == 1 else 'are'} in this range.",
     )
-    columns = (
-        Column("method"),
-        Column("step", "s"),
-        Column("joints"),
-        Column("misalignment", "m"),
-        Column("factor per added joint"),
-    )
+    columns = columns_of("method; step [s]; joints; misalignment [m]; factor per added joint")
     table = Table("joints-chain", "Largest misalignment of a chain by its number of joints", columns, tuple(rows))
     lines = tuple(
         Line(f"{method}, h = {step:g} s", numbers, values, "both", method)

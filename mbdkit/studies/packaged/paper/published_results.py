@@ -7,7 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.analysis.verdict import Answer, Axis, Cell, Claim, Column, Figure, Line, Range, Table, exceeds, together
+from mbdkit.analysis.verdict import (
+    Answer,
+    Axis,
+    Cell,
+    Claim,
+    Column,
+    Figure,
+    Line,
+    Range,
+    Table,
+    columns_of,
+    exceeds,
+    together,
+)
 from mbdkit.studies.point_selection import METHOD, MODEL, STEP, family, value
 
 if TYPE_CHECKING:
@@ -49,14 +62,7 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
         f"{number} of the 4 published misalignments are reproduced within a factor of {FACTOR:.0f}. The paper does not "
         "state masses, lengths and initial angles; we assume values.",
     )
-    columns = (
-        Column("model"),
-        Column("method"),
-        Column("published", "m"),
-        Column("computed", "m"),
-        Column("computed / published"),
-        Column("within a factor of 3"),
-    )
+    columns = columns_of("model; method; published [m]; computed [m]; computed / published; within a factor of 3")
     return claim, Table("magnitudes", "Largest misalignment, published and computed", columns, tuple(rows))
 
 
@@ -87,7 +93,7 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
                 )
             rows.append((model, step, *values, str(is_worst), str(best[-1])))
     columns = (Column("model"), Column("step", "s"), *(Column(method, "m") for method in METHODS))
-    columns += (Column("RK-Gill worst"), Column("Gauss 3 better than Gauss 2"))
+    columns += columns_of("RK-Gill worst; Gauss 3 better than Gauss 2")
     table = Table(
         "ranking",
         "Largest misalignment of the paper's three methods, every model and step",

@@ -26,6 +26,7 @@ from mbdkit.analysis.verdict import (
     Range,
     Table,
     Verdict,
+    columns_of,
     exceeds,
     together,
     told,
@@ -183,14 +184,7 @@ def _reached(target: float, curves: dict[str, list[tuple[float, float, float]]])
 
 
 def _residuals(rows: list[tuple[Cell, ...]], book: LoopRun, fine: LoopRun) -> Table:
-    columns = (
-        Column("method"),
-        Column("set by"),
-        Column("step or tolerance"),
-        Column("evaluations"),
-        Column("loop residual", "m"),
-        Column("time", "ms"),
-    )
+    columns = columns_of("method; set by; step or tolerance; evaluations; loop residual [m]; time [ms]")
     first = "textbook's equations, SciPy RK45"
     published: list[tuple[Cell, ...]] = [
         ("textbook, standard ODE solver (published)", "tolerance", 1e-3, None, STANDARD, None),
