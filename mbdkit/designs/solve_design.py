@@ -100,11 +100,23 @@ def design(
     spec = load_design_spec(source, assignments, **sections)
     check_installed(spec)
     engine = Engine(workers, checked_executor(executor), WORKER)
-    notify = notify or _silent
     folder = None if out is None else DesignFolder(Path(out))
-    if folder is None:
-        with evaluating(spec, None, engine, notify, progress) as evaluator:
-            return solve(evaluator, notify)
+    if folder is not None:
+        return _solved_in(folder, spec, engine, notify or _silent, progress, overwrite=overwrite)
+    with evaluating(spec, None, engine, notify or _silent, progress) as evaluator:
+        return solve(evaluator, notify or _silent)
+
+
+def _solved_in(
+    folder: DesignFolder,
+    spec: DesignSpec,
+    engine: Engine,
+    notify: Notify,
+    progress: Progress | None,
+    *,
+    overwrite: bool,
+) -> Design:
+    """Carry out a design in its folder, or read its result there."""
     folder.check(spec, overwrite=overwrite)
     Evaluator(spec)  # expressions are checked before anything is written
     if overwrite:
@@ -114,9 +126,9 @@ def design(
         if folder.result.is_file():
             return folder.read()
         with evaluating(spec, folder, engine, notify, progress) as evaluator:
-            found = solve(evaluator, notify)
-            folder.write(found)
-    return found
+            result = solve(evaluator, notify)
+            folder.write(result)
+    return result
 
 
 def load_design(folder: str | Path) -> Design:

@@ -8,6 +8,7 @@ import tempfile
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -145,27 +146,9 @@ def study(
     >>> [point.status for point in study.points]
     ['complete', 'complete', 'complete', 'complete']
     """
-    engine = Engine(workers, checked_executor(executor))
+    engine, options = Engine(workers, checked_executor(executor)), Options(shard, progress, notify, overwrite)
     spec = load_study_spec(source, assignments)
-    spec = spec if store is None else spec.stored_as(store)
-    keep = None
-    if out is None:
-        keep = _TemporaryFolder()
-        out = keep.path
-    folder = StudyFolder(Path(out))
-    spec = settled_store(settled_sample(spec, folder, overwrite=overwrite), folder, overwrite=overwrite)
-    try:
-        is_shown = progress is None and in_notebook()
-        with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
-            execution = Execution(spec, folder, Options(shard, progress or bar, notify, overwrite))
-            _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
-            execution.run(engine)
-            _LOG.info(
-                "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
-            )
-    except SpecError as error:
-        raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
-    return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)
+    return _carried_out(spec if store is None else spec.stored_as(store), out, engine, options)
 
 
 def ensemble(
@@ -241,24 +224,47 @@ def ensemble(
     1.0
     """
     columns = _columns_of(variables)
+    keys = {"block": block, "compress": compress or None, "measures": None if measures == "all" else measures}
+    spec = _spec_of(source, columns, store, {name: value for name, value in keys.items() if value is not None})
+    engine, options = Engine(workers, checked_executor(executor)), Options(None, progress, notify, overwrite)
+    return _carried_out(load_study_spec(spec), out, engine, options)
+
+
+def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, options: Options) -> Study:
+    """Compute what is missing of a study, in a temporary folder if there is no other, and open it."""
+    keep = None
+    if out is None:
+        keep = _TemporaryFolder()
+        out = keep.path
+    folder = StudyFolder(Path(out))
+    spec = settled_sample(spec, folder, overwrite=options.overwrite)
+    spec = settled_store(spec, folder, overwrite=options.overwrite)
+    try:
+        is_shown = options.progress is None and in_notebook()
+        with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
+            execution = Execution(spec, folder, replace(options, progress=options.progress or bar))
+            _LOG.info("study in %s begins: %s", shown(folder.path), counted(execution.store.count, "run"))
+            execution.run(engine)
+            _LOG.info(
+                "study in %s ends: %d computed, %d failed", shown(folder.path), execution.computed, execution.failed
+            )
+    except SpecError as error:
+        raise advised(error, sorted(folder.path.glob("runs/*.h5"))) from None
+    return Study(folder.path, computed=execution.computed, unfinished=execution.unfinished, keep=keep)
+
+
+def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, Any]) -> StudySpec:
+    """Return the spec of a study that runs one spec with the values of a table."""
     document = read_source(source)
     base = plain(document.data)
     whole = json.loads(load_spec(document).canonical_json())
     for key in columns:
         _complete(base, whole, key)
-    count = len(next(iter(columns.values())))
     _, digest = member_table.image(columns)
-    keys = {"block": block, "compress": compress or None, "measures": None if measures == "all" else measures}
-    spec = StudySpec(
-        mbdkit_study=1,
-        base=base,
-        store=store,
-        members={"runs": count, "sha256": digest},
-        **{name: value for name, value in keys.items() if value is not None},
-    )
+    members = {"runs": len(next(iter(columns.values()))), "sha256": digest}
+    spec = StudySpec(mbdkit_study=1, base=base, store=store, members=members, **keys)
     spec._columns = columns
-    rest: dict[str, Any] = {"progress": progress, "notify": notify, "overwrite": overwrite}
-    return study(spec, out=out, workers=workers, executor=executor, **rest)
+    return spec
 
 
 def _complete(base: dict[str, Any], whole: Mapping[str, Any], key: str) -> None:
