@@ -33,10 +33,10 @@ from mbdkit.runs.preparation import caution, guards, make_method, recorded_array
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.warnings import center_warnings, doubts, start_warnings
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.controlled_lanes import ControlledLaneStepper
 from mbdkit.stepping.interface import Guards, StepEvidence, Stretch, Timetable
 from mbdkit.stepping.lane_collocation import StagePivots
 from mbdkit.stepping.lane_stepper import (
+    ControlledLaneStepper,
     LaneResults,
     LaneStepper,
     PivotsAtStart,

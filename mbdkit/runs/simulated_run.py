@@ -27,8 +27,7 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.take import take_all
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.accuracy.asked_accuracy_result import missed_because, with_asked
-from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run
+from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
 from mbdkit.runs.accuracy.chosen_method import Choice
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure

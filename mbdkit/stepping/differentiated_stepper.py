@@ -18,9 +18,8 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.dual_collocation import constrained_step, dual_stages, index1_step
-from mbdkit.stepping.dual_explicit import dual_explicit, explicit_step
 from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
+from mbdkit.stepping.dual_steps import constrained_step, dual_explicit, dual_stages, explicit_step, index1_step
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import StepTaken, Timetable
 from mbdkit.stepping.run_state import PROJECTIONS

@@ -44,7 +44,7 @@ from mbdkit.stepping.step_guards import distance_by_pivots
 
 
 class LaneKept(NamedTuple):
-    """What lanes keep that have converged; see `mbdkit.stepping.lane_hold`."""
+    """What lanes keep that have converged; see `mbdkit.stepping.stage_iteration`."""
 
     lam: np.ndarray
     """(s, P, 2) multipliers of the stages."""

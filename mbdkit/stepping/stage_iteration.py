@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numba.extending import overload
 
-from mbdkit.engine.jit.decorators import inlined
-from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable, where
+from mbdkit.engine.jit.decorators import inlined, subkernel
+from mbdkit.engine.jit.lane_types import LaneMask, any_of, is_refused, renewed, usable, where
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
@@ -18,8 +19,48 @@ from mbdkit.stepping.convergence import (
     predicts_failure,
     report_divergence,
 )
-from mbdkit.stepping.lane_hold import hold_counts, hold_finished
 from mbdkit.stepping.run_state import ITERATIONS
+from mbdkit.stepping.step_guards import distance_by_pivots
+
+
+def hold_counts(c, m, wanted):
+    """Let what was counted since the last call count only in lanes where `wanted`."""
+
+
+def hold_finished(c, m, active):
+    """Restore what an iteration has changed in lanes that are not `active`: multipliers, distance, and counts."""
+
+
+@subkernel
+def _hold_counts(c, m, wanted):
+    for k in range(len(c.counts)):
+        c.counts[k] = m.kept.counts[k] = where(wanted, c.counts[k], m.kept.counts[k])
+
+
+@subkernel
+def _hold_finished(c, m, active):
+    kept = m.kept.lam
+    for i in range(len(kept)):
+        for k in range(len(kept[0])):
+            for r in range(2):
+                m.lam[i, k, r] = kept[i, k, r] = where(active, m.lam[i, k, r], kept[i, k, r])
+    if c.watch.has_loops[0] != 0:
+        c.watch.distance[0] = where(active, distance_by_pivots(c.solver.schur), c.watch.distance[0])
+    _hold_counts(c, m, active)
+
+
+@overload(hold_counts)
+def _counts(c, m, wanted):
+    if isinstance(wanted, LaneMask):
+        return lambda c, m, wanted: _hold_counts(c, m, wanted)
+    return lambda c, m, wanted: None
+
+
+@overload(hold_finished)
+def _finished(c, m, active):
+    if isinstance(active, LaneMask):
+        return lambda c, m, active: _hold_finished(c, m, active)
+    return lambda c, m, active: None
 
 
 @inlined

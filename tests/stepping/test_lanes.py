@@ -18,9 +18,15 @@ from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances
 from mbdkit.runs.preparation import build
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.controlled_lanes import ControlledLaneStepper
 from mbdkit.stepping.interface import Guards, Timetable
-from mbdkit.stepping.lane_stepper import LaneResults, LaneStepper, PivotsAtStart, suits_lanes, topology_of
+from mbdkit.stepping.lane_stepper import (
+    ControlledLaneStepper,
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+    suits_lanes,
+    topology_of,
+)
 from mbdkit.stepping.start import start_method
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
 

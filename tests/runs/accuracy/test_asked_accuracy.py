@@ -13,7 +13,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
 from mbdkit.base.errors import SpecError
-from mbdkit.runs.accuracy.asked_accuracy_result import missed_because
+from mbdkit.runs.accuracy.check_run import missed_because
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
 from mbdkit.runs.accuracy.coarser_estimate import error_share
 from mbdkit.runs.accuracy.position_measure import PositionMeasure

@@ -1,8 +1,8 @@
-"""Differentiated steps of collocation methods; see `mbdkit.stepping.dual_run`.
+"""Differentiated steps of explicit Runge-Kutta methods and of collocation methods; see `mbdkit.stepping.dual_run`.
 
-The stages of the run satisfy their equations. Their derivatives follow from the same iteration with the same factors:
-the residual is evaluated with dual numbers, so that its derivatives are exact, and the iteration goes on until those of
-the stages no longer change.
+In a collocation method, the stages of the run satisfy their equations. Their derivatives follow from the same iteration
+with the same factors: the residual is evaluated with dual numbers, so that its derivatives are exact, and the iteration
+goes on until those of the stages no longer change.
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit import dual_complex  # noqa: F401  arithmetic that the kernels of this module use
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
+from mbdkit.engine.jit.dual_arrays import new_duals
 from mbdkit.engine.jit.dual_types import with_value
 from mbdkit.engine.kernels.system import DIVERGED, OK
-from mbdkit.stepping import collocation_constrained, collocation_index1
+from mbdkit.stepping import collocation_constrained, collocation_index1, explicit
 from mbdkit.stepping.collocation_stages import (
     NEWTON,
     Stages,
@@ -27,9 +29,54 @@ from mbdkit.stepping.collocation_stages import (
 )
 from mbdkit.stepping.collocation_step import complete_step, evaluate_stages, keep_stages
 from mbdkit.stepping.dual_run import advance, load_dual_run, relative_change, take_base, with_derivatives
+from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.run_state import load_run_state
 from mbdkit.stepping.simplified_newton import newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolate, extrapolation_weights
+
+
+def dual_explicit(method: Explicit) -> Explicit:
+    """Return the bundle of an explicit method with stages of dual numbers; its coefficients are numbers."""
+    stages = ("rates", "accelerations", "q_stage", "lam", "power")
+    return method._replace(
+        **{name: new_duals(*getattr(method, name).shape) for name in stages}, status=method.status.copy()
+    )
+
+
+def _example() -> Explicit:
+    from mbdkit.methods import rk4
+    from mbdkit.methods.kinds import ExplicitRungeKutta
+
+    return dual_explicit(new_explicit(ExplicitRungeKutta(rk4.tableau()), 6, len(example_workspace().scratch.phi)))
+
+
+load_dual_explicit = bundle_loader(_example)
+
+
+@kernel
+def explicit_step(dual, run, method, t, h, row):
+    """Differentiate the step of size `h` from `t` that a run has taken; return a status.
+
+    Parameters
+    ----------
+    dual, run, method
+        Addresses of the `DualRun`, of the `RunState` and of the method's bundle of dual numbers.
+    row
+        Place where the end of the step is recorded; -1 if it is not.
+    """
+    c, n, m = load_dual_run(dual), load_run_state(run), load_dual_explicit(method)
+    take_base(c, n)
+    stages = len(m.b)
+    first = explicit.reuse_first_stage(c, m)
+    status = explicit.evaluate_stages(c, m, t, h, first, stages)
+    if status != OK:
+        return status
+    m.status[1] = stages
+    explicit.add_up_stages(c, m, h)
+    if c.nodes[0] != 0:
+        explicit.keep_stages(c, m, t, h)
+    return advance(c, n, row)
+
 
 MOST_ITERATIONS = 100
 SMALL = 1e-14
