@@ -8,7 +8,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
 from mbdkit.quantities.states import NONE, States
 from mbdkit.stepping.interface import Stretch
 
@@ -56,6 +59,20 @@ class ObservedRows:
     velocity: np.ndarray
     force: np.ndarray
     torque: np.ndarray
+
+    @classmethod
+    def at(cls, workspace: Workspace, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> ObservedRows:
+        """Return states (T, 3 (B + 1)) with their reactions; all rows after a missing or singular one are nan."""
+        count = int(np.sum(np.minimum.accumulate(np.all(np.isfinite(q) & np.isfinite(v), axis=1))))
+        observer = StateObserver(workspace.with_own_pivots())
+        observed = observer.arrays(count)
+        singular = observer.observe(times[:count], q[:count], v[:count], observed)
+        count = count if singular is None else singular.row
+        position, velocity = (x[:, :-3].reshape(len(times), -1, 3).copy() for x in (q, v))
+        wrench = np.full((len(times), len(workspace.mechanism.joints), 3), np.nan)
+        position[count:] = velocity[count:] = np.nan
+        wrench[:count] = joint_sums(workspace.mechanism).sum(observed.reactions)[:count]
+        return cls(times, position, velocity, wrench[..., :2], wrench[..., 2])
 
     @staticmethod
     def of(states: States) -> ObservedRows:

@@ -11,8 +11,6 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.joint_sums import JointSums
-from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
@@ -109,7 +107,7 @@ def run_companion(
         failure = str(error)
     except (Exception, SystemExit) as error:  # of a plugin
         failure = f"its method raised {one_line(error)}"
-    return CompanionRows(_observed(found, own), failure.rstrip("."))
+    return CompanionRows(ObservedRows.at(own, times, found.q, found.v), failure.rstrip("."))
 
 
 class _States:
@@ -186,27 +184,6 @@ def _advance(
         if progress is not None:
             progress(stepper.time, float(found.times[-1]))
     return ""
-
-
-def _observed(found: _States, workspace: Workspace) -> ObservedRows:
-    """Return the states with their reactions; all rows after a missing or singular one are nan."""
-    count = found.done
-    finite = np.all(np.isfinite(found.q[:count]) & np.isfinite(found.v[:count]), axis=1)
-    count = count if np.all(finite) else int(np.argmin(finite))
-    observer = StateObserver(workspace.with_own_pivots())
-    q, v = found.q[:count].copy(), found.v[:count].copy()
-    out = observer.arrays(count)
-    singular = observer.observe(found.times[:count], q, v, out)
-    if singular is not None:
-        count = singular.row
-    reactions = JointSums(workspace.mechanism).sum(out.reactions)
-    total, bodies, joints = len(found.times), len(workspace.mechanism.bodies), len(workspace.mechanism.joints)
-    position, velocity = np.full((2, total, bodies, 3), np.nan)
-    wrench = np.full((total, joints, 3), np.nan)
-    position[:count] = q[:count, :-3].reshape(count, bodies, 3)
-    velocity[:count] = v[:count, :-3].reshape(count, bodies, 3)
-    wrench[:count] = reactions[:count]
-    return ObservedRows(found.times, position, velocity, wrench[..., :2], wrench[..., 2])
 
 
 class Budget:

@@ -15,8 +15,6 @@ import numpy as np
 
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.joint_sums import JointSums
-from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
@@ -204,17 +202,7 @@ class RecordedPilot:
 
     def rows(self, times: np.ndarray) -> ObservedRows:
         """Return states and reactions at times of another run [s]; nan where it has none."""
-        q, v = self._states.at(times)
-        count = int(np.sum(np.minimum.accumulate(np.all(np.isfinite(q) & np.isfinite(v), axis=1))))
-        observer = StateObserver(self.workspace.with_own_pivots())
-        out = observer.arrays(count)
-        singular = observer.observe(times[:count], q[:count], v[:count], out)
-        count = count if singular is None else singular.row
-        wrench = np.full((len(times), len(self.workspace.mechanism.joints), 3), np.nan)
-        wrench[:count] = JointSums(self.workspace.mechanism).sum(out.reactions)[:count]
-        q[count:] = v[count:] = np.nan
-        position, velocity = (x[:, :-3].reshape(len(times), -1, 3) for x in (q, v))
-        return ObservedRows(times, position, velocity, wrench[..., :2], wrench[..., 2])
+        return ObservedRows.at(self.workspace, times, *self._states.at(times))
 
 
 def can_be_recorded(spec: RunSpec) -> bool:
