@@ -14,9 +14,6 @@ from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import BY_GROUP, KINDS, RECORDED
 
 FORMAT = "mbdkit-run"
-FORMAT_VERSION = "1.1"
-VERSIONS = ("1.0", FORMAT_VERSION)
-"""Versions of the format whose arrays the layout lists."""
 
 #: Attribute of the group ``trajectory`` while the run is under way: the rows of the tables up to the last flush.
 ROWS_FLUSHED = "rows_flushed"
@@ -75,6 +72,9 @@ TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
 LAYOUT: tuple[Array, ...] = tuple(array for kind in KINDS for array in kind.arrays)
 BY_PATH: Mapping[str, Array] = {array.path: array for array in LAYOUT}
 GROUPS = tuple(kind.group for kind in KINDS)
+VERSIONS = tuple(sorted({array.since for array in LAYOUT}))
+"""Versions of the format whose arrays the layout lists."""
+FORMAT_VERSION = VERSIONS[-1]
 
 #: Groups that `output.quantities` chooses.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)

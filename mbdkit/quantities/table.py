@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -364,6 +364,9 @@ KINDS = (
 )
 # fmt: on
 """All kinds, in the order of the groups of the archive."""
+
+ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "markers"]
+"""Groups of the kinds that `output.quantities` chooses."""
 
 BY_WORD: Mapping[str, Kind] = {kind.word: kind for kind in KINDS if kind.word}
 BY_GROUP: Mapping[str, Kind] = {kind.group: kind for kind in KINDS}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetJsonSchemaHandler, PlainSerializer, model_validator
 from pydantic.json_schema import JsonSchemaValue
@@ -16,8 +16,9 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
+from mbdkit.quantities.table import ChosenGroup
 
-QUANTITIES = ("beams", "constraints", "energy", "forces", "joints", "markers")
+QUANTITIES = get_args(ChosenGroup)
 
 
 def whole(value: Any) -> Any:
@@ -92,9 +93,7 @@ class Output(Section):
     """Number of steps between records; 1 unless `interval` is given."""
     interval: Positive | None = None
     """Time between records [s], instead of `every`; requires a method with dense output."""
-    quantities: (
-        Literal["all"] | tuple[Literal["beams", "constraints", "energy", "forces", "joints", "markers"], ...]
-    ) = "all"
+    quantities: Literal["all"] | tuple[ChosenGroup, ...] = "all"
     """Groups of quantities recorded in addition to trajectory, steps and stats."""
 
     @model_validator(mode="before")

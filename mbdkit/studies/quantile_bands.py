@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.data_frame import data_frame
+from mbdkit.archive.group_table import data_frame
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit.spec import RunSpec

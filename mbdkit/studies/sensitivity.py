@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
-from mbdkit.archive.data_frame import data_frame
+from mbdkit.archive.group_table import data_frame
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.studies.sample_groups import SampledStudy, measured, one_group
 

@@ -14,7 +14,7 @@ import numpy as np
 from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.block_writer import KEEPING_TIMES
 from mbdkit.archive.blocks import Block
-from mbdkit.archive.data_frame import data_frame
+from mbdkit.archive.group_table import data_frame
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import NotStoredError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 from mbdkit.archive import layout_document
 from mbdkit.archive.layout import (
@@ -15,6 +16,7 @@ from mbdkit.archive.layout import (
     later,
     recorded,
 )
+from mbdkit.quantities.table import ChosenGroup
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 
@@ -136,6 +138,10 @@ def test_every_array_with_mixed_units_names_them_on_one_of_its_axes() -> None:
         if array.row_units:
             (dim,) = BY_PATH[f"{array.group}/{array.row_units}"].dims
             assert dim in array.dims
+
+
+def test_specs_choose_the_groups_that_the_table_lets_them_choose() -> None:
+    assert frozenset(get_args(ChosenGroup)) == QUANTITIES
 
 
 def test_elapsed_time_is_the_only_timing() -> None:
