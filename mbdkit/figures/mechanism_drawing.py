@@ -95,8 +95,7 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
     names = [replace(name, text=short_name(name.text)) for name in islice(_names(canvas, shown), NAMES)]
     for placed in place_names(names, canvas.ink, canvas.width, canvas.height):
         _write(canvas, placed)
-    box = f"0 0 {canvas.width:.0f} {canvas.height:.0f}"
-    return Markup('<svg viewBox="{}" aria-hidden="true">{}</svg>').format(box, Markup("").join(canvas.parts))
+    return canvas.svg()
 
 
 def names_shown(shown: NamedPose) -> bool:

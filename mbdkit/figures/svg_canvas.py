@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -41,6 +42,10 @@ class Canvas:
     def ink(self) -> Array:
         """(N, 2) points on the lines [px]."""
         return np.concatenate([np.empty((0, 2)), *self.drawn])
+
+    def svg(self) -> Markup:
+        """Return the drawing."""
+        return svg_of(self.parts, self.width, self.height)
 
     def px(self, points: Any) -> Array:
         """Return global points (..., 2) [m] in pixels."""
@@ -86,6 +91,13 @@ class Canvas:
         self.line(arc, look)
         tangent = arc[-1] - arc[-3]
         self.arrow(arc[-1] + 0.01 * tangent, tangent, 1.0, look)
+
+
+def svg_of(parts: Iterable[Markup], width: float, height: float) -> Markup:
+    """Return a drawing of some parts, whose description stands beside it, for a page."""
+    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" aria-hidden="true">{}</svg>').format(
+        width, height, Markup("").join(parts)
+    )
 
 
 def shade(share: float) -> str:

@@ -134,8 +134,7 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
         _text(canvas, centre, canvas.height - 26.0, f"{float(run.time[rows[place]]):.4g} s", "middle")
     draw_scale_bar(canvas)
     _key(canvas, longest, scale, {kind for found in arrows for kind, *_ in found})
-    box_ = f"0 0 {canvas.width:.0f} {canvas.height:.0f}"
-    return Markup('<svg viewBox="{}" aria-hidden="true">{}</svg>').format(box_, Markup("").join(canvas.parts))
+    return canvas.svg()
 
 
 def _moments(run: Run, count: int) -> Array:

@@ -11,6 +11,7 @@ from mbdkit.analysis.workload import ElementWorkload, workload
 from mbdkit.figures.curves import bands
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name
 from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table, columns_of
+from mbdkit.figures.svg_canvas import svg_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.report.load_frames import load_drawing
 
@@ -104,9 +105,7 @@ def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
             parts.append(Markup(text).format(left + long + 6, y + 12, "", f"{one.load.peak:.4g} {unit}"))
             y += step
         y += 10.0 if chosen else 0.0
-    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" aria-hidden="true">{}</svg>').format(
-        width, y, Markup("").join(parts)
-    )
+    return svg_of(parts, width, y)
 
 
 def _disagreement(run: Run) -> Section:

@@ -10,6 +10,7 @@ from markupsafe import Markup
 from mbdkit.designs.landscape import SHARE, Sensitivity
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name
 from mbdkit.figures.page_model import Cell, Column, Illustration, Section, Table
+from mbdkit.figures.svg_canvas import svg_of
 
 _STEP = 22.0
 _TEXT = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
@@ -63,9 +64,7 @@ def _svg(
         y += _STEP
         parts += _bars(one, words, width, y)
         y += _STEP * len(one.changes) * (1 if width > NARROW else 2) + 10.0
-    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" aria-hidden="true">{}</svg>').format(
-        width, y, Markup("").join(parts)
-    )
+    return svg_of(parts, width, y)
 
 
 def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) -> Iterator[Markup]:
