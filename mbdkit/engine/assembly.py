@@ -61,7 +61,7 @@ class AssembledState:
     def describe(self) -> str:
         """Return a sentence that lists the changes made by assembly, largest first."""
         if not self.changed:
-            return "The given initial state satisfies the constraints and is not changed."
+            return "The given initial state satisfies the constraints and is left untouched."
         parts = []
         for unit, moved in (
             ("m", self.moved_position),

@@ -142,7 +142,7 @@ class Inverse:
         if problem.spec.unbalanced == "report" and np.any(dynamics.unbalanced):
             worst = largest_unbalanced(dynamics, problem.fitter.bodies)
             told.append(
-                f"the actuators cannot produce the motion: in the least-squares solution, {worst} remain unbalanced."
+                f"the actuators cannot produce the motion: in the least-squares solution, {worst} stay unbalanced."
             )
         return tuple(told)
 
