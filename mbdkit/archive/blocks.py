@@ -24,7 +24,7 @@ from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.archive.run_writer import SharedForces
-from mbdkit.archive.stranger_file import open_hdf5
+from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.spec import RunSpec

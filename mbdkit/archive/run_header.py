@@ -20,7 +20,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.archive.stranger_file import open_hdf5
+from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_TITLE
 from mbdkit.base.text import shortened, shown

@@ -31,7 +31,7 @@ SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 SINGULAR = 0.1
 
 _COUNTERS = {
-    "rhs_evaluations": "right sides",
+    "rhs_evaluations": "right-hand sides",
     "jacobian_evaluations": "Jacobians",
     "factorizations": "factorizations",
     "newton_iterations": "iterations",

@@ -24,7 +24,7 @@ from mbdkit.archive.part_file import SUFFIX, check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Origin
-from mbdkit.archive.stranger_file import check_regular
+from mbdkit.archive.untrusted_file import check_regular
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new

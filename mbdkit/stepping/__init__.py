@@ -1,1 +1,1 @@
-"""Stepping: the compiled step of each kind of method, the driver that repeats it, Python methods, SciPy solvers."""
+"""Stepping: the compiled step of each kind of method, the step loop that repeats it, Python methods, SciPy solvers."""

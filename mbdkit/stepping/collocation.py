@@ -1,7 +1,7 @@
 """Compiled collocation methods of any formulation, and other fully implicit Runge-Kutta methods.
 
-One step is the same for all formulations (`mbdkit.stepping.collocation_step`). A formulation gives the residual and the
-change of the stages, and the change that has to converge (`mbdkit.stepping.collocation_stages.StageKernels`).
+One step is the same for all formulations (`mbdkit.stepping.collocation_step`). A formulation provides the residual and
+the change of the stages, and the change that has to converge (`mbdkit.stepping.collocation_stages.StageKernels`).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class CompiledCollocation(CompiledMethod):
         tolerance = TOLERANCE
         if method.tolerance is not None:
             tolerance = method.tolerance
-        elif control is not None and not formulation.solves_multipliers:  # it is relative to accelerations
+        elif control is not None and not formulation.solves_multipliers:  # the tolerance is relative to accelerations
             tolerance = control.iteration_tolerance
         solver = NEWTON if method.stage_solver == "newton" else FIXED_POINT
         self.bundle = new_stages(
@@ -140,7 +140,7 @@ class CompiledCollocation(CompiledMethod):
         return bool(stages.solved_apart[0] > 0)
 
     def describe_divergence(self, report: np.ndarray) -> str:
-        """Return the largest change of an acceleration and where it is."""
+        """Return the largest change of an acceleration and its location, as text."""
         return describe_divergence(self.workspace, report)
 
 

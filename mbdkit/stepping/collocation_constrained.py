@@ -7,7 +7,7 @@ Stage i, in second-order form, with A the tableau and its last row the weights o
 
 index-3 imposes Phi(t_i, q_i) = 0 and index-2 imposes Phi_q v_i + Phi_t = 0, both with mu = 0. ggl imposes both (Gear,
 Leimkuhler and Gupta 1985), with multipliers mu that vanish for the exact motion. The factor M^-1, which their paper
-leaves out, makes w the smallest change in the mass metric, whatever the units of lengths and angles.
+omits, makes w the smallest change in the mass metric, independent of the units of lengths and angles.
 
 Simplified Newton with one tangent for all stages decouples along the eigenvectors of A, as on the index-1 equations
 (`mbdkit.stepping.collocation_index1`). With r = h mu of an eigenvalue, the changes of accelerations and multipliers
@@ -17,8 +17,8 @@ solve
     [ Phi_q - g gamma_v        0       ] [ dlambda ] = - [ Phi / r^2,  or  (Phi_q v + Phi_t) / r        ]
 
 with g = 0 (index 3), or r / 2 because d(Phi_q v + Phi_t)/dq is -gamma_v / 2 (index 2, ggl). The rows are scaled by
-powers of r, so that the matrix is as well conditioned as that of index 1 however small the step; the round-off of
-index-3 multipliers, about eps / h^2 of a coordinate, is inherent in the formulation.
+powers of r, so that the matrix is as well conditioned as that of index 1 for any small step; the round-off of index-3
+multipliers, about eps / h^2 of a coordinate, is inherent in the formulation.
 
 In ggl the change of w comes first. Both constraints together require ``Phi_q dw_i = sum_j (A^-1)_ij Phi_j / h - (Phi_q
 v + Phi_t)_i`` up to terms of O(h): with dw_i in the range of M^-1 Phi_q^T that is an index-1 system for each stage. The
@@ -126,7 +126,7 @@ def evaluate_residual(c, m, t, h):
 
 @subkernel
 def change_shift(c, m, h, source, acc):
-    """Change mu so that both constraints can be met, and the residual by the positions that move with it (ggl).
+    """Change mu so that both constraints can be satisfied, and the residual by the resulting change of positions (ggl).
 
     The terms of the tangents are in `source`; `acc` (3 (B + 1),) is a work array.
     """
@@ -246,7 +246,7 @@ def _sizes(c, m, h):
 
 @subkernel
 def _round_off(c, m, h, now, moved, idle):
-    """Return whether a change that no longer shrinks is the round-off of positions or of single forces.
+    """Return whether a change that no longer decreases is the round-off of positions or of single forces.
 
     The latter is large where stiff springs cancel, but never above `STAGNANT`.
     """
@@ -279,7 +279,9 @@ def stage_powers(c, m, t, h):
 
 @inlined
 def _estimate_side(c, m, z, b):
-    """Write ``[M z, 0]``: components across the constraints do not add up to an error, so they are left out."""
+    """Write ``[M z, 0]``: components of `z` that violate the constraints do not accumulate as errors and are
+    omitted.
+    """
     n3 = len(c.q) - 3
     for d in range(n3):
         b[d] = c.top.mass[d // 3, d % 3] * z[d]
@@ -302,7 +304,7 @@ _KERNELS = StageKernels(
 
 @entry
 def attempt(run, method, t, h, want_error):
-    """Try a step from the base state; see `mbdkit.stepping.driver`."""
+    """Try a step from the base state; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_stages(method)
     status = try_step(c, m, t, h, want_error, _KERNELS)
     if status == OK:
@@ -316,7 +318,7 @@ def dense(run, method, t, h, theta):
     """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c, m = load_run_state(run), load_stages(method)
     state_inside(c, m, h, theta)
-    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # every row: the polynomial at theta
+    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # every row of weights: the polynomial at theta
     m.pairs[:, :] = 0.0
     for i in range(len(m.rk.c)):
         for k in range(len(m.pairs)):

@@ -102,7 +102,7 @@ def _lift(c, m, x, b):
 
 @inlined
 def right_side(c, m, rate, z, b):
-    """Write the right side of an eigenvalue's system; it does not depend on ``rate = h mu``."""
+    """Write the right-hand side of an eigenvalue's system; it does not depend on ``rate = h mu``."""
     _lift(c, m, z, b)
 
 
@@ -134,7 +134,7 @@ def _sizes(c, m, h):
 
 @subkernel
 def _round_off(c, m, h, now, moved, idle):
-    """Return whether a change of the accelerations that no longer shrinks is round-off."""
+    """Return whether a change of the accelerations that no longer decreases is round-off."""
     small = now <= NEGLIGIBLE_CHANGE
     if any_of(not small):
         small = small | accelerations_are_round_off(c, m, h, idle >= PATIENCE)
@@ -162,7 +162,7 @@ KERNELS = StageKernels(
 
 @entry
 def attempt(run, method, t, h, want_error):
-    """Try a step from the base state; see `mbdkit.stepping.driver`."""
+    """Try a step from the base state; see `mbdkit.stepping.step_loop`."""
     return try_step(load_run_state(run), load_stages(method), t, h, want_error, KERNELS)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 NEWTON, FIXED_POINT = range(2)
-"""How the stage equations are solved."""
+"""Codes of the ways to solve the stage equations."""
 
 POSITION, VELOCITY = range(2)
 """Items of `Settings.holds`."""
@@ -39,7 +39,7 @@ class StageEquations:
     Parameters
     ----------
     attempt, dense
-        Compiled step, and compiled state inside it; see `mbdkit.stepping.driver`.
+        Compiled step, and compiled state inside it; see `mbdkit.stepping.step_loop`.
     choose_pivots
         Chooses pivots for the stage matrix by the tangents evaluated last, for ``h mu``, or without tangents for None.
     """
@@ -73,10 +73,11 @@ class StageKernels(NamedTuple):
     powers: Any = None
     """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
     right_side: Any = None
-    """``(c, m, rate, z, b)``: write the right side of the system of an eigenvalue, with ``rate = h mu``, for the
+    """``(c, m, rate, z, b)``: write the right-hand side of the system of an eigenvalue, with ``rate = h mu``, for the
     transformed residual `z`."""
     estimate_side: Any = None
-    """``(c, m, z, b)``: write the right side that filters an estimate `z` of the error of velocities."""
+    """``(c, m, z, b)``: write the right-hand side of the system that filters an estimate `z` of the error of
+    velocities."""
 
 
 class Coefficients(NamedTuple):
@@ -132,12 +133,12 @@ class Systems(NamedTuple):
 
     pattern: Pattern
     scatter: Scatter
-    """Where each term of the matrices goes, by its factor."""
+    """Index of each term in the matrices, grouped by factor."""
     real: Factors
     cplx: Factors
     """Factors of the matrices, stacked."""
     b_real: np.ndarray
-    """(n + m,) right side, and solution."""
+    """(n + m,) right-hand side, and solution."""
     x_real: np.ndarray
     b_complex: np.ndarray
     x_complex: np.ndarray
@@ -175,7 +176,7 @@ class Settings(NamedTuple):
 
 
 class PreviousStep(NamedTuple):
-    """The step that the stage values belong to; arrays of one item."""
+    """The step to which the stage values belong; arrays of one item."""
 
     begin: np.ndarray
     """Time at which it began [s]."""
@@ -184,7 +185,7 @@ class PreviousStep(NamedTuple):
 
 
 class FirstAcceleration(NamedTuple):
-    """The acceleration at the beginning of a step, which the error estimate needs."""
+    """The acceleration at the beginning of a step, for the error estimate."""
 
     acc: np.ndarray
     """(3 (B + 1),)."""
@@ -208,10 +209,10 @@ class TangentState(NamedTuple):
 
 
 class Constraints(NamedTuple):
-    """What formulations need that impose the constraints on the stages; empty for index 1."""
+    """Arrays of formulations that impose the constraints on the stages; empty for index 1."""
 
     by_position: np.ndarray
-    """(N, 4) derivatives of the equations by positions: place in ``Scratch.source``, row, column, class."""
+    """(N, 4) derivatives of the equations by positions: index in ``Scratch.source``, row, column, class."""
     jac: np.ndarray
     """(s, P, 12) Jacobians of the stages."""
     phi: np.ndarray

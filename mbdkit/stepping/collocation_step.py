@@ -1,8 +1,10 @@
-"""One step of a collocation method, the same for all formulations: predictor, iteration, increments, error, inside.
+"""One step of a collocation method, the same for all formulations: predictor, iteration, increments, error estimate,
+dense output.
 
-The parts that a formulation determines are passed in as `mbdkit.stepping.collocation_stages.StageKernels`. Numba
+The parts that depend on the formulation are passed in as `mbdkit.stepping.collocation_stages.StageKernels`. Numba
 compiles these kernels once for each such record, into the entries of the formulation's own file. Kernels that take the
-record are inlined: otherwise the addresses of its functions stay in the compiled entry, which then cannot be cached.
+record are inlined: otherwise the addresses of its functions would remain in the compiled entry, which then could not be
+cached.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ from mbdkit.stepping.stage_polynomials import (
 
 @subkernel
 def _predict(m, t, h):
-    """Extrapolate the stages of the previous step, or start from free flight; return whether it is free flight.
+    """Extrapolate the stages of the previous step, or use free flight; return whether free flight is used.
 
     Free flight rather than a constant acceleration: a stiff force may be far from constant over the step.
     """
@@ -55,7 +57,7 @@ def _predict(m, t, h):
         return True
     extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
     extrapolate(m.weights, m.acc, m.spread)
-    if solves_multipliers(m):  # else multipliers follow from accelerations
+    if solves_multipliers(m):  # otherwise, multipliers follow from accelerations
         extrapolate_pairs(m.weights, m.lam, m.constraints.phi)
     return False
 
@@ -76,7 +78,7 @@ def evaluate_stages(c, m, h):
 def choose_tangent_state(c, m, t, h, at_start, wanted):
     """Choose the state where the tangents are taken: the start of the step, or the mean of all stages.
 
-    In lanes it changes only where `wanted`; tangents that are evaluated again at the same state have the same bits.
+    In lanes it changes only where `wanted`; tangents that are evaluated again at the same state are bitwise identical.
     """
     tangent = m.tangent
     if at_start:
@@ -122,7 +124,7 @@ def solve_stages(c, m, t, h, careful, kernels):
         evaluate_stages(c, m, h)
         return OK
     free_flight = _predict(m, t, h)
-    m.previous.begin[0], m.previous.size[0] = t, np.nan  # if this attempt fails, its stages are not extrapolated
+    m.previous.begin[0], m.previous.size[0] = t, np.nan  # stages of a failed attempt must not be extrapolated
     evaluate_stages(c, m, h)
     settings = m.settings
     status = iterate(c, m, t, h, (settings.limit, settings.tolerance[0]), (careful, free_flight), kernels)
@@ -146,7 +148,7 @@ def _keep_first_acceleration(c, m):
         c.base_state[0] == AT_END_OF_LAST
         and first.known[0] != 0
         and m.rk.c[s - 1] == 1.0
-        and not solves_multipliers(m)  # else stages do not satisfy the index-1 equations
+        and not solves_multipliers(m)  # in other formulations, stages do not satisfy the index-1 equations
     ):
         for k in range(len(first.lam)):
             copy(m.lam[s - 1, k], first.lam[k])
@@ -182,7 +184,7 @@ def increments(c, m, h):
             c.dv[d] += w1 * m.acc[i, d]
             c.dq[d] += w2 * m.acc[i, d]
     for d in range(n3):
-        c.dq[d] += h * c.from_v[d] + h * c.v_low[d]  # with the part of the velocity below its own rounding
+        c.dq[d] += h * c.from_v[d] + h * c.v_low[d]  # including the low part of the compensated velocity
     for j in range(len(m.constraints.shift)):
         w = h * m.rk.b[j]
         for d in range(n3):
@@ -198,7 +200,7 @@ def keep_stages(c, m, t, h):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
+    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_stages(method)
     evaluate_stages(c, m, h)
     keep_stages(c, m, t, h)
@@ -212,7 +214,7 @@ def _estimate(c, m, h, kernels):
     The embedded formula of Hairer and Wanner (1996), IV.8: ``h gamma0`` times the difference between the acceleration
     at the beginning and that of the collocation polynomial there, filtered by the first system. Of order s + 1 in h.
     """
-    extrapolation_weights(0.0, 0.0, m.rk.c, m.weights)  # every row: the polynomial at the beginning
+    extrapolation_weights(0.0, 0.0, m.rk.c, m.weights)  # every row of weights: the polynomial at the beginning
     rate = h * leading(m.rk)
     for d in range(len(c.q) - 3):
         gap = m.first.acc[d]
@@ -239,7 +241,7 @@ def complete_step(c, m, t, h, kernels):
 
 @inlined
 def try_step(c, m, t, h, want_error, kernels):
-    """Try a step from the base state; return a status. See `mbdkit.stepping.driver`.
+    """Try a step from the base state; return a status. See `mbdkit.stepping.step_loop`.
 
     With step size control the iteration is careful. Fixed steps cannot be made smaller, so the fast iteration is tried
     first, and the careful one if it diverges.
@@ -257,7 +259,7 @@ def try_step(c, m, t, h, want_error, kernels):
             break
         careful = True
         change, coordinate, iterations = c.report[0], c.report[1], c.report[2]
-    if status == DIVERGED and iterations > 0.0:  # the fast iteration is the one to report
+    if status == DIVERGED and iterations > 0.0:  # errors are reported for the fast iteration
         c.report[0], c.report[1], c.report[2] = change, coordinate, iterations
     if status != OK:
         return status

@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 
 
 class CompiledMethod(ABC):
-    """A compiled method on one mechanism: its compiled functions, its bundle, and the work that is done in Python.
+    """A compiled method on one mechanism: its compiled functions, its bundle, and the parts that run in Python.
 
     Attributes
     ----------
     attempt, dense, keep
-        The compiled step, dense output, and what keeps its stages as nodes; see `mbdkit.stepping.driver`.
+        The compiled functions for a step, for dense output, and for storing its stages as quadrature nodes; see
+        `mbdkit.stepping.step_loop`.
     stages
         Number of stages of a step.
     hint
@@ -58,7 +59,8 @@ class CompiledMethod(ABC):
         """Prepare for steps of about `h` from the state in `run_state`; raises SingularSystemError."""
 
     def renew(self, run_state: RunState, t: float, h: float) -> bool:
-        """Choose new pivots for the matrices of the method itself; return whether the step is worth another attempt.
+        """Choose new pivots for the matrices of the method itself; return whether another attempt at the step can
+        succeed.
 
         Raises
         ------
@@ -68,7 +70,7 @@ class CompiledMethod(ABC):
         return False
 
     def forget(self) -> None:  # noqa: B027
-        """Discard the values that the last step kept for the next."""
+        """Discard the values stored by the last step for the next one."""
 
     def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the equations of the next attempt by a more robust, slower method; return whether that succeeded.
@@ -95,5 +97,5 @@ class CompiledMethod(ABC):
             self.limit.most[0] = MOST_ITERATIONS
 
     def describe_divergence(self, report: np.ndarray) -> str:
-        """Return a clause that says where the equations of a step failed to converge, from a report (3,)."""
+        """Return a clause that describes where the equations of a step failed to converge, from a report (3,)."""
         return ""

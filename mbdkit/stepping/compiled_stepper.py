@@ -1,4 +1,4 @@
-"""Runs compiled methods from Python: calls the driver, collects rows, chooses new pivots, and handles failures."""
+"""Runs compiled methods from Python: calls the step loop, collects rows, chooses new pivots, and handles failures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping import driver
+from mbdkit.stepping import step_loop
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (
     Failure,
@@ -57,19 +57,19 @@ if TYPE_CHECKING:
     from mbdkit.stepping.run_plan import RunPlan
 
 SINGULAR, REGULAR = 1e-6, 1e-2
-"""A state at a distance to singularity below the first counts as singular; above the second, as far from it."""
+"""Distances to singularity below which a state counts as singular, and above which it counts as regular."""
 
 MAX_ROWS = 4096
 MAX_ROW_BYTES = 1 << 24
-"""Bounds of the buffers of recorded states and of nodes of integrals: rows, and bytes."""
+"""Limits of the buffers of recorded states and of quadrature nodes: rows, and bytes."""
 
 WORK = ("steps", "last_size", "iterations", "iterations_max", "rejected")
 WORK_COLUMNS = [INTERVAL_FIELDS.index(name) for name in WORK]
-"""Columns of the driver's intervals that go into ``Stretch.intervals`` after the time."""
+"""Columns of the step loop's intervals that go into ``Stretch.intervals`` after the time."""
 
 CORRECTIONS = ("projections", "position_correction", "velocity_correction", "baumgarte_term")
 CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
-"""Columns of the driver's intervals that go into ``Stretch.corrections``."""
+"""Columns of the step loop's intervals that go into ``Stretch.corrections``."""
 
 
 class CompiledStepper:
@@ -129,12 +129,12 @@ class CompiledStepper:
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
-        self._drive(self._plan, 0)  # compiles the driver, or loads it, before the first step is timed
+        self._drive(self._plan, 0)  # compiles or loads the step loop before the first step is timed
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan in compiled code; return (status, rows)."""
         method = self.method
-        status, rows = driver.drive(
+        status, rows = step_loop.drive(
             self._pinned_state.address, method.pinned.address, method.attempt.address, self._dense, plan.address, budget
         )
         return int(status), int(rows)
@@ -154,7 +154,7 @@ class CompiledStepper:
 
     @property
     def _is_pending(self) -> bool:
-        """Whether rows of an accepted step are still to be written."""
+        """Whether rows of an accepted step have not been written yet."""
         return bool(self.run_state.progress.pending[0])
 
     @property
@@ -189,14 +189,14 @@ class CompiledStepper:
             if left <= 0 and not self._is_pending and stretches:
                 status = OK
                 break
-            self._begin_after_stop()  # not before the loop ends: the state at a stop is that before an impulse
+            self._begin_after_stop()  # not earlier: the state recorded at a stop is that before an impulse
             status, rows = OK, 0
             if self.failure is None and (self._allowed > 0 or self._is_pending):
                 status, rows = (
                     self._drive_extended() if self.method.is_extended else self._drive(self._plan, max(left, 0))
                 )
             stretches.append(self._collect(rows))
-            if status != driver.AT_STOP:
+            if status != step_loop.AT_STOP:
                 break
             status = OK
         if not self.timetable.single:
@@ -214,9 +214,10 @@ class CompiledStepper:
         return stretch
 
     def _begin_after_stop(self) -> None:
-        """At a stop, discard what the method keeps for the next step, and apply the impulse if there is one.
+        """At a stop, discard the values that the method stores for the next step, and apply the impulse if there is
+        one.
 
-        Repeated before another attempt at the first step after the stop, without effect.
+        The call is repeated before another attempt at the first step after the stop; it then has no effect.
         """
         c, table = self.run_state, self.timetable
         progress = c.progress
@@ -265,7 +266,7 @@ class CompiledStepper:
         if self._dense == 0 or not self.method.has_dense_output or self.mode == SYMMETRIC:
             return step.hermite(theta)
         t, h = float(c.progress.tried_begin[0]), float(c.progress.last_size[0])
-        status = driver.look_inside(self._pinned_state.address, self.method.pinned.address, self._dense, t, h, theta)
+        status = step_loop.look_inside(self._pinned_state.address, self.method.pinned.address, self._dense, t, h, theta)
         if status != OK:
             return step.hermite(theta)
         q, v = c.point_q.copy(), c.point_v.copy()
@@ -290,7 +291,7 @@ class CompiledStepper:
     def _retake(self, step: StepTaken, theta: float) -> bool:
         """Return to the start of the last step and take the share `theta` of it; return whether that succeeded.
 
-        The records of the run's progress are those before the step, apart from the time; `worst` is unchanged.
+        The progress of the run is reset to that before the step, except for the time; `worst` is unchanged.
         """
         c, progress = self.run_state, self.run_state.progress
         begin, size = float(progress.tried_begin[0]), theta * float(progress.last_size[0])
@@ -331,7 +332,7 @@ class CompiledStepper:
         interval.values[:] = next(then for now, then in before if now is interval.values)
         progress.pending[0] = 0
         progress.time[0] = step.time(theta)
-        if np.any(self._row_times < step.time(theta)):  # the interval before was written with a row inside the step
+        if np.any(self._row_times < step.time(theta)):  # the previous interval was written with a row inside the step
             interval.values[:] = 0.0
         if theta > 0.0:
             interval.steps[0] += 1
@@ -364,7 +365,7 @@ class CompiledStepper:
         done = self._accepted
         where = f"in step {done + 1} from t = {self.time:.6g} s"
         if unusable := self.workspace.unusable():
-            if not (self.controlled and status != driver.TOO_SMALL and self._shrink()):
+            if not (self.controlled and status != step_loop.TOO_SMALL and self._shrink()):
                 self.failure = Failure("not-finite", f"{unusable} {where}.")
             return
         if status in (REPIVOT, REPIVOT_STAGES) and not self.workspace.is_finite():
@@ -378,7 +379,7 @@ class CompiledStepper:
             except SingularSystemError as error:
                 singular = error
         apart = (done, -1)
-        if status not in (driver.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
+        if status not in (step_loop.TOO_SMALL, NOT_FINITE) and self.mode != SYMMETRIC and apart not in self._renewed:
             self._renewed.add(apart)
             begin = float(self.run_state.progress.tried_begin[0])
             solved = self.method.solve_apart(self.run_state, begin, self._size_tried())
@@ -387,7 +388,7 @@ class CompiledStepper:
                 return
         if not self.controlled and status == DIVERGED and self.method.extend_iterations():
             return
-        if self.controlled and status != driver.TOO_SMALL and self._shrink():
+        if self.controlled and status != step_loop.TOO_SMALL and self._shrink():
             return
         self.failure = self._failure(status, singular, where)
         near = (
@@ -397,14 +398,14 @@ class CompiledStepper:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
 
     def _renew(self, status: int) -> bool:
-        """Choose new pivots after `status`; return whether the step is worth another attempt.
+        """Choose new pivots after `status`; return whether another attempt at the step can succeed.
 
         `Workspace.retry_with_new_pivots` would repeat the attempt at once. Here the rows written so far are returned
-        first, and the next call of the driver repeats it. Besides, the pivots may be those of a stage matrix.
+        first, and the next call of the step loop repeats it. Besides, the pivots may be those of a stage matrix.
 
         Raises SingularSystemError.
         """
-        if status == driver.TOO_SMALL:
+        if status == step_loop.TOO_SMALL:
             return False
         self.run_state.base_state[0] = MODIFIED
         if status == REPIVOT:
@@ -438,11 +439,11 @@ class CompiledStepper:
         hint, workspace = self.method.hint, self.workspace
         floor = float(self.plan.control.min_size[0])
         distance, _ = nearest_singularity(workspace, self.time, self.run_state.q)
-        if status == driver.TOO_SMALL:
+        if status == step_loop.TOO_SMALL:
             if distance < SINGULAR:
-                return Failure("singular", f"steps became smaller without end {where}.")
+                return Failure("singular", f"the step size decreased without limit {where}.")
             if self.run_state.guards.jumped[0]:
-                sentence = f"the energy balance changes by too much {where}, however small the step; the law of a force"
+                sentence = f"the energy balance changes by too much {where} for any step size; the law of a force"
                 return Failure("energy-jump", f"{sentence} may not be the derivative of its potential.")
             return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
         if status == NOT_FINITE:
@@ -484,13 +485,13 @@ class CompiledStepper:
         )
 
     def _collect(self, rows: int) -> Stretch:
-        """Return the rows that the driver has written."""
+        """Return the rows that the step loop has written."""
         c, some = self.run_state, slice(rows)
         states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy()
         return self._stretch(*states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
 
     def _node_arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the number of nodes of integrals that have been kept, and the buffers of them."""
+        """Return the number of quadrature nodes that have been stored, and their buffers."""
         c = self.run_state
         return c.nodes, c.node_time, c.node_weight, c.node_q, c.node_v
 

@@ -2,8 +2,8 @@
 
 An iteration ends in one of three ways. It converges when the change that the next iteration would make is predicted to
 be negligible (Hairer and Wanner 1996, *Solving Ordinary Differential Equations II*, IV.8, equation 8.10; Deuflhard
-2004, *Newton Methods for Nonlinear Problems*, section 2.1). It stalls when changes stop shrinking; this is accepted
-only if the remaining change is explained by round-off. Otherwise it fails.
+2004, *Newton Methods for Nonlinear Problems*, section 2.1). It stalls when changes no longer decrease; this is accepted
+only if round-off explains the remaining change. Otherwise it fails.
 
 Linear and angular quantities are always compared separately, because their units have no common size.
 
@@ -50,9 +50,9 @@ QNERR of Deuflhard (2004) gives up at the same contraction (``THETA_MAX``).
 """
 
 NEGLIGIBLE_CHANGE = 1e-12
-"""A stalled change is round-off below this, relative to what it is measured by; chosen.
+"""A stalled relative change below this is round-off (a chosen value).
 
-Cancellation of forces and the solution of the linear systems multiply `EPS` by some hundred or thousand.
+Cancellation of forces and the solution of the linear systems amplify `EPS` by factors of some hundred to thousand.
 """
 
 PATIENCE = 3
@@ -85,20 +85,22 @@ MOST_ITERATIONS = 50
 """Default limit of the iterations in a step."""
 
 STEADY = 10
-"""Iterations over which contraction has to be steady in extended iterations; chosen. For a few, chance is enough."""
+"""Number of iterations over which contraction has to be steady in extended iterations; chosen. Over fewer iterations,
+it may occur by chance."""
 
 MOST_EXTENDED = 500
 """Limit of the iterations in a fixed step that contract steadily, unless the user gives one; chosen. Iterations that
 contract by 0.94 converge within it."""
 
 FAR = 1e9
-"""Change of positions by the accelerations of a step, in units of the largest position or way of the step (at least 1 m
-or 1 rad), beyond which a solution of the stage equations is not taken; chosen far above what any method resolves."""
+"""A solution of the stage equations is rejected if its accelerations change positions in the step by more than this, in
+units of the largest position or displacement of the step (at least 1 m or 1 rad); chosen far above the changes that a
+method can resolve."""
 
 ROUGH_CHANGE = 1e-5
 """Relative change below which the accelerations of the next iteration are refined to round-off (index 1); chosen.
 
-Iterations that still change the accelerations by more do not notice the error of an unrefined solution.
+The error of an unrefined solution has no influence on iterations with larger changes.
 """
 
 
@@ -169,7 +171,7 @@ def loses_steadiness(n, limit, peak, earlier, tolerance):
     """Return whether an iteration with an extended limit does not contract steadily enough to converge.
 
     Every `STEADY` iterations, the largest change among the last ones is compared with the largest among as many before
-    them. An iteration that wanders about does not pass, so that it cannot end at another solution far away.
+    them. An iteration without steady contraction is stopped, so that it cannot converge to a distant solution.
 
     Parameters
     ----------
@@ -188,13 +190,13 @@ def loses_steadiness(n, limit, peak, earlier, tolerance):
 
 @subkernel
 def is_stalled(n, now, ratio):
-    """Return whether the change has stopped shrinking."""
+    """Return whether the change no longer decreases."""
     return (n > 1) & (ratio > STALLED) & (now < np.inf)
 
 
 @subkernel
 def moves_by_roundings(moved):
-    """Return whether a change of positions, relative to their size, is a few roundings."""
+    """Return whether a relative change of positions is a few units of round-off."""
     return moved <= FEW_ROUNDINGS * EPS
 
 
@@ -209,7 +211,7 @@ def has_failed(n, most, now, ratio):
 def stays_near(c, acc, h):
     """Return whether the accelerations of the stages (s, n) change positions in a step by less than `FAR` allows.
 
-    Beside a singular position, an iteration can run off and then converge, relative to accelerations of 1e40 m/s^2.
+    Near a singular position, an iteration can diverge and then converge relative to accelerations of 1e40 m/s^2.
     """
     largest, size = 0.0, 1.0
     for i in range(len(acc)):
@@ -222,9 +224,9 @@ def stays_near(c, acc, h):
 
 @subkernel
 def relative_to_accelerations(acc, change, bodies):
-    """Return the largest change of an acceleration relative to the largest one, linear and angular apart.
+    """Return the largest change of an acceleration relative to the largest one, separately for linear and angular ones.
 
-    The result is at most 1: where forces cancel, a change can be larger than the acceleration that it leads to.
+    The result is at most 1, because a change can be larger than the resulting acceleration where forces cancel.
     Infinite if a change is not a number.
     """
     size_t = size_r = change_t = change_r = 0.0
@@ -266,7 +268,8 @@ def _largest_sizes(x, change, bodies):
 
 @subkernel
 def relative_to_state(change, x, bodies):
-    """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, linear and angular apart.
+    """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, separately for linear and
+    angular ones.
 
     `x` (3 (B + 1),) holds positions or velocities; sizes below 1 m, 1 rad, 1 m/s or 1 rad/s count as 1. Infinite if a
     change is not a number.
@@ -277,12 +280,12 @@ def relative_to_state(change, x, bodies):
 
 @subkernel
 def accelerations_are_round_off(c, m, h, patient):
-    """Return whether a change of the stage accelerations that no longer shrinks is round-off.
+    """Return whether a change of the stage accelerations that no longer decreases is round-off.
 
-    It is round-off if it moves the positions of a step by a few roundings only. Lengths are compared with the largest
-    coordinate (at least 1 m), angles with the largest angle (at least 1 rad). If `patient`, also accept changes that
-    are small compared with the acceleration that any single force would cause: forces that cancel, or that act along
-    their own arm, leave their round-off behind, so that magnitudes are added instead of the forces.
+    It is round-off if it changes the positions of a step by a few units of round-off only. Lengths are compared with
+    the largest coordinate (at least 1 m), angles with the largest angle (at least 1 rad). If `patient`, also accept
+    changes that are small compared with the acceleration that any single force would cause: forces that cancel, or that
+    act along their own lever arm, still contribute their round-off, so that magnitudes are added instead of the forces.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 The iteration of `mbdkit.stepping.collocation_index1` uses the same tangents for all stages. It does not converge if a
 singular position is less than a step away: accelerations vary like 1 / x there, with x the distance to the singular
-position, so that the tangents of different stages differ strongly, however small the step. But the equations
+position, so that the tangents of different stages differ strongly for any step size. But the equations
 
     M a_i + Phi_q^T lambda_i = Q,    Phi_q a_i = gamma    at    (t_i, q_i(a), v_i(a)),    i = 1..s
 
@@ -123,9 +123,9 @@ class CoupledNewton:
             now = self._relative(change[:, :n], acc)
             if not now < np.inf:
                 return 0
-            # Near a singular position, round-off is large: changes stall at 3e-15 to 7e-11 of the accelerations. Where
-            # the initial guess is too far away they stall above 0.1. Stiff forces turn roundings of positions into
-            # accelerations: those of a beam that has made 30 turns stall at 1e-9.
+            # Near a singular position, round-off is large: changes stall at 3e-15 to 7e-11 of the accelerations. If the
+            # initial guess is too far away, they stall above 0.1. Stiff forces convert round-off of positions into
+            # accelerations: for a beam that has made 30 turns, changes stall at 1e-9.
             is_stalled = now > STALLED * before
             if now <= FEW_ROUNDINGS * EPS or (is_stalled and (now <= STAGNANT or self._is_negligible(h, change, q))):
                 return iteration

@@ -5,15 +5,15 @@ Stage i, in second-order form, with A the lower triangular matrix of the tableau
     v_i = v_n + h sum_{j<=i} A_ij a_j,        q_i = q_n + h c_i v_n + h^2 sum_{j<=i} (A A)_ij a_j,
     a_i = f(t_i, q_i, v_i)
 
-The earlier stages are known, so that only ``a_i`` is unknown. With g = A_ii, Newton's method solves for its change and
+Since the earlier stages are known, only ``a_i`` is unknown. With g = A_ii, Newton's method solves for its change and
 that of the multipliers a system of the size of the mechanism,
 
     [ M + h g C + h^2 g^2 K                               Phi_q^T ] [ da   ]     [ M a + Phi_q^T lambda - Q ]
     [ Phi_q - h g gamma_v + h^2 g^2 (Phi_q a - gamma)_q   0       ] [ dlam ] = - [ Phi_q a - gamma          ]
 
 with the tangents of the current iterate. An explicit stage, g = 0, takes one evaluation. The method is needed for
-tableaus whose matrix cannot be diagonalised, as that of a singly diagonally implicit method, which has one eigenvalue
-and one eigenvector only; see Hairer and Wanner (1996), IV.6.
+tableaus whose matrix cannot be diagonalised, such as that of a singly diagonally implicit method, which has only one
+eigenvalue and one eigenvector; see Hairer and Wanner (1996), IV.6.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ MOST_ITERATIONS = 50
 ROUNDING = 4e-16
 """Relative change of the accelerations that counts as rounding."""
 SMALL = 1e-6
-"""Relative change below which an iteration that no longer contracts has reached rounding."""
+"""Relative change below which an iteration that no longer contracts has reached round-off."""
 CONTRACTS = 0.5
-"""Ratio of two changes from which an iteration no longer contracts."""
+"""Ratio of two changes above which an iteration counts as no longer contracting."""
 
 
 class DiagonallyImplicit(StepMethod):

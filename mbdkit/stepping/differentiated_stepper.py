@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mbdkit.stepping.step_control import Control
 
 _CAUSES = {DIVERGED: "the iteration for them does not converge", NOT_FINITE: "a number overflows"}
-"""Why the derivatives of a step are unknown, by the status of the kernel."""
+"""Reasons why the derivatives of a step are unknown, by status of the kernel."""
 
 ANY_ERROR = 1e30
 """Factor of the tolerances of the local error with which every step is accepted."""
@@ -60,7 +60,7 @@ class DifferentiatedSteps:
     seeds
         Derivatives of mechanism and start by parameters.
     rows, nodes
-        Number of recorded states without the first, and of stages that are kept.
+        Number of recorded states except the first, and of stored stages.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class DifferentiatedSteps:
         step
             Start and size of the step [s].
         row
-            Place where its end is recorded; -1 if it is not.
+            Index at which its end is recorded; -1 if it is not recorded.
         projected
             Whether the run has projected its end onto the constraints.
 
@@ -230,7 +230,7 @@ class DifferentiatedStepper(CompiledStepper):
         recorded, taken, sizes = self.recorded, self.sizes_taken, self._sizes
         self.sizes_taken, self._sizes = [], None
         done = super()._retake(step, theta)
-        self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes  # its end is no recorded state
+        self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes  # its end is not recorded
         return done
 
     def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -245,7 +245,7 @@ class DifferentiatedStepper(CompiledStepper):
         Raises
         ------
         StepError
-            If that part of the step cannot be taken.
+            If the shortened step fails.
         """
         step, steps = self.last_step, self.steps
         assert step is not None
@@ -257,7 +257,7 @@ class DifferentiatedStepper(CompiledStepper):
         self._recall(after)
         self._count()
         if not done:
-            raise StepError("newton-failed", f"the step from t = {step.t0:.6g} s cannot be taken in part")
+            raise StepError("newton-failed", f"the step from t = {step.t0:.6g} s cannot be shortened")
         return q, v
 
     def cut_with_derivatives(self, theta: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
@@ -266,13 +266,13 @@ class DifferentiatedStepper(CompiledStepper):
         Raises
         ------
         StepError
-            If that part of the step cannot be taken.
+            If the shortened step fails.
         """
         self.cut(theta)
         steps = self.steps
         assert steps is not None
         if not np.array_equal(steps.run.q[:, 0], self.run_state.q):
-            raise StepError("newton-failed", f"the step to t = {self.time:.6g} s cannot be taken in part")
+            raise StepError("newton-failed", f"the step to t = {self.time:.6g} s cannot be shortened")
         return self.time, np.copy(steps.run.q), np.copy(steps.run.v), np.copy(steps.run.energy)
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
@@ -303,7 +303,9 @@ class DifferentiatedStepper(CompiledStepper):
             if written:
                 self.recorded += 1
                 count += 1
-                if count > 1:  # the driver writes each row into the first place; so the first one is kept
+                if (
+                    count > 1
+                ):  # the step loop writes each row at index 0, so that the first recorded state has to be saved
                     for x in rows:
                         x[count - 1] = x[0]
                 else:

@@ -1,7 +1,7 @@
 """Arrays of a run that is differentiated: its state with derivatives by parameters, and the rows that are recorded.
 
-The run itself is advanced as any other. After each of its steps, a kernel repeats the step with dual numbers
-(`mbdkit.engine.jit.dual_types`), from the same base state, and so obtains the derivatives of the discrete solution.
+The run itself is advanced like any other. After each of its steps, a kernel repeats the step with dual numbers
+(`mbdkit.engine.jit.dual_types`), from the same base state, which gives the derivatives of the discrete solution.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class DualRun(NamedTuple):
 
 @dataclass(frozen=True)
 class Seeds:
-    """Derivatives by K parameters of what a run begins with.
+    """Derivatives, by K parameters, of the input of a run.
 
     Attributes
     ----------
@@ -257,8 +257,8 @@ def _project(c, n):
 def relative_change(c, change, x, factor):
     """Return the largest derivative of `factor` times a change of `x`, relative to the largest derivative of `x`.
 
-    Derivatives are at least as large as the largest value over the size of the parameter: derivatives that cancel to
-    zero have no digits by which to be compared.
+    Derivatives are at least as large as the largest value over the size of the parameter: this lower bound is needed
+    because derivatives that cancel to zero consist of round-off.
     """
     most, size, value = factor * change[0], x[0], 0.0
     for d in range(len(x) - 3):

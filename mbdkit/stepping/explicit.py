@@ -167,7 +167,7 @@ def evaluate_point(c, m, h, theta, out):
 
 @subkernel
 def reuse_first_stage(c, m):
-    """Copy what the last step has evaluated of the first stage; return the number of stages that are known."""
+    """Copy the first stage if the last step has evaluated it; return the number of known stages."""
     stages = len(m.b)
     known = 0
     if m.status[1] > 0 and c.base_state[0] != MODIFIED:
@@ -196,14 +196,14 @@ def keep_stages(c, m, t, h):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
+    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.step_loop`."""
     keep_stages(load_run_state(run), load_explicit(method), t, h)
     return OK
 
 
 @entry
 def attempt(run, method, t, h, want_error):
-    """Compute a step from the base state; see `mbdkit.stepping.driver`."""
+    """Compute a step from the base state; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_explicit(method)
     stages = len(m.b)
     first = reuse_first_stage(c, m)
@@ -221,7 +221,7 @@ def attempt(run, method, t, h, want_error):
 
 @entry
 def dense(run, method, t, h, theta):
-    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.stepping.driver`."""
+    """Write the state at ``t + theta h`` within the last attempt; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_explicit(method)
     stages = len(m.c)
     if m.status[1] < stages:

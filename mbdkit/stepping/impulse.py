@@ -1,4 +1,6 @@
-"""The impulse of drivers whose rate jumps: the nearest velocities that satisfy the constraints after the jump."""
+"""The impulse of drivers with a discontinuous velocity: the nearest velocities that satisfy the constraints
+afterwards.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ def impulse(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: 
     q, v
         (3 (B + 1),) positions, and velocities before the jump.
     stop
-        Time of the jump [s].
+        Time of the discontinuity [s].
 
     Raises
     ------

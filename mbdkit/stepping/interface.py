@@ -16,7 +16,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.trust.criteria import BranchSuspicion
 
 SAME_TIME = 16.0
-"""A stop and the end of a fixed step, or of the run, are the same if they are closer than this many margins of the
+"""A stop and the end of a fixed step, or of the run, count as equal if they are closer than this many margins of the
 stop."""
 
 STRETCH = 0.1
@@ -45,12 +45,12 @@ class Guards:
 
 @dataclass(frozen=True)
 class Impact:
-    """An impulse of the drivers, because the rate of one of them jumps.
+    """An impulse of the drivers, due to a discontinuous velocity of one of them.
 
     Parameters
     ----------
     time
-        Time of the jump [s].
+        Time of the discontinuity [s].
     energy
         Work of the impulse [J], which is the change of the kinetic energy; it is part of the recorded work.
     velocity
@@ -64,19 +64,19 @@ class Impact:
 
 @dataclass(frozen=True)
 class StepEvidence:
-    """What a stepper has observed over all steps so far, recorded or not.
+    """Quantities observed over all steps so far, recorded or not.
 
     Parameters
     ----------
     energy_jump, energy_jump_time
-        Largest absolute change of the energy balance in one step [J], without the changes that projections, Baumgarte's
-        terms and impulses make, and the time at the end of that step [s].
+        Largest absolute change of the energy balance in one step [J], without the changes due to projections,
+        Baumgarte's terms and impulses, and the time at the end of that step [s].
     kinetic
         Largest kinetic energy [J].
     branch
         Sharp turns near singular positions, in order of time.
     impacts
-        Impulses of the drivers, which are no part of the energy jumps.
+        Impulses of the drivers, which are not part of the energy jumps.
     """
 
     energy_jump: float
@@ -88,7 +88,7 @@ class StepEvidence:
 
 @dataclass(frozen=True)
 class Timetable:
-    """When a run starts and ends, in which steps, and which states are recorded.
+    """Start, end and steps of a run, and the states that are recorded.
 
     Parameters
     ----------
@@ -111,17 +111,17 @@ class Timetable:
     guards
         Limits that stop the run.
     stops
-        Times of knots and corners of motions and loads, in order, between `start` and `end` and farther than
-        `SAME_TIME` margins from both [s]. Steps end there, and the step after a stop uses nothing of the step before. A
-        fixed step is split; N, `every` and the rows then still are those of the whole steps, while `max_steps` and the
-        counters count the parts.
+        Times at which motions or loads, or their derivatives, are discontinuous, in order, between `start` and `end`
+        and farther than `SAME_TIME` margins from both [s]. Steps end there, and the step after a stop uses no values of
+        the previous step. A fixed step is split; N, `every` and the rows then still refer to whole steps, while
+        `max_steps` and the counters count the parts.
     stop_margins
         For each stop, a time [s] by which motions are evaluated before it, at the latest, in the step that ends there,
-        and after it, at the earliest, in the next one. Each step so sees one side only; see `sides`.
+        and after it, at the earliest, in the next one. Each step thus uses one-sided limits; see `sides`.
     impacts
-        Stops at which the rate of a driver jumps, so that an impulse changes the velocities. A row at the end of a step
-        shows the state before the impulse, at the time of the stop less its margin; a row by `interval` the state after
-        it, at the time of the stop plus its margin.
+        Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities. A row at
+        the end of a step shows the state before the impulse, at the time of the stop less its margin; a row by
+        `interval` the state after it, at the time of the stop plus its margin.
     """
 
     start: float
@@ -154,7 +154,7 @@ class Timetable:
 
 @dataclass
 class Stretch:
-    """The recorded states of one stretch of a run: T rows."""
+    """The recorded states of one stretch (part) of a run: T rows."""
 
     time: np.ndarray
     q: np.ndarray
@@ -227,7 +227,7 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss
 
 
 class KeptNodes:
-    """Nodes of integrals that a stepper keeps which does not know the stages of its method.
+    """Nodes of integrals for steppers that do not know the stages of their method.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ class KeptNodes:
         self._steps.append(Nodes(time, h * _GAUSS_WEIGHTS, np.array(q), np.array(v)))
 
     def drop_last(self) -> None:
-        """Forget the nodes of the last step, which is taken again or cut."""
+        """Discard the nodes of the last step, which is repeated or shortened."""
         self._steps.pop()
 
     def taken(self) -> Nodes:
@@ -321,7 +321,7 @@ class Failure:
 
 
 class Advancing(Protocol):
-    """An object that advances a run: a `Stepper`, or the watch for events around one."""
+    """An object that advances a run: a `Stepper`, or the wrapper that detects events."""
 
     @property
     def counters(self) -> Counters:
@@ -350,7 +350,7 @@ class Advancing(Protocol):
 
     @property
     def evidence(self) -> StepEvidence:
-        """What has been observed over all steps so far, recorded or not."""
+        """Quantities observed over all steps so far, recorded or not."""
         ...
 
     def advance(self) -> Stretch:
@@ -375,7 +375,7 @@ class Advancing(Protocol):
 class Stepper(Advancing, Protocol):
     """Advances one run with a method; returned by `mbdkit.stepping.start.start_method`.
 
-    The members below are about the step that the last `advance` has taken, and need ``Timetable.single``.
+    The members below refer to the step taken by the last `advance`, and require ``Timetable.single``.
     """
 
     @property
@@ -391,10 +391,10 @@ class Stepper(Advancing, Protocol):
         ...
 
     def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same by a step of the method of that size, from the start of the last step.
+        """Return the same by a shorter step of the method itself, from the start of the last step.
 
-        This does not change the run, apart from the counters. If the step fails, and for methods that cannot take it,
-        the result is that of `inside`.
+        This does not change the run, apart from the counters. If the step fails, and for methods that cannot repeat a
+        step, the result is that of `inside`.
         """
         ...
 
@@ -408,7 +408,7 @@ class Stepper(Advancing, Protocol):
 
 @dataclass
 class Pace:
-    """Chooses the number of steps of a stretch from the speed so far."""
+    """Chooses the number of steps per stretch from the speed so far."""
 
     steps: int
 

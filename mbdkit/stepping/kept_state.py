@@ -1,4 +1,4 @@
-"""Ownership of the arrays of a state: a method cannot change a state behind the back of the framework."""
+"""Protection of the arrays of a state: a method cannot modify a state that the framework uses."""
 
 from __future__ import annotations
 

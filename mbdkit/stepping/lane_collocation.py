@@ -1,9 +1,9 @@
-"""Runs in lanes by collocation methods on the index-1 equations, and other fully implicit Runge-Kutta methods.
+"""Vectorized runs of collocation methods on the index-1 equations, and of other fully implicit Runge-Kutta methods.
 
 The step is that of single runs (`mbdkit.stepping.collocation_step`), compiled for lanes. All lanes share the pivots of
-the stage matrix, so that only runs with equal pivots can be lanes of one loop; `StagePivoting` chooses them as single
-runs do. Their scaling may differ. A run that needs other pivots later, a more careful iteration or more iterations is
-lost.
+the stage matrix, so that only runs with equal pivots can share a loop; `StagePivoting` chooses them as single runs do.
+Their scaling may differ. A run that later needs other pivots, a more careful iteration or more iterations is lost, that
+is, repeated alone.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from mbdkit.stepping.step_guards import distance_by_pivots
 
 
 class LaneKept(NamedTuple):
-    """What lanes keep that have converged; see `mbdkit.stepping.stage_iteration`."""
+    """Values of lanes that have converged; see `mbdkit.stepping.stage_iteration`."""
 
     lam: np.ndarray
     """(s, P, 2) multipliers of the stages."""
@@ -90,7 +90,7 @@ class StagePivots(NamedTuple):
 
 
 class _Start(NamedTuple):
-    """The state of a run at its start, as far as the choice of pivots needs it."""
+    """The part of the initial state of a run that the choice of pivots needs."""
 
     q: np.ndarray
     v: np.ndarray
@@ -99,7 +99,7 @@ class _Start(NamedTuple):
 class StagePivoting:
     """Chooses the pivots of the stage matrix of runs of one mechanism and method, as single runs do.
 
-    The choice depends on the values of the matrix, and is made anew for each run; what it needs is shared.
+    The choice depends on the values of the matrix and is repeated for each run; working arrays are shared.
 
     Parameters
     ----------
@@ -119,14 +119,14 @@ class StagePivoting:
         Raises
         ------
         mbdkit.engine.elimination_order.SingularSystemError
-            If the equations of the first step are singular, or need the pivoted solver; the object is then of no
-            further use.
+            If the equations of the first step are singular, or need the pivoted solver; the object must not be used
+            afterwards.
         """
         start: Any = _Start(q, v)
         self._single.start(start, h)
         if self._workspace.solver.pivoted[0]:
             raise SingularSystemError
-        if self._method.stage_solver == "fixed-point":  # which solves no stage matrix
+        if self._method.stage_solver == "fixed-point":  # fixed-point iteration has no stage matrix
             return StagePivots(empty_pattern(), example_of(Scatter))
         systems = self._single.bundle.systems
         return StagePivots(systems.pattern, systems.scatter)
@@ -161,7 +161,7 @@ def _take_step(c, m, t, h, n):
     """Solve the stages of a step and write its increments; see `mbdkit.stepping.lane_driver.drive`."""
     solve_stages(c, m, t, h, False, KERNELS)
     complete_step(c, m, t, h, KERNELS)
-    if c.has_power[0] != 0 and c.watch.has_loops[0] != 0:  # else it is that of the last iteration
+    if c.has_power[0] != 0 and c.watch.has_loops[0] != 0:  # otherwise, the increment is that of the last iteration
         c.watch.distance[0] = distance_by_pivots(c.solver.schur)
 
 

@@ -1,9 +1,9 @@
-"""Runs in lanes with controlled step size: each lane has its own time, step and error, and ends when it ends.
+"""Vectorized runs with controlled step size: each lane has its own time, step size and error, and ends independently.
 
 In each turn of the loop, every lane attempts one step of its own; some accept it, others reject it. Lanes that have
-reached their end stay as they are until the last one has. The functions of a step and of its control are those of the
-driver of single runs, compiled for lanes; masks stand for its branches. A run that needs a projection, or a step that
-fails otherwise than by its error, is lost; see `mbdkit.stepping.lane_driver`.
+reached their end do not change until the last one has ended. The functions of a step and of its control are those of
+single runs, compiled for lanes; masks replace branches. A run that needs a projection, or whose step fails for other
+reasons than its error, is lost (repeated alone); see `mbdkit.stepping.lane_loop`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.system import prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import add_compensated, stays_finite
-from mbdkit.stepping.driver import ROW_MARGIN
 from mbdkit.stepping.explicit import add_up_stages, estimate_errors, evaluate_point, evaluate_stages
-from mbdkit.stepping.lane_driver import lose, observe_row, watch_branches
+from mbdkit.stepping.lane_loop import lose, observe_row, watch_branches
 from mbdkit.stepping.lane_run import LaneRun, example_lane_run, load_guards
 from mbdkit.stepping.run_plan import NEAR
 from mbdkit.stepping.run_state import FACTORIZATIONS, RHS
@@ -38,6 +37,7 @@ from mbdkit.stepping.step_control import (
     local_error,
 )
 from mbdkit.stepping.step_guards import begin_energy, distance_by_pivots, energy_jump, note_jump
+from mbdkit.stepping.step_loop import ROW_MARGIN
 from mbdkit.trust.criteria import ENERGY_JUMP
 
 STEPS, SIZE, REJECTED = range(3)
@@ -99,7 +99,7 @@ class LaneControl(NamedTuple):
 
 @subkernel
 def _is_full(s):
-    """Return whether the buffer has no place for the next state of a running lane."""
+    """Return whether the buffer has no space for the next state of a running lane."""
     for lane in range(WIDTH):
         if number_in(s.progress.running[0], lane) != 0.0 and s.rows[lane] >= len(s.row_work):
             return True
@@ -231,7 +231,7 @@ def _advance(s, at, ended, accepted):
         watch_branches(c, t, where(accepted, 1.0, 0.0))
     raise_misalignments(c.top, c.w, t, c.q, c.worst)
     for k in range(len(c.worst)):
-        c.worst[k] = where(progress.accepted[0] > 0.0, c.worst[k], 0.0)  # the start is not a step
+        c.worst[k] = where(progress.accepted[0] > 0.0, c.worst[k], 0.0)  # the initial state is not a step
         lose(c, c.worst[k] > c.squared_misalignment[k])
 
 

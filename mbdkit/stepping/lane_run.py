@@ -1,4 +1,4 @@
-"""Data of runs in lanes (`mbdkit.stepping.lane_driver`), as the compiled loop reads them."""
+"""Data of vectorized runs (`mbdkit.stepping.lane_loop`) for the compiled loop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BY_LANE = ("motion_values", "law_parameters")
 
 
 class LaneGuards(NamedTuple):
-    """What the energy guard knows of each run; see `mbdkit.stepping.step_guards.GuardState`. (1,) each."""
+    """State of the energy guard of each run; see `mbdkit.stepping.step_guards.GuardState`. (1,) each."""
 
     energy: np.ndarray
     kinetic: np.ndarray
@@ -35,7 +35,7 @@ class LaneGuards(NamedTuple):
 
 
 class LaneWatch(NamedTuple):
-    """The watch for branches, which follows one lane after another; arrays of numbers."""
+    """State of the branch guard, which processes one lane after another; arrays of numbers."""
 
     has_loops: np.ndarray
     """(1,) whether joints close a loop."""

@@ -1,4 +1,6 @@
-"""Prepare runs for lanes (`mbdkit.stepping.lane_driver`), advance them, and return their states and recorded values."""
+"""Prepares and advances vectorized runs (`mbdkit.stepping.lane_driver`), and returns their states and recorded
+values.
+"""
 
 from __future__ import annotations
 
@@ -89,15 +91,18 @@ class AtStart(Protocol):
 
 
 def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
-    """Return a key that is equal for mechanisms that differ in numbers only; their runs may be lanes of one loop."""
+    """Return a key that is equal for mechanisms that differ only in numbers; their runs can be vectorized in one
+    loop.
+    """
     shapes = tuple((x.shape, x.tobytes() if x.dtype.kind == "i" else b"") for x in mechanism.topology)
     return shapes, mechanism.order, mechanism.names, mechanism.has_power
 
 
 def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
-    """Return whether a run of index-1 equations without stabilization can be advanced in lanes.
+    """Return whether a run of index-1 equations without stabilization can be vectorized.
 
-    Events are not possible, rows by interval only with controlled step size, and the Schur complement must do.
+    Events are not supported, `output.interval` only with controlled step size, and the Schur complement must be
+    sufficient.
     """
     is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
@@ -239,13 +244,13 @@ def by_run(lanes: np.ndarray, count: int) -> np.ndarray:
 
 
 class PivotsAtStart:
-    """Chooses the pivots of runs; those of one mechanism and method share what that needs."""
+    """Chooses the pivots of runs; runs of one mechanism and method share working arrays."""
 
     def __init__(self) -> None:
         self._latest: tuple[tuple[object, ...], StagePivoting] | None = None
 
     def of(self, method: Any, start: AtStart, table: Timetable) -> StagePivots | None:
-        """Return the pivots that a run chooses; None if its method needs none.
+        """Return the pivots of a run; None if its method needs none.
 
         Raises
         ------

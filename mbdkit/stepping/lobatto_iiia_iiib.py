@@ -13,7 +13,7 @@ iteration takes
 
     M a_j + Phi_q(Q_j)^T lam_j = F_j,        Phi_q(Q_j) (a_j - a_j before) = -sum_i (B^-1)_ji Phi(Q_(i+1)) / h^2
 
-an index-1 system for each stage. The contraction is O(h); forces that are stiff for the step make it diverge.
+an index-1 system for each stage. The contraction is O(h); it diverges if forces are stiff relative to the step.
 """
 
 from __future__ import annotations
@@ -273,7 +273,7 @@ def _finish(c, m, t, h):
 
 @entry
 def attempt(run, method, t, h, want_error):
-    """Try a step from the base state; see `mbdkit.stepping.driver`."""
+    """Try a step from the base state; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_pair(method)
     top, w = c.top, c.w
     s = len(m.rk.c)
@@ -314,7 +314,7 @@ def attempt(run, method, t, h, want_error):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.driver`."""
+    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_pair(method)
     stage_states(c, m, h)
     keep_stages(c, m, t, h)

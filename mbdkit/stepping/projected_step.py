@@ -29,7 +29,7 @@ converge slowly."""
 
 IDLE, IDLE_RATIO = 2, 0.9
 """Number of iterations without progress after which the iteration ends. No progress means that the residual exceeds
-this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors. Chosen."""
+this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors. A chosen value."""
 
 
 @subkernel

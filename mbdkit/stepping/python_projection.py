@@ -1,7 +1,7 @@
 """Projection of the steps of Python methods onto the constraints, after the step or symmetrically before and after it.
 
 `mbdkit.stepping.projected_step` is the equivalent for compiled methods. Here the iteration contains a step in Python,
-therefore it uses `EquationsOfMotion`.
+so that it uses `EquationsOfMotion`.
 """
 
 from __future__ import annotations

@@ -47,7 +47,9 @@ def _load_kernels() -> None:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Work since the last recorded row: steps, size of the last step, iterations, corrections (4,) as in `Stretch`."""
+    """Statistics since the last recorded row: steps, size of the last step, iterations, corrections (4,) as in
+    `Stretch`.
+    """
 
     steps: int = 0
     size: float = 0.0
@@ -65,12 +67,12 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Reached:
-    """A point of the run between two steps, with everything that is needed to resume from it."""
+    """A point of the run between two steps, with all data needed to continue from it."""
 
     done: int
     """Number of steps so far."""
     whole: int
-    """Number of steps in which a fixed step that is split at stops counts once."""
+    """Number of fixed steps; one that is split at stops counts once."""
     passed: int
     """Number of stops passed."""
     restart: float | None
@@ -130,7 +132,9 @@ class PythonStepper:
         return self._watch.evidence(self.impacts)
 
     def _begin_after_stop(self) -> None:
-        """At a stop, discard what the method keeps for the next step, and apply the impulse if there is one."""
+        """At a stop, discard the values that the method stores for the next step, and apply the impulse if there is
+        one.
+        """
         now, table = self.now, self.timetable
         if now.restart is None:
             return
@@ -250,7 +254,7 @@ class PythonStepper:
             stop = table.stops[begin.passed]
             is_end = abs(stop - end) <= SAME_TIME * table.stop_margins[begin.passed]
             if stop < end or is_end:
-                before = table.sides(begin.passed)[1]  # so that a row there shows this side of the stop
+                before = table.sides(begin.passed)[1]  # so that a row there shows the left-hand limit
                 is_on_grid = is_end and stop not in table.impacts
                 return _Planned(t, stop - t, end if is_on_grid else before, True, is_end)
         size = table.last_step if n == table.steps else table.step
@@ -318,7 +322,7 @@ class PythonStepper:
     def _own_step(self, t: float, state: StepState, h: float) -> StepState:
         """Take a step of the method, check its result, and return it with arrays of its own.
 
-        Raises StepError, and other exceptions that are neither exits nor errors of mbdkit: they blame the method.
+        Raises StepError, and other exceptions that are neither exits nor errors of mbdkit, as errors of the method.
         """
         name, equations = type(self.method).__name__, self.equations
         protect(state)
@@ -345,7 +349,8 @@ class PythonStepper:
                 raise ValueError(f"{name}.step returned an invalid `{field_name}`: {error}") from None
         if len(found) == 3 and not np.all(np.isfinite(found[2])):
             raise StepError("not-finite", "multipliers overflowed")
-        # The method may use its arrays again: without copies, states recorded or resumed from would change with them.
+        # The method may reuse its arrays; without copies, recorded states and those of a checkpoint would change with
+        # them.
         q, v, *own = (array.copy() for array in found)
         multipliers = own[0] if own else kept(new.multipliers)
         return StepState(q, v, multipliers, kept(new.memory), new.work, new.dissipated, kept(new.low))

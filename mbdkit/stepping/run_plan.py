@@ -1,6 +1,6 @@
-"""The plan of a run as the compiled driver reads it: times, recording, step-size control, projection, stabilization.
+"""The plan of a run for the compiled step loop: times, recording, step-size control, projection, stabilization.
 
-A plan does not change during a run. The driver's records, which do, are in `mbdkit.stepping.run_state`.
+A plan does not change during a run. Data that change are in `mbdkit.stepping.run_state`.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 NO_PROJECTION, PLAIN, SYMMETRIC, NEAR_SINGULARITY = range(4)
 """Projection mode: none, after the step, symmetrically before and after it, or after steps near singular positions.
 
-The last is that of controlled steps without stabilization. Drift turns the crossing of a singular position into a
-narrow bend onto another branch, which steps that are small enough follow; on the constraints themselves there is no
-such bend.
+The last is that of controlled steps without stabilization. With drift, the path through a singular position is deformed
+into a sharp but smooth bend onto another branch, which small steps follow; if the constraints are satisfied, there is
+no such bend.
 """
 
 NEAR = 0.2
 """Share of the largest distance to singularity so far below which controlled steps are projected; chosen.
 
 The share matters little. When it was chosen, with an earlier pivoted solver, 23 of 40 adaptive runs of linkages through
-flat positions were right with 0.1, 25 with 0.5 and 27 if every step was projected. Whatever is not right is left to the
-other guards.
+flat positions were correct with 0.1, 25 with 0.5 and 27 if every step was projected. The other guards detect wrong
+runs.
 """
 
 MIN_SIZE = 16 * float(np.finfo(float).eps)
@@ -129,7 +129,7 @@ def guard_limits(mechanism: CompiledMechanism, guards: Guards) -> GuardLimits:
     for row in mechanism.rows:
         if row.unit == "rad":
             largest[row.pair] = guards.angle_misalignment
-    with np.errstate(over="ignore"):  # an infinite limit is none
+    with np.errstate(over="ignore"):  # an infinite limit is never exceeded
         squared = largest**2
     return GuardLimits(squared, _real(guards.energy_jump), _real(ENERGY_JUMP))
 

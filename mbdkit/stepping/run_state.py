@@ -1,4 +1,4 @@
-"""State, work arrays and results of a run, shared by the compiled driver and all compiled methods.
+"""State, work arrays and results of a run, shared by the compiled step loop and all compiled methods.
 
 The arrays are stored in a bundle (`mbdkit.engine.jit.bundle`), whose address is passed to the kernels.
 """
@@ -24,7 +24,7 @@ AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED = range(3)
 last attempt that belong to it: those of the last stage, those of the first stage, or none."""
 
 RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS = range(5)
-"""Indices of ``counts``: right sides, Jacobians, factorizations, Newton iterations, projections."""
+"""Indices of ``counts``: right-hand sides, Jacobians, factorizations, Newton iterations, projections."""
 
 
 class Progress(NamedTuple):
@@ -55,7 +55,7 @@ class Progress(NamedTuple):
     retrying: np.ndarray
     """Whether the last attempt was rejected."""
     whole: np.ndarray
-    """Number of accepted steps in which a fixed step that is split at a stop counts once."""
+    """Number of accepted fixed steps; one that is split at a stop counts once."""
     passed: np.ndarray
     """Number of stops passed."""
     at_stop: np.ndarray
@@ -106,7 +106,7 @@ def new_interval() -> Interval:
 
 
 class RunState(NamedTuple):
-    """Data of a run for the compiled driver. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair.
+    """Data of a run for the compiled step loop. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair.
 
     What a step remembers is declared as `State`; see `mbdkit.engine.kernels.bundle_types`.
     """
@@ -114,7 +114,7 @@ class RunState(NamedTuple):
     top: Topology
     """The mechanism, with Baumgarte's terms if the run is stabilized by them."""
     still: Topology
-    """The mechanism without gravity and without Baumgarte's terms, for systems with a given right side."""
+    """The mechanism without gravity and without Baumgarte's terms, for systems with a given right-hand side."""
     w: Scratch
     solver: Solver
     has_power: np.ndarray
@@ -251,7 +251,9 @@ def keep_node(c, t, weight, q, v):
     place = c.nodes[1]
     if c.nodes[0] == 0 or place >= len(c.node_time):
         return
-    c.node_time[place] = min(max(t, c.w.sides[0]), c.w.sides[1])  # motions are evaluated on this side of a corner
+    c.node_time[place] = min(
+        max(t, c.w.sides[0]), c.w.sides[1]
+    )  # motions are evaluated on this side of a discontinuity
     c.node_weight[place] = weight
     for d in range(len(q)):
         c.node_q[place, d] = q[d]

@@ -49,7 +49,7 @@ Row = tuple[float, np.ndarray, np.ndarray, float]
 
 
 class _StoppedError(Exception):
-    """The right side cannot be evaluated, for the reason in `failure`."""
+    """The right-hand side cannot be evaluated, for the reason in `failure`."""
 
     def __init__(self, failure: Failure):
         super().__init__(failure.sentence)
@@ -133,12 +133,12 @@ class SciPyStepper:
         except (ValueError, np.linalg.LinAlgError):
             if self._finite:
                 raise
-        if not self._finite:  # with such rates some solvers choose a first step that is no number, and never end
+        if not self._finite:  # with such rates, the first step chosen by some solvers is NaN, and they never end
             self.failure = self._overflow(t)
         self._options.pop("first_step", None)  # after a stop the solver chooses it
 
     def _restart(self) -> bool:
-        """Start the solver anew after a stop, and apply the impulse if there is one; return whether that succeeded."""
+        """Restart the solver after a stop, and apply the impulse if there is one; return whether that succeeded."""
         table = self.timetable
         stop = table.stops[self._passed]
         self.workspace.clamp_motions(*table.sides(self._passed + 1))
@@ -284,7 +284,8 @@ class SciPyStepper:
         try:
             dense: Callable[[float], np.ndarray] = self.solver.dense_output()
         except (NotImplementedError, _StoppedError):
-            # solvers need not have dense output, and the further stages of DOP853's may fall on a singular position
+            # solvers may have no dense output, and the additional stages of that of DOP853 may be at a singular
+            # position
             step, y1 = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y)), self.y
 
             def dense(t: float) -> np.ndarray:
@@ -311,7 +312,7 @@ class SciPyStepper:
         solver, before = self.solver, self.solver.t
         self._times.clear()
         self._finite = True
-        self.workspace.scratch.faulty[0] = -1  # a message names only a force law that fails in this step
+        self.workspace.scratch.faulty[0] = -1  # only a force law that fails in this step is to be named in a message
         lu = solver.nlu
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -333,7 +334,7 @@ class SciPyStepper:
                 where = f"at t = {before:.6g} s: {message}".rstrip(".")
                 self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
-        if solver.t == before:  # LSODA would never stop taking steps below the rounding error of the time
+        if solver.t == before:  # LSODA would continue for ever with steps below the rounding error of the time
             where = f"at t = {before:.6g} s: the step is below the rounding error of the time"
             self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
@@ -352,7 +353,7 @@ class SciPyStepper:
         self.time, self.y = float(solver.t), solver.y.copy()
         self._stopped = solver.status == "finished" and self._passed < len(self.timetable.stops)
         self.finished = solver.status == "finished" and not self._stopped
-        if self._stopped:  # so that a row there shows this side of the stop
+        if self._stopped:  # so that a row there shows the left-hand limit
             self.time = self.timetable.sides(self._passed)[1]
         if self.finished:
             self.time = self.timetable.end
@@ -410,7 +411,9 @@ class SciPyStepper:
             return rows
         dense = None
         begins_at_impact = self._passed > 0 and table.stops[self._passed - 1] in table.impacts
-        earliest = table.sides(self._passed)[0] if begins_at_impact else -math.inf  # such a row shows the side after it
+        earliest = (
+            table.sides(self._passed)[0] if begins_at_impact else -math.inf
+        )  # such a row shows the right-hand limit
         inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end is always recorded
         while self._next < inner and (at := table.start + self._next * table.interval) <= self.time:
             if dense is None:

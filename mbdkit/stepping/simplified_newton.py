@@ -70,7 +70,7 @@ def _transformed(weights, residual, z):
 def newton_changes(c, m, h, right_side):
     """Solve the transformed systems for the change of every stage, from ``m.residual`` into ``m.change``.
 
-    `right_side` writes the right side of a system; see `mbdkit.stepping.collocation_stages.StageKernels`.
+    `right_side` writes the right-hand side of a system; see `mbdkit.stepping.collocation_stages.StageKernels`.
     """
     rk, systems, residual, change = m.rk, m.systems, m.residual, m.change
     pattern = systems.pattern

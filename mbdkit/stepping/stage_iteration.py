@@ -24,11 +24,13 @@ from mbdkit.stepping.step_guards import distance_by_pivots
 
 
 def hold_counts(c, m, wanted):
-    """Let what was counted since the last call count only in lanes where `wanted`."""
+    """Undo the counts since the last call in lanes that are not `wanted`."""
 
 
 def hold_finished(c, m, active):
-    """Restore what an iteration has changed in lanes that are not `active`: multipliers, distance, and counts."""
+    """Restore the values that an iteration has changed in lanes that are not `active`: multipliers, distance, and
+    counts.
+    """
 
 
 @subkernel
@@ -76,8 +78,8 @@ def iterate(c, m, t, h, until, strategy, kernels):
     rate predicts that it will not converge (`predicts_failure`). It can only converge to the solution that belongs to
     the start. With step size control, a step that fails is repeated with a smaller one.
 
-    In lanes, the iteration goes on until every lane has converged. A lane that has keeps its stages, so that each takes
-    the iterations of its single run; the accelerations of a lane that fails become NaN.
+    In lanes, the iteration continues until every lane has converged. A lane that has converged keeps its stages, so
+    that it makes the same iterations as the single run; the accelerations of a lane that fails become NaN.
 
     Parameters
     ----------

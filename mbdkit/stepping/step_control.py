@@ -5,14 +5,14 @@ step with e <= 1 is accepted. The size of the next step is then
 
     h_new = h S e_n^(-(1/k - 0.75 beta)) e_(n-1)^beta
 
-where k is the order of the estimate in h, S a safety factor, and e_(n-1) the error of the accepted step before. With
-beta = 0 this is the elementary controller (Hairer, Norsett and Wanner 1993, II.4, equation 4.13); beta > 0 makes it
-a proportional-integral controller (Gustafsson 1991, ACM TOMS 17, 533-554; Hairer and Wanner 1996, IV.2), which damps
-the oscillations of the step size at the limit of stability of an explicit method. The factor 0.75 is that of DOPRI5
+where k is the order of the estimate in h, S a safety factor, and e_(n-1) the error of the previous accepted step. With
+beta = 0 this is the elementary controller (Hairer, Norsett and Wanner 1993, II.4, equation 4.13); beta > 0 makes it a
+proportional-integral controller (Gustafsson 1991, ACM TOMS 17, 533-554; Hairer and Wanner 1996, IV.2), which damps the
+oscillations of the step size at the limit of stability of an explicit method. The factor 0.75 is that of DOPRI5
 (``EXPO1``); DOP853 has 0.2 there, but beta = 0 by default. RADAU5 and SciPy's Radau use Gustafsson's predictive
 controller instead, which also takes the sizes of the last two steps into account.
 
-The compiled functions serve numbers and lanes (`mbdkit.engine.jit.lane_types`).
+The compiled functions accept numbers and lanes (`mbdkit.engine.jit.lane_types`).
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class ControlData(NamedTuple):
     """Step-size control as the kernels read it; arrays without a shape have one element."""
 
     controlled: np.ndarray
-    """Whether the error controls the step size; if not, the other fields are not used."""
+    """Whether the error controls the step size; otherwise, the other fields are not used."""
     rtol: np.ndarray
     """Relative tolerance of the estimate."""
     atol: np.ndarray
@@ -232,7 +232,9 @@ def factor_after_acceptance(control, error, last_error, retrying):
 
 @subkernel
 def factor_after_rejection(control, solved, error):
-    """Return h_new / h after a rejected step, by the error alone; `solved` tells whether there is an error."""
+    """Return h_new / h after a rejected step, by the error alone; `solved` is false if the error is unknown because the
+    equations could not be solved.
+    """
     factor = max(MIN_FACTOR, SAFETY * error ** (-control.exponent[0]))
     return where(solved & (error < np.inf), factor, SOLVER_FAILURE_FACTOR)
 

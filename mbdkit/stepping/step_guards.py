@@ -1,19 +1,18 @@
 """Guards of the step loop: the energy balance of every step, misalignment, and branches at singular positions.
 
 **Energy.** The sum of kinetic and potential energy changes in a step by the work done on the mechanism minus the energy
-dissipated. What remains is the *jump* of the balance. Integration error makes jumps that are small compared with the
-kinetic energy; a step that leads to another solution of the equations makes large ones. Projections are exempt: the
-energy of a projected state is that after the projection.
+dissipated. The difference is the *jump* of the energy balance in this step. Integration errors cause jumps that are
+small compared with the kinetic energy; a step that converges to a spurious solution causes large ones. Projections are
+exempt: the energy of a projected state is that after the projection.
 
-**Branches.** In a singular position the paths of a mechanism cross, and a run may leave the crossing on another branch.
-The velocity then turns within a short part of the path. A *dip* is a minimum of the distance to singularity below `DIP`
-times its maximum. Around each dip, the directions of the velocities before and after are compared in the mass metric,
-as lines. The distance is estimated from the pivots of the last solution for the accelerations, which costs next to
-nothing. Paths are measured in characteristic lengths, and not in sizes of the mechanism: velocities turn as the links
-do, on the scale of a link, however many of them there are.
+**Branches.** In a singular position, several possible motions (branches) of a mechanism intersect, and a run may
+continue on another branch. The velocity then changes its direction within a short part of the path. A *dip* is a
+minimum of the distance to singularity below `DIP` times its maximum. Around each dip, the directions of the velocities
+before and after are compared in the mass metric, as lines. The distance is estimated from the pivots of the last
+solution for the accelerations, at negligible cost. Paths are measured in characteristic lengths instead of sizes of the
+mechanism, because velocities change direction on the scale of a link, for any number of links.
 
-The compiled driver calls these functions in its loop; `mbdkit.stepping.step_watch` calls them for steps that are taken
-in Python.
+The compiled step loop calls these functions; `mbdkit.stepping.step_watch` calls them for steps in Python.
 """
 
 from __future__ import annotations
@@ -57,14 +56,14 @@ SAMPLES = 16
 """Number of samples kept; more than ``WINDOW / SPACING``."""
 
 AT_REST = 1e-12
-"""Share of the largest kinetic energy so far below which a velocity has no direction to compare."""
+"""Share of the largest kinetic energy so far below which the direction of the velocity is not used."""
 
 MOST_TURNS = 16
 """Number of turns that are reported."""
 
 
 class GuardState(NamedTuple):
-    """What the guards know of a run. Arrays have one element unless a shape is given."""
+    """State of the guards of a run. Arrays have one element unless a shape is given."""
 
     energy: np.ndarray
     """Kinetic and potential energy of the state [J]; NaN before it is known."""
@@ -73,7 +72,7 @@ class GuardState(NamedTuple):
     jump: np.ndarray
     """Largest absolute jump of the energy balance in a step so far [J], and the time at the end of that step [s].
 
-    Jumps that round-off explains do not count."""
+    Jumps within round-off are ignored."""
     jump_time: np.ndarray
     exceeded: np.ndarray
     """Whether the jump of the last step exceeded the limit of the run."""
@@ -136,7 +135,7 @@ def _has_loops(mechanism: CompiledMechanism) -> bool:
 
 
 def new_guard_state(mechanism: CompiledMechanism) -> GuardState:
-    """Return what the guards know at the start of a run."""
+    """Return the state of the guards at the start of a run."""
     mass = float(np.sum(mechanism.topology.mass[:-1, 0]))
 
     def one(x: float = 0.0) -> np.ndarray:
@@ -189,7 +188,8 @@ def begin_energy(h, guards, t, q, v):
 
 @subkernel
 def energy_jump(h, guards, gain, q, v):
-    """Return the jump of the balance by a step to `q, v`; total and kinetic energy there; and what round-off explains.
+    """Return the jump of the energy balance in a step to `q, v`, total and kinetic energy there, and the round-off of
+    the jump.
 
     `h` has the mechanism and its scratch arrays, `gain` (2,) is the work done on the mechanism and the energy
     dissipated. All are energies [J]. Requires `prepare` at `q`.
@@ -278,7 +278,7 @@ def _open_dip(guards, n, path, distance, t):
 
 @subkernel
 def watch_branch(guards, mass, t, dq, v):
-    """Follow the path by a step `dq` that ends at `t` with the velocity `v`, at ``guards.distance`` to singularity."""
+    """Update the path by a step `dq` that ends at `t` with the velocity `v`, at ``guards.distance`` to singularity."""
     distance = guards.distance[0]
     path = guards.path[0] + np.sqrt(_product(mass, dq, dq) * guards.per_square[0])
     guards.path[0] = path
@@ -294,6 +294,6 @@ def watch_branch(guards, mass, t, dq, v):
     low = lowest < DIP * guards.farthest[0]
     if low and (guards.armed[0] != 0.0 or lowest < guards.dip_distance[0]):
         _open_dip(guards, n, path, lowest, t)
-    elif guards.dip_path[0] + WINDOW <= path:  # not if there is no dip
+    elif guards.dip_path[0] + WINDOW <= path:  # false for NaN, that is, outside of dips
         _close_dip(guards, mass, path, v)
     guards.armed[0] = 0.0 if low else 1.0

@@ -1,4 +1,4 @@
-"""The guards of the step loop for steps taken in Python, and what they say about any run: evidence and failures."""
+"""The guards of the step loop for steps in Python, and their results for all runs: evidence and failures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class WatchedStep(NamedTuple):
-    """A step and what the guards know. States are (3 (B + 1),), ground last."""
+    """A step and the state of the guards. States are (3 (B + 1),), ground last."""
 
     guards: GuardState
     limits: GuardLimits
@@ -88,7 +88,7 @@ def watch_step(engine, watched, begin, end, projected):
         begin_energy(h, guards, end, s.q, s.v)
     if guards.has_loops[0] != 0.0:
         # Methods in Python solve other systems too, so that the last factors may not be those of the accelerations. If
-        # this solution fails, the distance is that of the step before.
+        # this solution fails, the distance of the previous step is used.
         if solve_accelerations(h.top, h.w, h.solver, s.q, s.v, s.acc, s.lam, False) == OK:
             guards.distance[0] = distance_to_singularity(h, guards.vectors)
         for d in range(len(s.q)):
@@ -106,7 +106,7 @@ def _load_kernel() -> None:
 
 
 class StepWatch:
-    """Applies the guards of the compiled driver to steps that are taken in Python.
+    """Applies the guards of the compiled step loop to steps in Python.
 
     Parameters
     ----------
@@ -115,9 +115,9 @@ class StepWatch:
     guards
         Limits of the run.
     worst
-        (P,) largest squared misalignments; the caller raises them before each call of `step`.
+        (P,) largest squared misalignments; the caller updates them before each call of `step`.
     hint
-        What a user can change if the run fails, as a clause.
+        Advice to the user if the run fails, as a clause.
     """
 
     def __init__(self, workspace: Workspace, guards: Guards, worst: np.ndarray, hint: str):
@@ -133,7 +133,7 @@ class StepWatch:
         return cls(workspace, guards, worst, hint)
 
     def forget_energy(self) -> None:
-        """Take the energy of the next step's start anew, because an impulse has changed the velocities."""
+        """Compute the energy at the start of the next step again, because an impulse has changed the velocities."""
         self._step.guards.energy[0] = np.nan
 
     def step(
@@ -146,7 +146,7 @@ class StepWatch:
         gain: np.ndarray,
         made: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> Failure | None:
-        """Watch a step; return why the run has to stop, or None.
+        """Check a step; return the reason why the run has to stop, or None.
 
         Parameters
         ----------
@@ -171,12 +171,12 @@ class StepWatch:
         return guard_failure(int(status), self.workspace.mechanism, (step.guards, step.worst), limits, end, self.hint)
 
     def evidence(self, impacts: Sequence[Impact]) -> StepEvidence:
-        """Return what has been observed so far, with the impulses of the run."""
+        """Return the observed quantities so far, including the impulses of the run."""
         return guard_evidence(self._step.guards, impacts)
 
 
 def guard_evidence(guards: GuardState, impacts: Sequence[Impact]) -> StepEvidence:
-    """Return what the guards have observed so far, with the impulses of the run."""
+    """Return the quantities that the guards have observed so far, including the impulses of the run."""
     turns = guards.turns[: int(guards.turn_count[0])].tolist()
     return StepEvidence(
         energy_jump=float(guards.jump[0]),
@@ -195,14 +195,14 @@ def guard_failure(
     end: float,
     hint: str,
 ) -> Failure:
-    """Return which limit of the guards a step that ends at `end` [s] has exceeded.
+    """Return a failure that names the limit exceeded by a step that ends at `end` [s].
 
     Parameters
     ----------
     status
         FELL_APART or ENERGY_JUMP.
     known
-        What the guards know, and (P,) the largest squared misalignments.
+        State of the guards, and (P,) the largest squared misalignments.
     limits
         ``limits.energy_jump`` of the run, and the limits as the kernels read them.
     """

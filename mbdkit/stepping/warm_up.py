@@ -1,6 +1,6 @@
 """Compiles all kernels once per installation, while other processes wait.
 
-The step of the collocation methods takes a third of the time. If the computer has several cores, a process of its own
+The step of the collocation methods takes a third of the time. If the computer has several cores, another process
 compiles it into the cache meanwhile.
 """
 
@@ -20,7 +20,7 @@ from mbdkit.engine.jit.cache import FOLDER, compiling, is_shared, is_warm
 
 
 def to_stderr(message: str) -> None:
-    """Print a message to stderr, as progress is."""
+    """Print a message to stderr, like progress."""
     print(message, file=sys.stderr, flush=True)
 
 
@@ -59,9 +59,10 @@ def _interrupts_kept() -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _collocation_compiled_apart() -> Iterator[Callable[[], bool]]:
-    """Compile the step of the collocation methods in another process; yields whether that has ended, as a function.
+    """Compile the step of the collocation methods in another process; yield a function that returns whether it has
+    ended.
 
-    If that process fails, for whatever reason, the step is not in the cache, and this process compiles it.
+    If that process fails, the step is not in the cache, and this process compiles it.
     """
     process: subprocess.Popen[bytes] | None = None
     if sys.executable and (os.cpu_count() or 1) > 1 and is_shared() and not JIT_DISABLED:

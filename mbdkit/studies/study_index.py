@@ -23,7 +23,7 @@ from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import ATTRIBUTES_HASH, COUNTERS, TIMINGS
 from mbdkit.archive.part_file import LIBVER
-from mbdkit.archive.stranger_file import open_hdf5
+from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.measures.take import Description

@@ -78,7 +78,9 @@ def test_a_motion_that_leaves_a_body_unobserved_is_refused_by_its_name() -> None
     m.revolute("knee", "upper", "lower", at=(1, 0))
     data = {"time": np.arange(10.0), "hip": np.zeros(10)}
     motion = {"data": data, "columns": {"hip.angle": "hip"}}
-    with pytest.raises(SpecError, match=r"motion.columns: the columns do not observe lower \(y, angle\): 1 of 2 degrees"):
+    with pytest.raises(
+        SpecError, match=r"motion.columns: the columns do not observe lower \(y, angle\): 1 of 2 degrees"
+    ):
         mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion})
 
 

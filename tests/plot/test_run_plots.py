@@ -326,7 +326,7 @@ def test_kind_and_axes_of_a_comparison_stand_in_any_order(driven: mbdkit.Run, ax
     assert mbdkit.plot.compare([driven], axes, "torques") is axes
     assert mbdkit.plot.compare([driven], "torques", ax=axes) is axes
     for wrong, name in ((("torques", "drift"), "str"), ((axes.figure,), "Figure"), (([driven],), "list")):
-        with pytest.raises(TypeError, match=rf"^compare takes one kind of plot .* no place for this {name}$"):
+        with pytest.raises(TypeError, match=rf"^compare takes one kind of plot .* but not this {name}$"):
             mbdkit.plot.compare([driven], *wrong)
 
 

@@ -9,7 +9,8 @@ damaged machine code would crash the process or compute wrong numbers. A damaged
 be written is read only; a run never fails because of its cache.
 
 Numba stores the LLVM bitcode of a function beside its machine code, for other functions that may be compiled later and
-include it. No kernel does, and reading it takes most of the time of loading, so that only its symbols are kept.
+include it. No kernel is included in this way, and reading the bitcode takes most of the loading time, so that only its
+symbols are kept.
 
 `KernelCache` uses internals of Numba: the attribute `_cache` of compiled functions, `Cache._index_key`, the reduced
 form of a `CompileResult`, and the module for linking of its library.
@@ -50,7 +51,7 @@ log = logging.getLogger("mbdkit")
 _PACKAGE = Path(__file__).resolve().parents[2]
 _DIGEST = hashlib.sha256().digest_size  # bytes
 _TEMPORARY = "mbdkit-"
-"""Begin of the name of a cache folder that only this process knows."""
+"""Prefix of the name of a temporary cache folder of this process."""
 
 
 def kernel_sources() -> list[Path]:
@@ -160,7 +161,7 @@ class KernelCache(FunctionCache):
         return FOLDER / f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}.code"
 
     def flush(self) -> None:
-        """Do nothing: the folder does not outlive a change of the sources."""
+        """Do nothing: if the sources change, another folder is used."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled function for a signature; None if it is not in the cache."""
@@ -216,7 +217,7 @@ def cached_cfunc(signature: Any, **options: Any) -> Callable[[Callable[..., Any]
 
 _MARKER = FOLDER / "compiled"
 _compiled_here = False
-"""Whether this process has compiled all kernels, which a folder that cannot be written does not remember."""
+"""Whether this process has compiled all kernels; needed if the folder is read-only."""
 
 
 def is_shared() -> bool:

@@ -20,9 +20,10 @@ _SUBKERNEL: dict[str, Any] = {}
 if not PLAIN:
     from mbdkit.engine.jit.subkernel_compiler import SubkernelCompiler
 
-    # Undocumented options of njit. `_nrt`: kernels allocate nothing, and counting references of arrays costs more time
-    # than the arithmetic of a small mechanism. Wrappers for calls from C and from Python take time to compile; only
-    # entries are called from C, and subkernels are not called from Python either.
+    # Undocumented options of njit. `_nrt`: kernels do not allocate memory, and reference counts of arrays would cost
+    # more time than the arithmetic of a small mechanism. Wrappers for calls from C and from Python take time to
+    # compile; they are omitted because only entries are called from C, and subkernels are not called from Python
+    # either.
     _KERNEL |= {"_nrt": False, "no_cfunc_wrapper": True}
     _SUBKERNEL |= {
         "_nrt": False,

@@ -1,4 +1,6 @@
-"""Arithmetic on complex dual numbers, as far as linear systems with a complex matrix of numbers need it."""
+"""Arithmetic on complex dual numbers: the operations needed for linear systems with a complex matrix of plain
+numbers.
+"""
 
 from __future__ import annotations
 

@@ -3,8 +3,8 @@
 A dual number is a value with its derivatives by several parameters. Kernels are compiled for the types of their
 arguments. If a bundle holds arrays of dual numbers (`mbdkit.engine.jit.dual_arrays`), the same source becomes a kernel
 that differentiates what it computes. Unlike lanes (`mbdkit.engine.jit.lane_types`), dual numbers have a single control
-flow, that of their values: comparisons compare values and return ordinary truth values. The values are computed by the
-same operations as without derivatives, so that they have the same bits.
+flow: comparisons compare values and return ordinary truth values. The values are computed by the same operations as
+without derivatives and are therefore bitwise identical.
 
 This module uses the same parts of Numba as `mbdkit.engine.jit.lane_types`.
 """
@@ -30,7 +30,7 @@ from mbdkit.engine.jit.operation_rules import compiled_rule
 from mbdkit.expressions.operations import OPERATIONS
 
 DIRECTIONS = 12
-"""Number of derivatives of a dual number. More parameters take several passes."""
+"""Number of derivatives of a dual number. More parameters are differentiated in several passes."""
 
 DOUBLE = ir.DoubleType()
 VECTOR = ir.VectorType(DOUBLE, DIRECTIONS)
@@ -358,7 +358,9 @@ def _power(x, n):
 
 
 def _general_power(x, n):
-    """Return x**n; a base that is not positive has no derivative by the exponent, which is then taken as constant."""
+    """Return x**n; if the base is not positive, there is no derivative by the exponent, which is then treated as
+    constant.
+    """
     base, exponent = value_of(x), _value(n)
     value = base**exponent
     by_exponent = value * math.log(base) if base > 0.0 else 0.0

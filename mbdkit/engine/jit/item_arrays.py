@@ -1,4 +1,4 @@
-"""Arrays whose elements are several doubles each: what arrays of lanes and arrays of dual numbers have in common.
+"""Arrays whose elements consist of several doubles: common base of arrays of lanes and arrays of dual numbers.
 
 An element is an *item*: lanes (`mbdkit.engine.jit.lane_types`) or a dual number (`mbdkit.engine.jit.dual_types`). A
 complex item has two parts, which are real items.

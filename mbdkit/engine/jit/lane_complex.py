@@ -1,7 +1,7 @@
 """Lanes of complex numbers: arithmetic on `LaneComplex`, for the stage matrices with complex eigenvalues.
 
-Every operation rounds as that of Numba on a complex number does, part by part; real operands become complex first, as
-they do there. This module uses the same parts of Numba as `mbdkit.engine.jit.lane_types`.
+Every operation rounds like that of Numba on complex numbers; real operands are converted to complex first, as in Numba.
+This module uses the same parts of Numba as `mbdkit.engine.jit.lane_types`.
 """
 
 from __future__ import annotations

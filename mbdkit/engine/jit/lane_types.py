@@ -1,10 +1,10 @@
-"""Lanes: several runs side by side in compiled code, as one vector of floating-point numbers.
+"""SIMD lanes: several runs in one pass of compiled code, each in one element of a vector of floating-point numbers.
 
 Kernels are compiled for the types of their arguments. If a bundle holds arrays of lanes instead of arrays of numbers
 (`mbdkit.engine.jit.lane_arrays`), the same source becomes a kernel that advances `WIDTH` runs at once: every element of
 such an array is a vector of `WIDTH` doubles, one for each run, and arithmetic works lane by lane. Each operation on a
-vector rounds as the operation on a number does, and nothing is reassociated or contracted, so that a lane has the bits
-of the single run.
+vector rounds like the operation on a number, and nothing is reassociated or contracted, so that the result in a lane is
+bitwise identical to that of the single run.
 
 A comparison of vectors is a mask (`LaneMask`), on which Python cannot branch. Code that serves both widths uses `where`
 and ``&`` instead of branches, and the other functions of this module.
@@ -293,9 +293,9 @@ _any_lane: Any = intrinsic(_any_lane_typing)
 
 
 def is_refused(sound):
-    """Return whether a kernel must give up because a condition does not hold.
+    """Return whether a kernel must stop because a condition does not hold.
 
-    In lanes it never does: the values of that lane become NaN (`usable`), and its run is repeated alone.
+    This is always false for lanes: the values of the failed lane become NaN (`usable`), and its run is repeated alone.
     """
     return not sound
 

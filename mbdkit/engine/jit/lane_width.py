@@ -1,4 +1,4 @@
-"""The number of lanes: how many runs compiled code advances side by side (`mbdkit.engine.jit.lane_types`)."""
+"""The number of SIMD lanes: how many runs compiled code advances together (`mbdkit.engine.jit.lane_types`)."""
 
 from __future__ import annotations
 
@@ -24,4 +24,4 @@ def _width() -> int:
 
 
 WIDTH = _width()
-"""Number of lanes. The numbers of a run do not depend on it."""
+"""Number of lanes. The results of a run do not depend on it."""

@@ -3,8 +3,8 @@
 Each law becomes a C function in a small generated module in the cache folder. The name of the module contains a hash of
 all sources in the package of the law's function. A law is therefore compiled once, loaded by later processes, and
 compiled again after any change. If the function cannot be imported by its name, such as a lambda or a bound method, the
-name contains a hash of the code generated from its expression instead; one that returns numbers is compiled in every
-process.
+name contains a hash of the code generated from its expression instead; a law that is a function of numbers is then
+compiled in every process.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def entry(length, rate, time, parameters, out):
 
 @dataclass(frozen=True)
 class _Form:
-    """What surrounds a law in its module: imports, and the function that kernels call."""
+    """Template of the generated module of a law: imports, and the function that kernels call."""
 
     head: str
     entry: str
@@ -115,7 +115,7 @@ class CompiledLaw:
 
 
 def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
-    """Return the machine code of a law, and for one element the number of its parameters followed by their values.
+    """Return the machine code of a law, and the parameters of one element: their number, followed by their values.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What acts: values of force elements, of joints in the frames of their bodies, and of markers, at one state."""
+"""Recorded values of force elements, of joints in the frames of their bodies, and of markers, at one state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def force_values(top, w, q, v, out):
     Requires `applied_forces` at the same state. The value of an element on a pathway is its tension [N], or the torque
     on its second body [N m]; that of a load its torque on the loaded body, or the magnitude of its force. A force at a
     point has no length (0); its rate is the velocity of the point along the force, 0 where the force is zero. The power
-    is what the element supplies to the bodies.
+    is that supplied to the bodies.
     """
     springs, loads, place, tension, u = top.springs, top.loads, top.force_place, w.tension, w.u
     for k in range(len(springs)):

@@ -1,12 +1,13 @@
-"""Cosine and sine of an angle by one routine without branches, the same for a single run and for runs in lanes.
+"""Cosine and sine of an angle by one routine without branches, used for single runs and for vectorized runs.
 
 The argument is reduced by multiples of pi/2 in two steps (Cody and Waite): pi/2 is split into two parts of 33 bits and
-a rest, so that the products with the number of quarter turns are exact. The result is a sum of two numbers. Sine and
-cosine of it follow from polynomials of degree 13 and 14 with the coefficients of fdlibm (Sun Microsystems, 1993), which
-are accurate to 2^-58. The error is below 1 ulp for ``|x| < FAR``. Beyond, the functions of the C library are used.
+a remainder, so that the products with the number of quarter turns are exact. The result is a sum of two numbers. Sine
+and cosine of it follow from polynomials of degree 13 and 14 with the coefficients of fdlibm (Sun Microsystems, 1993),
+which are accurate to 2^-58. The error is below 1 ulp for ``|x| < FAR``. Beyond, the functions of the C library are
+used.
 
-A library function would be as accurate, but it has branches, so that LLVM cannot vectorize it, and other bits on other
-platforms.
+A library function would be as accurate, but its branches prevent vectorization by LLVM, and its results differ between
+platforms in the last bit.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from mbdkit.engine.jit.dual_types import DualNumber, chain, value_of
 from mbdkit.engine.jit.lane_types import any_of, below, cosine_of_each, nearest, sine_of_each, where
 
 FAR = 1e5
-"""Angle [rad] from which on the reduction is not exact."""
+"""Angle [rad] above which the reduction is not exact."""
 
 _QUARTERS = 0.6366197723675814
 """2 / pi."""

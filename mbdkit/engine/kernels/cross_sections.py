@@ -68,7 +68,8 @@ def beam_tangents(top, w, q, v):
 
 @inlined
 def _spread(p, k, i, j, given, out):
-    """Write the block of nodes `i` and `j` of a tangent by the nodes, `out` (G, 81), from that by the section's state.
+    """Write the block of nodes `i` and `j` of the tangent with respect to nodal coordinates, `out` (G, 81), given that
+    with respect to the state of the cross-section.
 
     The bending moment depends on the curvature only, and no other force does (`given` (G, 16)).
     """
@@ -107,9 +108,9 @@ def beam_values(top, w, out):
 
 @subkernel
 def beam_levels(top, w):
-    """Return the largest accelerations (linear, angular) that terms of the forces of beams alone would cause.
+    """Return the largest accelerations (linear, angular) that individual terms of the forces of beams would cause.
 
-    Forces of stiff beams are small differences of these terms, whose rounding errors they contain.
+    Forces of stiff beams are small differences of these terms and contain their rounding errors.
     """
     sections, p, z = top.sections, top.section_parameters, w.section
     level_t = level_r = 0.0

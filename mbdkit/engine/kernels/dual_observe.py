@@ -28,7 +28,7 @@ from mbdkit.engine.kernels.system import (
 
 
 class DualStates(NamedTuple):
-    """T states with derivatives, and what is computed from them. Arrays are dual unless stated otherwise."""
+    """T states with derivatives, and the quantities computed from them. Arrays are dual unless stated otherwise."""
 
     top: Topology
     w: Scratch
@@ -43,7 +43,7 @@ class DualStates(NamedTuple):
     power: np.ndarray
     """(T, 2) power of loads, drivers and active laws, and the dissipated power [W]."""
     lack: np.ndarray
-    """(T, 3 (B + 1)) forces that are missing, ``M a + Phi_q^T lam - Q``, of states with given accelerations."""
+    """(T, 3 (B + 1)) residual forces ``M a + Phi_q^T lam - Q`` of states with given accelerations."""
 
 
 def _example() -> DualStates:
@@ -98,7 +98,7 @@ def _describe(top, w, q, v, out, r):
 def describe_duals(address):
     """Evaluate the states of a `DualStates` whose accelerations and multipliers, of all rows, are given.
 
-    More than the mechanism causes them, as with actuators, whose forces are what is missing.
+    These do not follow from the mechanism alone, as with actuators, whose forces are the residual.
     """
     c = load_dual_states(address)
     top, w, out, lack = c.top, c.w, c.observed, c.lack

@@ -1,11 +1,11 @@
-"""The index-1 system of dual numbers: a system of their values, and one for each derivative with the same factors.
+"""The index-1 system of dual numbers: one system for the values, and one with the same factors for each derivative.
 
 With the solution a, lambda of the values, differentiation of ``M a + Phi_q^T lambda = Q``, ``Phi_q a = gamma`` gives
 
     M a_p + Phi_q^T lambda_p = (Q - M a - Phi_q^T lambda)_p,    Phi_q a_p = (gamma - Phi_q a)_p
 
-where the derivatives on the right are those of M, Phi_q, Q and gamma at constant a and lambda. The values are solved
-for as in a run, with its working arrays, its pivots and the same bits.
+where the derivatives on the right are those of M, Phi_q, Q and gamma at constant a and lambda. The values are computed
+as in a run, with the same working arrays and pivots, and are bitwise identical.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def _by_pivots(n, factors, row_index, right, lack, rows):
 def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
     """Solve for accelerations and multipliers with their derivatives; return a status.
 
-    The derivatives are refined once where the values are: with `refine`, and by the pivoted solver.
+    The derivatives are refined once if the values are: with `refine`, and by the pivoted solver.
     """
     n = solver.numbers
     _take_values(top, w, n, has_forces)

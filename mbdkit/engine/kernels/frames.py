@@ -34,7 +34,7 @@ class Frames(NamedTuple):
     rate: np.ndarray
     """(T, m) time derivatives of the residuals, Phi_q v + Phi_t."""
     gamma: np.ndarray
-    """(T, m) right side of ``Phi_q a = gamma``."""
+    """(T, m) right-hand side of ``Phi_q a = gamma``."""
     jacobian: np.ndarray
     """(T, m, n) Jacobian Phi_q."""
     force: np.ndarray

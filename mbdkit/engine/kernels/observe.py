@@ -189,7 +189,9 @@ def observe(engine, times, q, v, out, stress, near):
             constraint_rows(top, w, q[r], v[r])
         residuals_of(top, w, q[r], v[r], out.phi[r], out.phi_rate[r])
         reactions_of(top, w, lam, out.reactions[r])
-        if len(top.spare) == 0:  # redundant reactions are shared afterwards, and `observe_joints` evaluates the joints
+        if (
+            len(top.spare) == 0
+        ):  # redundant reactions are distributed afterwards, and `observe_joints` then evaluates the joints
             joint_values(top, w, q[r], lam, out.reactions[r], out.joints[r])
         for i in range(len(top.spare)):
             reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])

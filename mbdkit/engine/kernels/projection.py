@@ -37,9 +37,9 @@ Newton's method takes 3 to 6 from a state near the constraints; 20 leave room fo
 """
 
 STAGNANT = 1e-9
-"""Largest relative size of a residual or change that stops shrinking at which it can be rounding errors; chosen.
+"""A residual or change that no longer decreases counts as round-off only up to this relative size (a chosen value).
 
-A larger one is never accepted, however ill-conditioned the equations are.
+Larger ones are never accepted, however ill-conditioned the equations are.
 """
 
 

@@ -99,7 +99,7 @@ class Topology(NamedTuple):
     """(G, 16) values and derivatives by the arc length of the shape functions of three nodes, then the parameters of
     the cross-section; see `mbdkit.symbolic.definitions.derive_section`."""
     force_place: IntVector
-    """(S + L,) place of each segment and of each load among the force elements of the mechanism."""
+    """(S + L,) index of the force element of each segment and of each load."""
     pair_joint: IntVector
     """(P,) number of the joint of each pair."""
     joints: IntMatrix
@@ -164,7 +164,7 @@ class Scratch(NamedTuple):
     section_stress: RealMatrix
     """(G, 3) axial force, shear force and bending moment."""
     section_energy: RealMatrix
-    """(G, 2) strain energy and dissipated power of the part of the beam that the cross-section stands for."""
+    """(G, 2) strain energy and dissipated power of the part of the beam that the cross-section represents."""
     section_stiff: RealMatrix
     """(G, 16) derivatives of the forces by the states."""
     section_damp: RealMatrix
@@ -320,7 +320,7 @@ def constraint_rows(top, w, q, v):
     and the largest Baumgarte term is returned (otherwise 0).
     """
     for i in range(len(top.spare)):
-        for c in range(12):  # `fold` has filled entries that element kernels never write, because they are zero
+        for c in range(12):  # entries that element kernels never write must be zero, but `fold` has filled them
             w.jac[top.spare[i, 0], c] = 0.0
     constraint_accelerations(top.pairs, top.pair_parameters, q, v, w.cs, w.u, w.jac, w.gamma)
     largest = 0.0
@@ -533,7 +533,7 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
 
 @inlined
 def schur_accelerations(top, w, schur, has_forces, acc, lam, refine):
-    """Solve the index-1 system by the Schur complement; return the pair that `mbdkit.engine.kernels.schur.factor` does.
+    """Solve the index-1 system by the Schur complement; return the result of `mbdkit.engine.kernels.schur.factor`.
 
     ``a = a_free - M^-1 Phi_q^T lambda``, and so ``S lambda = Phi_q a_free - gamma``.
     """

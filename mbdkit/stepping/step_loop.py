@@ -1,4 +1,4 @@
-"""The compiled driver: the loop over steps of every compiled method, with fixed or controlled step size.
+"""The compiled step loop of every compiled method, with fixed or controlled step size.
 
 A method provides two compiled functions (`mbdkit.engine.jit.entry`) that receive two addresses: `run`, of the
 bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's own bundle.
@@ -6,14 +6,14 @@ bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's o
 ``attempt(run, method, t, h, want_error)``
     Computes a step of size `h` from the base state ``from_q, from_v``, which it does not change. Writes ``dq, dv``; if
     ``has_power``, ``gain``; the multipliers of the method, if it has any, into ``own_lam``; and if `want_error` is not
-    0, the estimates ``est_q, est_v``. ``base_state`` tells how the base state is related to the last attempt.
+    0, the estimates ``est_q, est_v``. ``base_state`` describes how the base state is related to the last attempt.
 ``dense(run, method, t, h, theta)``
     Writes ``point_q, point_v, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last attempt.
 ``keep(run, method, t, h, unused)``
-    Keeps the stages of the last attempt as nodes of integrals over time, with the weights of the method
+    Stores the stages of the last attempt as nodes of integrals over time, with the weights of the method
     (`mbdkit.stepping.run_state.keep_node`).
 
-All return a status of `mbdkit.engine.kernels.system`. The driver knows them by their addresses, so that it is compiled
+All return a status of `mbdkit.engine.kernels.system`. The loop calls them by their addresses, so that it is compiled
 once for all methods.
 """
 
@@ -60,10 +60,11 @@ TOO_SMALL = 5
 """Status: the step size fell below the smallest one."""
 
 AT_STOP = 8
-"""Status: a step has ended at a stop; what the method keeps from it is not valid for the next."""
+"""Status: a step has ended at a stop; the values that the method stores are not valid for the next step."""
 
 ROW_MARGIN = 1e-9
-"""A row by interval that is nearer to the end than this share of the interval is replaced by the row of the end."""
+"""A row recorded by `interval` that is closer to the end than this share of the interval is replaced by the row at the
+end."""
 
 
 @subkernel
@@ -83,14 +84,14 @@ def _next_stop(plan, progress):
 
 @subkernel
 def _end_of_whole_step(plan, progress):
-    """Return the end of the fixed step of which the next step is a part, or the whole."""
+    """Return the end of the fixed step that contains the next step."""
     times, n = plan.times, progress.whole[0] + 1
     return times.start[0] + n * times.step[0] if n < times.steps[0] else times.end[0]
 
 
 @subkernel
 def _is_end_of_whole_step(plan, progress, stop):
-    """Return whether the next stop and the end of a fixed step are the same but for rounding errors."""
+    """Return whether the next stop and the end of a fixed step are equal up to rounding errors."""
     n = progress.passed[0]
     return n < len(plan.times.stops) and (
         abs(stop - _end_of_whole_step(plan, progress)) <= SAME_TIME * plan.times.margins[n]
@@ -148,7 +149,7 @@ def _reject(c, plan, h, solved, error):
 def _accept(c, plan, t, h, error, at_stop):
     """Accept a step of size `h` from `t`, and choose the size of the next.
 
-    The size of a step that ends at a stop says little about the next, and so does its error, which is forgotten.
+    Size and error of a step that ends at a stop say little about the next step; the error is discarded.
     """
     progress, interval = c.progress, c.interval
     interval.steps[0] += 1
@@ -214,7 +215,7 @@ def _try_step(run, method, attempt, plan):
     if np.isnan(guards.energy[0]):
         begin_energy(c, guards, t, c.q, c.v)
     before = c.counts[ITERATIONS]
-    c.w.faulty[0] = -1  # if the run stops, the message names the force law that failed in this attempt
+    c.w.faulty[0] = -1  # only a force law that fails in this attempt is to be named if the run stops
     status = take(run, method, attempt, t, h, control.controlled[0], mode)
     iterations = c.counts[ITERATIONS] - before
     error = 0.0
@@ -233,7 +234,7 @@ def _try_step(run, method, attempt, plan):
         if control.controlled[0] or mode == PLAIN:
             prepare(c.top, c.w, at, c.new_q)
             jump, total, kinetic, rounding = energy_jump(c, guards, c.gain, c.new_q, c.new_v)
-            if plan.baumgarte[0]:  # its terms do work that is not booked
+            if plan.baumgarte[0]:  # its terms do work that is not counted
                 jump = 0.0
             most = plan.limits.rejected_jump[0] * max(kinetic, guards.kinetic[0]) + rounding
             jumped = control.controlled[0] != 0 and not abs(jump) <= most
@@ -248,7 +249,7 @@ def _try_step(run, method, attempt, plan):
         c.base_state[0] = MODIFIED
         return status
     interval.iterations_max[0] = max(interval.iterations_max[0], iterations)
-    if control.controlled[0] or mode == PLAIN:  # else it is checked when the state is advanced
+    if control.controlled[0] or mode == PLAIN:  # otherwise, the balance is checked when the state is advanced
         note_jump(guards, at, jump, total, kinetic, rounding, plan.limits.energy_jump[0])
     if projected:
         _note_projection(c)
@@ -320,7 +321,7 @@ def _write_inner_rows(run, method, dense, plan, rows):
     start, end = plan.times.start[0], plan.times.end[0]
     t, h = progress.tried_begin[0], progress.last_size[0]
     reached, _ = _end_of_step(plan, progress, t, h, progress.at_stop[0] != 0)
-    reached = min(reached, c.w.sides[1])  # a row at a stop shows the side after it
+    reached = min(reached, c.w.sides[1])  # a row at a stop shows the right-hand limit
     earliest = c.w.sides[0] if _begins_at_impact(plan, progress) else -np.inf
     at = start + progress.next_row[0] * interval
     while rows < len(c.row_time) and at <= reached and at < end - ROW_MARGIN * interval:
@@ -348,8 +349,8 @@ def _add_energies(c):
 def _pass_stop(plan, progress):
     """Move the time to the stop at which the pending step ends; return whether a fixed step is complete.
 
-    The time is that before the stop, so that a row there shows this side of it. Rows of the fixed grid keep the time of
-    the grid, on whichever side it is, except at impacts, where the velocities of both sides differ.
+    The time is that before the stop, so that a row there shows the left-hand limit. Rows of the fixed grid keep the
+    time of the grid, on either side of the stop, except at impacts, where the velocities of both sides differ.
     """
     stop, n = _next_stop(plan, progress), progress.passed[0]
     complete = plan.control.controlled[0] != 0 or _is_end_of_whole_step(plan, progress, stop)

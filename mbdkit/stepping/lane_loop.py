@@ -1,10 +1,10 @@
-"""Runs in lanes: the loop over fixed steps, and the values of the recorded states.
+"""Vectorized runs: the loop over fixed steps, and the values of the recorded states.
 
-Several runs of mechanisms with the same topology advance side by side (`mbdkit.engine.jit.lane_types`). Parameters,
-initial states, steps and loads may differ, the number of steps may not. The functions of a step are those of the driver
-of single runs, compiled for lanes; only the loop over steps is simpler, because nothing in it depends on a lane. A lane
-in which something unusual happens (a value that is not finite, a pivot too small, a guard) is *lost*: it stays in the
-loop, but its run is repeated alone.
+Several runs of mechanisms with the same topology advance together, one in each SIMD lane
+(`mbdkit.engine.jit.lane_types`). Parameters, initial states, steps and loads may differ, the number of steps may not.
+The functions of a step are those of single runs, compiled for lanes; only the loop over steps is simpler, because it
+does not depend on the lane. A lane in which an exceptional case occurs (a value that is not finite, a small pivot, a
+guard) is *lost*: it remains in the loop, but its run is repeated alone.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def lose(c, condition):
 
 @subkernel
 def watch_branches(c, t, moved):
-    """Follow the paths of lanes by the step that ends at `t`; see `mbdkit.stepping.step_guards.watch_branch`.
+    """Update the paths of lanes by the step that ends at `t`; see `mbdkit.stepping.step_guards.watch_branch`.
 
-    Only those lanes take part in which `moved` is not 0.
+    Only lanes in which `moved` is not 0 are updated.
     """
     watch = c.watch
     for lane in range(WIDTH):
