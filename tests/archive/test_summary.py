@@ -36,8 +36,10 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
         "speed         2 ms (200 us a step), setup 250 ms",
         f"misalignment  1 m at most (J2 1, J1 1); {turned.max():.3g} rad (J{np.argmax(turned) + 1})",
         f"energy        balance within {off:.3g} J, {off / most:.2g} of the largest kinetic energy",
-        "counters      40 right-hand sides, 50 Jacobians, 60 factorizations, 70 iterations, 80 projections, 30 "
-        "rejections",
+        (
+            "counters      40 right-hand sides, 50 Jacobians, 60 factorizations, 70 iterations, 80 projections, 30 "
+            "rejections"
+        ),
         f"archive       {tmp_path / 'run.h5'}",
     ]
 
