@@ -38,7 +38,7 @@ from mbdkit.stepping.collocation_stages import (
     new_systems,
 )
 from mbdkit.stepping.collocation_step import complete_step, solve_stages
-from mbdkit.stepping.lane_driver import drive
+from mbdkit.stepping.lane_loop import drive
 from mbdkit.stepping.lane_run import LaneRun, new_lane_run, widened
 from mbdkit.stepping.step_guards import distance_by_pivots
 
@@ -158,7 +158,7 @@ def load_stage_pivots(m: LaneStages, pivots: Sequence[StagePivots]) -> None:
 
 @inlined
 def _take_step(c, m, t, h, n):
-    """Solve the stages of a step and write its increments; see `mbdkit.stepping.lane_driver.drive`."""
+    """Solve the stages of a step and write its increments; see `mbdkit.stepping.lane_loop.drive`."""
     solve_stages(c, m, t, h, False, KERNELS)
     complete_step(c, m, t, h, KERNELS)
     if c.has_power[0] != 0 and c.watch.has_loops[0] != 0:  # otherwise, the increment is that of the last iteration
@@ -175,5 +175,5 @@ load_lane_collocation = bundle_loader(_example)
 
 @kernel
 def drive_collocation(address):
-    """Take the steps of a fully implicit method; see `mbdkit.stepping.lane_driver.drive`."""
+    """Take the steps of a fully implicit method; see `mbdkit.stepping.lane_loop.drive`."""
     return drive(load_lane_collocation(address), _take_step)

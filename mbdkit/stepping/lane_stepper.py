@@ -1,4 +1,4 @@
-"""Prepares and advances vectorized runs (`mbdkit.stepping.lane_driver`), and returns their states and recorded
+"""Prepares and advances vectorized runs (`mbdkit.stepping.lane_loop`), and returns their states and recorded
 values.
 """
 
@@ -30,7 +30,7 @@ from mbdkit.stepping.lane_collocation import (
     load_stage_pivots,
 )
 from mbdkit.stepping.lane_control import ENDED, accelerate, drive_controlled, new_lane_control
-from mbdkit.stepping.lane_driver import drive_explicit
+from mbdkit.stepping.lane_loop import drive_explicit
 from mbdkit.stepping.lane_run import BY_LANE, explicit_in_lanes, new_lane_run
 from mbdkit.stepping.run_plan import guard_limits, smallest_step
 from mbdkit.stepping.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
