@@ -223,8 +223,7 @@ class Mechanism(HtmlView):
         >>> wheel = m.body("wheel", mass=1.0, inertia=0.045, position=(0.0, 0.3))
         >>> m.revolute("rolls", m.ground, wheel, at=(0.0, 0.3), center={"x": "-0.3*angle"})
         """
-        key = self._new(name, self.joints, "joints")
-        self.joints[name] = self._placed(Revolute, key, bodies=(a, b), points=points, at=at, center=center)
+        self._add("joints", Revolute, name, bodies=(a, b), points=points, at=at, center=center)
 
     def prismatic(
         self,
@@ -259,9 +258,8 @@ class Mechanism(HtmlView):
         >>> slider = m.body("slider", mass=1.0, inertia=0.1, position=(2.0, 0.0))
         >>> m.prismatic("guide", m.ground, slider, at=(2.0, 0.0), axis=(1, 0))
         """
-        key = self._new(name, self.joints, "joints")
         values = {"bodies": (a, b), "points": points, "at": at, "axis": axis, "angle": angle}
-        self.joints[name] = self._placed(Prismatic, key, **values)
+        self._add("joints", Prismatic, name, **values)
 
     def point_on_line(
         self, name: str, a: str, b: str, *, at: Pair | None = None, points: Sequence[Pair] | None = None, axis: Pair
@@ -279,8 +277,7 @@ class Mechanism(HtmlView):
         axis
             Direction of the line (x, y) in a's frame; any length.
         """
-        key = self._new(name, self.joints, "joints")
-        self.joints[name] = self._placed(PointOnLine, key, bodies=(a, b), points=points, at=at, axis=axis)
+        self._add("joints", PointOnLine, name, bodies=(a, b), points=points, at=at, axis=axis)
 
     def weld(
         self,
@@ -305,8 +302,7 @@ class Mechanism(HtmlView):
         angle
             angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
         """
-        key = self._new(name, self.joints, "joints")
-        self.joints[name] = self._placed(Weld, key, bodies=(a, b), points=points, at=at, angle=angle)
+        self._add("joints", Weld, name, bodies=(a, b), points=points, at=at, angle=angle)
 
     def distance(
         self,
@@ -332,9 +328,8 @@ class Mechanism(HtmlView):
         length
             Distance [m]; by default, the distance between `from_` and `to`.
         """
-        key = self._new(name, self.joints, "joints")
         values = {"bodies": (a, b), "points": points, "from": from_, "to": to, "length": length}
-        self.joints[name] = self._placed(Distance, key, **values)
+        self._add("joints", Distance, name, **values)
 
     def driver(
         self,
@@ -366,10 +361,7 @@ class Mechanism(HtmlView):
         >>> m.revolute("A", m.ground, crank, at=(0.0, 0.0))
         >>> m.driver("motor", m.ground, crank, coordinate="angle", motion="2*pi*t")
         """
-        key = self._new(name, self.joints, "joints")
-        self.joints[name] = self._placed(
-            Driver, key, bodies=(a, b), coordinate=coordinate, motion=motion, points=points
-        )
+        self._add("joints", Driver, name, bodies=(a, b), coordinate=coordinate, motion=motion, points=points)
 
     def spring_damper(
         self,
@@ -403,11 +395,8 @@ class Mechanism(HtmlView):
         >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
         >>> m.spring_damper("s", m.ground, ball, from_=(0, 0), to=(0, -1), stiffness=100, damping=0.5, free_length=0.9)
         """
-        key = self._new(name, self.forces, "forces")
         ends = {"bodies": (a, b), "points": points, "from": from_, "to": to}
-        self.forces[name] = self._placed(
-            SpringDamper, key, **ends, stiffness=stiffness, damping=damping, free_length=free_length
-        )
+        self._add("forces", SpringDamper, name, **ends, stiffness=stiffness, damping=damping, free_length=free_length)
 
     def torsion_spring(
         self, name: str, a: str, b: str, *, stiffness: float = 0.0, damping: float = 0.0, free_angle: float = 0.0
@@ -427,9 +416,8 @@ class Mechanism(HtmlView):
         >>> shank = m.body("shank", mass=3.0, inertia=0.05)
         >>> m.torsion_spring("knee", m.ground, shank, stiffness=20.0, damping=0.1)
         """
-        key = self._new(name, self.forces, "forces")
-        self.forces[name] = self._placed(
-            TorsionSpring, key, bodies=(a, b), stiffness=stiffness, damping=damping, free_angle=free_angle
+        self._add(
+            "forces", TorsionSpring, name, bodies=(a, b), stiffness=stiffness, damping=damping, free_angle=free_angle
         )
 
     def law(
@@ -472,17 +460,19 @@ class Mechanism(HtmlView):
         >>> ball = m.body("ball", mass=1.0, position=(0.0, -1.0))
         >>> m.law("rope", m.ground, ball, law="one-sided", from_=(0, 0), to=(0, -1), stiffness=1e4, acts="tension")
         """
-        key = self._new(name, self.forces, "forces")
         pathway: dict[str, Any] = {"bodies": (a, b)}
         if along == "line":
             pathway |= {"type": "two-points", "points": points, "from": from_, "to": to}
         else:
             if from_ is not None or to is not None:
-                raise SpecError(f"from_ and to can be given only with along='line', not with along='{along}'", key=key)
+                raise SpecError(
+                    f"from_ and to can be given only with along='line', not with along='{along}'",
+                    key=f"model.forces.{name}",
+                )
             pathway |= {"type": "relative-angle"} if along == "angle" else {"type": "coordinate", "coordinate": along}
             if points is not None:
                 pathway["points"] = points
-        self.forces[name] = self._placed(Law, key, law=law, pathway=pathway, **options)
+        self._add("forces", Law, name, law=law, pathway=pathway, **options)
 
     def cable(
         self, name: str, radii: Mapping[str, float], *, law: str = "one-sided", length: float = 0.0, **options: Any
@@ -512,9 +502,8 @@ class Mechanism(HtmlView):
         >>> m.revolute("knee", m.ground, shank, at=(0, 0))
         >>> m.cable("tendon", {"knee": 0.04}, stiffness=1e4, free_length=-0.01, acts="tension")
         """
-        key = self._new(name, self.forces, "forces")
         pathway = {"type": "joint-angles", "angles": dict(radii), "length": length}
-        self.forces[name] = self._placed(Law, key, law=law, pathway=pathway, **options)
+        self._add("forces", Law, name, law=law, pathway=pathway, **options)
 
     def torque(self, name: str, body: str, *, value: Value, reaction_body: str | None = None) -> None:
         """Apply a torque to a body.
@@ -534,8 +523,7 @@ class Mechanism(HtmlView):
         >>> crank = m.body("crank", mass=1.0, inertia=0.1)
         >>> m.torque("motor", crank, value="5*sin(2*t)")
         """
-        key = self._new(name, self.forces, "forces")
-        self.forces[name] = self._placed(Torque, key, body=body, value=value, reaction_body=reaction_body)
+        self._add("forces", Torque, name, body=body, value=value, reaction_body=reaction_body)
 
     def force(
         self,
@@ -568,9 +556,8 @@ class Mechanism(HtmlView):
         >>> foot = m.body("foot", mass=1.0, inertia=0.01)
         >>> m.force("ground reaction", foot, value=(0.0, "700*sin(pi*t)"), point=(0.1, -0.05))
         """
-        key = self._new(name, self.forces, "forces")
         where = {"at": at} if point is None else {"at": at, "point": point}
-        self.forces[name] = self._placed(PointForce, key, body=body, value=value, frame=frame, **where)
+        self._add("forces", PointForce, name, body=body, value=value, frame=frame, **where)
 
     def marker(self, name: str, body: str, *, at: Pair | None = None, point: Pair | None = None) -> None:
         """Name a point of a body, whose position and velocity the run records.
@@ -590,9 +577,8 @@ class Mechanism(HtmlView):
         >>> foot = m.body("foot", mass=1.0, inertia=0.01, position=(1.0, 0.0))
         >>> m.marker("toe", foot, at=(1.15, -0.04))
         """
-        key = self._new(name, self.markers, "markers")
         where = {"at": at} if point is None else {"at": at, "point": point}
-        self.markers[name] = self._placed(Marker, key, body=body, **where)
+        self._add("markers", Marker, name, body=body, **where)
 
     def coordinate(
         self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
@@ -826,8 +812,11 @@ class Mechanism(HtmlView):
     def _known(self, name: str, key: str) -> None:
         check_known(name, self.bodies, key)
 
-    def _placed(self, cls: type[AnyPlaced], key: str, /, **values: Any) -> AnyPlaced:
-        return self._with_points(_make(cls, key, **values), key)
+    def _add(self, kind: str, cls: type[Element], name: str, /, **values: Any) -> None:
+        """Add an element with its points in the frames of its bodies."""
+        elements = getattr(self, kind)
+        key = self._new(name, elements, kind)
+        elements[name] = self._with_points(_make(cls, key, **values), key)
 
     def _with_points(self, element: AnyPlaced, key: str) -> AnyPlaced:
         """Return an element with its points in the frames of its bodies, which must exist."""
@@ -837,10 +826,6 @@ class Mechanism(HtmlView):
 
 
 def _make(cls: type[AnyElement], key: str, /, **values: Any) -> AnyElement:
-    return _validated(cls, key, values)
-
-
-def _validated(cls: type[AnyElement], key: str, values: Mapping[str, Any]) -> AnyElement:
     try:
         return cls.model_validate(values)
     except ValidationError as error:
