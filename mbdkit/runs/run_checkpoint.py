@@ -24,11 +24,9 @@ from mbdkit.methods.kinds import Method
 from mbdkit.runs.integrals import RunIntegrals
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
-from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.collocation_stages import new_systems
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Impact
-from mbdkit.stepping.lobatto_iiia_iiib import MOST_PAST, CompiledLobattoPair
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -165,11 +163,12 @@ def _kept(bundle: Any) -> dict[str, np.ndarray]:
 
 
 def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
-    own, method = stepper.run_state.solver, stepper.method
+    own, bundle = stepper.run_state.solver, stepper.method.pinned.bundle
+    systems = getattr(bundle, "systems", None)  # of methods whose stages are coupled
     return {
         "run": _kept(stepper.run_state),
-        "method": _kept(method.pinned.bundle),
-        "systems": stored(method.bundle.systems) if isinstance(method, CompiledCollocation) else None,
+        "method": _kept(bundle),
+        "systems": None if systems is None else stored(systems),
         # evaluating an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
@@ -178,15 +177,16 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
 
 
 def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None:
-    workspace, method = stepper.workspace, stepper.method
+    workspace, bundle = stepper.workspace, stepper.method.pinned.bundle
     restore(_kept(stepper.run_state), state["run"])
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
-    restore(_kept(method.pinned.bundle), state["method"])
-    if isinstance(method, CompiledLobattoPair) and method.bundle.past.known[0] > MOST_PAST:
+    restore(_kept(bundle), state["method"])
+    past = getattr(bundle, "past", None)  # of methods that extrapolate several steps
+    if past is not None and past.known[0] > len(past.acc):
         raise ValueError("it refers to more steps than are stored")
-    if isinstance(method, CompiledCollocation):
-        _restore_systems(method, state["systems"])
+    if hasattr(bundle, "systems"):
+        _restore_systems(stepper.method, state["systems"])
     stepper._take_up_pivots()
     if state["solver"] is not None:
         stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
@@ -196,7 +196,7 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     stepper._count()
 
 
-def _restore_systems(method: CompiledCollocation, state: Mapping[str, Any]) -> None:
+def _restore_systems(method: Any, state: Mapping[str, Any]) -> None:
     """Give a method the linear systems of a checkpoint, whose pivots determine their shapes."""
     workspace = method.workspace
     pattern = pattern_of(state["pattern"], workspace.unknowns)

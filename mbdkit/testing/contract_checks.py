@@ -60,7 +60,7 @@ def inputs(integrator: IntegratorUnderTest) -> Result:
     made = integrator.plugin.create(given)
     workspace = integrator.workspace(FORCED_PENDULUM)
     start = workspace.q0.copy(), workspace.v0.copy()
-    watched = _Watched(made) if isinstance(made, StepMethod) else made
+    watched = _Watched(made) if made.traits.family == "python" else made
     drive(integrator.stepper(workspace, 0.5, STEPS, method=watched))
     if given.model_dump_json() != before:
         return failed("it modified its options")
