@@ -94,6 +94,9 @@ INVERSE_GROUPS = ("motion", "actuators", "loads")
 #: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
 
+#: Paths of the arrays of first-order states; all of them are present if the mechanism has such states.
+STATES = tuple(array.path for array in LAYOUT if array.group == "states")
+
 #: Paths of the arrays of estimated errors; all of them are present after a check of accuracy.
 ACCURACY = tuple(array.path for array in LAYOUT if array.group == "accuracy")
 

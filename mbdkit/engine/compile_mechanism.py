@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
-from mbdkit.engine.compiled_mechanism import CompiledMechanism, ForceElement, Row
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, ElementState, ForceElement, Row
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
@@ -174,6 +174,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         length=length,
         motions=tuple(motions.numbers),
         laws=tuple(forces.laws),
+        states=tuple(forces.states),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
@@ -296,6 +297,8 @@ class _Forces:
         self.laws: list[tuple[str, CompiledLaw]] = []
         self.law_rows: list[Numbers] = []
         self.law_parameters: list[float] = []
+        self.states: list[ElementState] = []
+        self.state_rows: list[Numbers] = []
         self.elements: list[ForceElement] = []
         self.spring_places: list[int] = []
         self.load_places: list[int] = []
@@ -312,6 +315,7 @@ class _Forces:
             "couplings": np.array(self.couplings, dtype=np.int64).reshape(-1, 2),
             "linear": np.array(self.linear, dtype=float).reshape(-1, 3),
             "laws": np.array(self.law_rows, dtype=np.int64).reshape(-1, 3),
+            "states": np.array(self.state_rows, dtype=np.int64).reshape(-1, 3),
             "law_parameters": np.array(self.law_parameters, dtype=float),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
@@ -343,13 +347,20 @@ class _Forces:
         self.elements.append(ForceElement(name, path_ends(segments), pathway.length_unit))
 
     def add_law(self, name: str, force: Law) -> None:
+        law, segment, begin = force.force_law, len(self.springs), len(self.law_parameters)
         try:
-            compiled, block = bind_law(force.force_law, force, force.law_id)
+            compiled, block = bind_law(law, force, force.law_id)
+            rates = [bind_law(state.rate, force, force.law_id)[0] for state in law.states]
         except SpecError as error:
             raise error.located(prefix=f"model.forces.{name}") from None
         self.add_spring(name, force.pathway, (0.0, 0.0, 0.0), len(self.laws))
-        self.laws.append((name, compiled))
-        self.law_rows.append((compiled.address, len(self.law_parameters), compiled.claims))
+        names = [parameter for parameter, _ in compiled.parameters]
+        for number, state in enumerate(law.states, len(self.laws) + 1):
+            self.states.append(ElementState(f"{name}.{state.name}", state.unit))
+            self.state_rows.append((segment, begin + 1 + names.index(state.name), number))
+        for one in (compiled, *rates):
+            self.laws.append((name, one))
+            self.law_rows.append((one.address, begin, one.claims))
         self.law_parameters += block
 
     def add_load(self, name: str, load: AppliedLoad) -> None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.jit.law_compiler import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
@@ -43,6 +44,14 @@ class ForceElement:
 
     name: str
     bodies: tuple[str, str]
+    unit: str
+
+
+@dataclass(frozen=True)
+class ElementState:
+    """A first-order state of a force element: its name, ``element.state``, and its unit."""
+
+    name: str
     unit: str
 
 
@@ -110,14 +119,16 @@ class CompiledMechanism:
     motions
         Each motion as given in the model: a number, an expression or a table.
     laws
-        Name and compiled law of each force with a force law, in the order of ``topology.laws``. Linear springs have
-        none.
+        Name and compiled law of each force with a force law, followed by the rates of its states, in the order of
+        ``topology.laws``. Linear springs have none.
     order, below
         Order of elimination of the pairs, and the resulting fill, as returned by `minimum_degree`.
     well_scaled
         Whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
     redundancy
         Constraints that are excluded because they follow from the others.
+    states
+        First-order states of force elements.
     """
 
     topology: Topology
@@ -139,6 +150,7 @@ class CompiledMechanism:
     below: tuple[frozenset[int], ...]
     well_scaled: bool
     redundancy: Redundancy = Redundancy()
+    states: tuple[ElementState, ...] = ()
 
     def freedoms(self) -> str:
         """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
@@ -153,6 +165,17 @@ class CompiledMechanism:
             self.redundancy.describe(self.drivers),
         ]
         return ", ".join(part for part in parts if part)
+
+    @property
+    def initial_states(self) -> np.ndarray:
+        """(Z,) initial values of the first-order states."""
+        return self.topology.law_parameters[self.topology.states[:, 1]]
+
+    def refuse_states(self, what: str) -> None:
+        """Raise SpecError if the mechanism has first-order states, for something that does not include them."""
+        if self.states:
+            names = listed([state.name for state in self.states], "and")
+            raise SpecError(f"{what} does not include the states of force elements ({names})", key="model.forces")
 
     def beam_elements(self, name: str) -> slice:
         """Return the numbers of the elements of a beam among those of all beams."""
@@ -178,6 +201,7 @@ class CompiledMechanism:
             self.forces,
             self.beams,
             self.markers,
+            self.states,
         )
 
     @property

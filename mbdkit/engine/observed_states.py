@@ -10,8 +10,7 @@ import numpy as np
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import Observed, SelfStress, observe, observe_joints
 from mbdkit.engine.kernels.system import OK
-from mbdkit.engine.redundant_gaps import unexplained_gaps
-from mbdkit.engine.redundant_reactions import share_evenly
+from mbdkit.engine.redundant_joints import share_evenly, unexplained_gaps
 from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.workspace import Workspace
 
@@ -89,7 +88,13 @@ class StateObserver:
         return Observed.zeros(states, self.workspace.mechanism.topology)
 
     def observe(
-        self, times: np.ndarray, q: np.ndarray, v: np.ndarray, out: Observed, given: GivenForces | None = None
+        self,
+        times: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        out: Observed,
+        given: GivenForces | None = None,
+        z: np.ndarray | None = None,
     ) -> SingularState | None:
         """Evaluate states in order and write the results into `out`; stop at a state without unique accelerations.
 
@@ -105,12 +110,22 @@ class StateObserver:
             Receives the values of T states.
         given
             Accelerations and constraint forces of the states, if they are not those of the mechanism alone.
+        z
+            (T, Z) first-order states of force elements; may be left out if there are none.
+
+        Raises
+        ------
+        mbdkit.base.errors.SpecError
+            If the mechanism has such states and they are not given.
 
         Returns
         -------
         SingularState or None
             The state that could not be evaluated. Its row of `out` and all later rows are not valid.
         """
+        if z is None:
+            self.workspace.mechanism.refuse_states("the evaluation of positions and velocities alone")
+            z = np.zeros((len(times), 0))
         count, done = len(times), 0
         self.gaps, self.gap_uncertainty = np.zeros((2, count, self._directions))
 
@@ -119,7 +134,8 @@ class StateObserver:
             nonlocal done
             part = slice(done, end)
             stress, rows = self._self_stress(end - done), out.rows(part)
-            status, reached = observe(self.workspace.engine, times[part], q[part], v[part], rows, stress, self._near)
+            states = times[part], q[part], v[part], z[part]
+            status, reached = observe(self.workspace.engine, *states, rows, stress, self._near)
             new = slice(done, done + reached)
             if given is not None:
                 given.replace(out, new)

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.elimination_order import (
     empty_pattern,
@@ -28,6 +29,7 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK, Engine, Scatter, Scratc
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.expressions.program import MAX_DEPTH
+from mbdkit.mechanism.mechanism import Mechanism
 
 
 @dataclass
@@ -191,6 +193,10 @@ class Workspace:
         """
         self.scratch.sides[:] = begin, end
 
+    def take_states(self, z: np.ndarray) -> None:
+        """Use the values `z` (Z,) of first-order states in the forces that are evaluated next."""
+        self.scratch.law_values[self.mechanism.topology.states[:, 1]] = z
+
     def motions_are_finite(self) -> bool:
         """Return whether drivers and loads were finite in the last evaluation."""
         return finite_motions(self.mechanism.topology, self.scratch.u)
@@ -328,6 +334,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         section_energy=np.zeros((sections, 2)),
         section_stiff=np.zeros((sections, 16)),
         section_damp=np.zeros((sections, 16)),
+        law_values=top.law_parameters.copy() if len(top.states) else top.law_parameters,
         faulty=np.array([-1]),
         source=source,
         loose=np.zeros((len(top.spare), 6)),
@@ -366,3 +373,13 @@ def _scatter(terms: MatrixTerms, target: np.ndarray) -> Scatter:
     """
     both = np.column_stack([terms.source, target]).astype(np.int64)
     return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(4)))
+
+
+def example_workspace() -> Workspace:
+    """Return a workspace of a single free body, whose arrays have the types of those of any workspace.
+
+    Kernels are compiled for the types of bundles that are made of it.
+    """
+    m = Mechanism()
+    m.body("body", mass=1.0, inertia=1.0)
+    return Workspace(compile_mechanism(m), 0.0, np.zeros(6), np.zeros(6))

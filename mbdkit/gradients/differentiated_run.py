@@ -185,6 +185,7 @@ def _stepper(
     """
     method = make_method(spec)
     workspace, _ = build(spec)
+    workspace.mechanism.refuse_states("the gradient of a run")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")

@@ -32,6 +32,9 @@ class AssembledMechanism:
     workspace: Workspace
     equations: EquationsOfMotion
 
+    def __post_init__(self) -> None:
+        self.workspace.mechanism.refuse_states("an analysis of positions")
+
     @classmethod
     def at(cls, spec: InverseSpec, start: float, end: float) -> AssembledMechanism:
         """Assemble the mechanism of a spec of inverse dynamics for a motion between two times [s].

@@ -9,8 +9,9 @@ otherwise it counts as negative work of the element.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     import sympy
@@ -38,12 +39,45 @@ class ExpressionLaw:
     parameters
         Function from an instance of the law's options to the values of the parameters by name; by default, the
         parameters are the numeric options themselves.
+    rates
+        First-order states of an element with this law: the derivative by time of each, as an expression like `force` or
+        a function that returns it, and its unit, by the name of the state. The name is also that of a parameter, whose
+        value is the initial one; all expressions may contain it. A law with states has no potential, so that its power
+        counts as work, or as dissipated if it is passive.
     """
 
     force: sympy.Expr | Callable[[], sympy.Expr]
     potential: sympy.Expr | Callable[[], sympy.Expr] | None = None
     passive: bool = False
     parameters: Callable[[Any], Mapping[str, float]] | None = None
+    rates: Mapping[str, tuple[sympy.Expr | Callable[[], sympy.Expr], str]] = field(default_factory=dict)
+
+    @cached_property
+    def states(self) -> tuple[LawState, ...]:
+        """The first-order states of an element with this law."""
+        return tuple(
+            LawState(name, ExpressionLaw(rate, parameters=self.parameters), unit)
+            for name, (rate, unit) in self.rates.items()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LawState:
+    """A first-order state z of an element, z' = g(s, s', t, z).
+
+    Parameters
+    ----------
+    name
+        Name of the state, and of the parameter of the law that stands for it; its value is the initial one.
+    rate
+        Its derivative by time, in the form of a law with the same parameters.
+    unit
+        Its unit.
+    """
+
+    name: str
+    rate: ExpressionLaw
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +104,7 @@ class FunctionLaw:
     potential: bool = False
     passive: bool = False
     parameters: Callable[[Any], Sequence[float]] | None = None
+    states: ClassVar[tuple[LawState, ...]] = ()
 
 
 ForceLaw = ExpressionLaw | FunctionLaw

@@ -28,6 +28,10 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
         raise PluginError(
             f"force law {name}: its parameter '{clash[0]}' has the name of an argument of the law; rename it"
         )
+    if missing := [state.name for state in law.states if state.name not in names]:
+        raise PluginError(f"force law {name}: its state '{missing[0]}' is no parameter, whose value is the initial one")
+    if law.states and law.potential not in (None, False):
+        raise PluginError(f"force law {name} has states, so that its force has no potential")
     if not all(isfinite(value) for value in values):
         raise PluginError(f"force law {name} computed parameters that are not finite")
     return names, values

@@ -38,6 +38,8 @@ class ArchiveNames:
         Names of the markers, and the body of each.
     elements, element_beams
         Names of the elements of beams, and the beam of each.
+    states, state_units
+        Names of the first-order states of force elements, and the unit of each.
     observed, observed_units
         Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
     actuators, actuator_units
@@ -59,6 +61,8 @@ class ArchiveNames:
     marker_bodies: Sequence[str] = ()
     elements: Sequence[str] = ()
     element_beams: Sequence[str] = ()
+    states: Sequence[str] = ()
+    state_units: Sequence[str] = ()
     observed: Sequence[str] = ()
     observed_units: Sequence[str] = ()
     actuators: Sequence[str] = ()
@@ -78,6 +82,7 @@ class ArchiveNames:
             "force": len(self.forces),
             "marker": len(self.markers),
             "element": len(self.elements),
+            "state": len(self.states),
             "observed": len(self.observed),
             "actuator": len(self.actuators),
             "load": len(self.loads),
@@ -101,4 +106,6 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         marker_bodies=tuple(body for _, body in mechanism.markers),
         elements=tuple(f"{beam}[{i}]" for beam, count in mechanism.beams for i in range(count)),
         element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
+        states=tuple(state.name for state in mechanism.states),
+        state_units=tuple(state.unit for state in mechanism.states),
     )

@@ -43,6 +43,8 @@ class States:
         (T,) wall time since the first step [s]; empty where not known.
     multipliers
         (T, m) multipliers computed by the method; None where it has none, as at the start.
+    z
+        (T, Z) first-order states of force elements; empty if they are not known.
     """
 
     mechanism: CompiledMechanism
@@ -56,6 +58,7 @@ class States:
     actuators: np.ndarray = field(default_factory=lambda: NONE)
     elapsed: np.ndarray = field(default_factory=lambda: NONE)
     multipliers: np.ndarray | None = None
+    z: np.ndarray = field(default_factory=lambda: NONE)
 
     @cached_property
     def observed(self) -> Observed:

@@ -229,6 +229,18 @@ KINDS = (
         is_optional=True,
     ),
     _kind(
+        "states",
+        _TIME,
+        _texts("state", "state", "name of the first-order state of a force element: element.state", lambda n: n.states),
+        _texts("row_units", "state", "units of value, row by row", lambda n: n.state_units),
+        _texts("rate_row_units", "state", "units of rate, row by row",
+            lambda names: [f"{unit}/s" for unit in names.state_units]),
+        _taken("value", ("time", "state"), MIXED, "value of the state", lambda s: s.z, row_units="row_units"),
+        _taken("rate", ("time", "state"), MIXED, "derivative of the state by time", lambda s: s.observed.state_rates,
+            row_units="rate_row_units"),
+        since="1.1", optional=True, one="state", axis="state",
+    ),
+    _kind(
         "constraints",
         _TIME,
         _texts("constraint", "constraint", "joint and row of the constraint: joint.row",

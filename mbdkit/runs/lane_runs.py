@@ -349,7 +349,7 @@ class _Group:
         observed = Observed(*map(flat, results.observed))
         q, v, energy = flat(results.q), flat(results.v), flat(results.energy)
         none = np.zeros((len(q), 6))
-        stretch = Stretch(flat(results.time), q, v, energy[:, 0], energy[:, 1], none)
+        stretch = Stretch(flat(results.time), q, v, energy[:, 0], energy[:, 1], none, z=flat(results.z))
         start = results.observed.kinetic[:, 0] + results.observed.potential[:, 0]
         return recorded_states(self.mechanism, stretch, observed, np.repeat(start, rows), np.zeros(len(q)))
 

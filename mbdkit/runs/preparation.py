@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CORRECTIONS, EVENTS, recorded_by
+from mbdkit.archive.layout import CORRECTIONS, EVENTS, STATES, recorded_by
 from mbdkit.base.errors import PluginError, SpecError, blaming, with_place
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -140,11 +140,23 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     carries_multipliers = method.traits.carries_multipliers(FORMULATIONS[spec.formulation])
     optional = [
         *(["constraints/method_multiplier"] if carries_multipliers else []),
+        *(STATES if mechanism.states else ()),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),
     ]
     return recorded_by(archive_names(mechanism), spec.output.recorded, frozenset(optional))
+
+
+def require_states(mechanism: CompiledMechanism, spec: RunSpec, *, has_integrals: bool) -> None:
+    """Raise SpecError if a part of a run does not include the first-order states of force elements."""
+    for what, is_wanted in (
+        ("the search for events", bool(spec.events)),
+        ("the check of its accuracy", spec.estimates_errors),
+        ("the integration of measures over time", has_integrals),
+    ):
+        if is_wanted:
+            mechanism.refuse_states(what)
 
 
 def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:

@@ -35,6 +35,7 @@ def recorded_states(
         start_energy=start_energy,
         elapsed=elapsed,
         multipliers=stretch.multipliers,
+        z=NONE if stretch.z is None else stretch.z,
     )
 
 

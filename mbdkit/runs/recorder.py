@@ -13,7 +13,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import SingularState, StateObserver
-from mbdkit.engine.redundant_gaps import units_of_pairs
+from mbdkit.engine.redundant_joints import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
@@ -118,7 +118,7 @@ class Recorder:
             return None
         observed = self._observer.arrays(count)
         q, v = np.ascontiguousarray(stretch.q), np.ascontiguousarray(stretch.v)
-        singular = self._observer.observe(stretch.time, q, v, observed)
+        singular = self._observer.observe(stretch.time, q, v, observed, z=stretch.z)
         valid, failure = self._checked(stretch, observed, singular)
         if valid:
             part = slice(0, valid)

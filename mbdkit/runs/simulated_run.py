@@ -195,7 +195,10 @@ class SimulatedRun:
     def record_start(self) -> None:
         """Record the initial state."""
         workspace, none = self.workspace, np.zeros(1)
-        first = Stretch(np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)))
+        first = Stretch(
+            np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
+            z=workspace.mechanism.initial_states[None],
+        )  # fmt: skip
         self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
 
     def start(self) -> None:

@@ -37,6 +37,7 @@ from mbdkit.runs.preparation import (
     check_disk_space,
     make_method,
     recorded_arrays,
+    require_states,
 )
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
@@ -305,6 +306,7 @@ def _prepared(
         _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
     integrands = integrands_of(spec, measures)
+    require_states(workspace.mechanism, spec, has_integrals=bool(integrands))
     noted: list[bool] = []
     noting = interrupts_noted if begun is not _begun_arrays else _not_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed

@@ -108,6 +108,7 @@ class CompiledCollocation(CompiledMethod):
     def _evaluate_tangents(self, run_state: RunState, t: float) -> None:
         """Evaluate the tangents at the state in `run_state`; raises SingularSystemError."""
         stages, workspace = self.bundle, self.workspace
+        workspace.take_states(run_state.z)
         workspace.retry_with_new_pivots(
             lambda: tangents_at(workspace.stepping_engine, t, run_state.q, run_state.v, stages.spread[0], stages.pairs)
         )
@@ -123,10 +124,12 @@ class CompiledCollocation(CompiledMethod):
     def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the stages of the next attempt with a tangent for each stage; return whether that succeeded.
 
-        Only for index-1: other formulations do not fail near singular positions in this way.
+        Only for index-1, because other formulations do not fail near singular positions in this way, and without
+        first-order states.
         """
-        stages = self.bundle
-        if stages.settings.solver[0] == FIXED_POINT or self.formulation.solves_multipliers:
+        stages, settings = self.bundle, self.bundle.settings
+        is_other = settings.solver[0] == FIXED_POINT or self.formulation.solves_multipliers
+        if is_other or self.workspace.mechanism.states:
             return False
         if self.coupled is None:
             self.coupled = CoupledNewton(self.workspace, self.rk.a, self.rk.a2, self.rk.c)

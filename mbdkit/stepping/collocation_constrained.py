@@ -35,7 +35,7 @@ import numpy as np
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
-from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_states
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
 from mbdkit.engine.kernels.projection import STAGNANT, position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
@@ -70,6 +70,7 @@ from mbdkit.stepping.convergence import (
     moves_by_roundings,
     relative_to_state,
 )
+from mbdkit.stepping.element_states import solve_states
 from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 from mbdkit.stepping.stage_polynomials import extrapolation_weights
@@ -87,6 +88,7 @@ def _tangents(c, m, t, h, at_start, wanted):
     if not at_start:
         prepare(top, w, tangent.time[0], tangent.q)
         unfold_multipliers(top, w.cs, tangent.lam)
+    take_states(top, w, m.states.z[len(m.rk.c) - 1])
     evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
     return factorize_all(c, m, h, 0.5)
 
@@ -106,6 +108,7 @@ def evaluate_residual(c, m, t, h):
             lack[3 * b + 1] = top.mass[b, 1] * (m.acc[i, 3 * b + 1] - top.gravity[1])
             lack[3 * b + 2] = top.mass[b, 2] * m.acc[i, 3 * b + 2]
         if has_forces:
+            take_states(top, w, m.states.z[i])
             applied_forces(top, w, q, v)
             for d in range(n3):
                 lack[d] -= w.force[d]
@@ -189,6 +192,9 @@ def right_side(c, m, rate, z, b):
 @subkernel
 def _changes(c, m, t, h, before):
     """Write the change of accelerations and multipliers by one iteration, and change the multipliers."""
+    status = solve_states(c, m, t, h)
+    if status != OK:
+        return status
     evaluate_residual(c, m, t, h)
     if is_shifted(m):
         status = change_shift(c, m, h, c.w.source, m.tangent.acc)
@@ -271,6 +277,7 @@ def stage_powers(c, m, t, h):
     """Evaluate the powers of the stages."""
     for i in range(len(m.rk.c)):
         unfold(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
+        take_states(c.top, c.w, m.states.z[i])
         applied_forces(c.top, c.w, m.q_stage[i], m.v_stage[i])
         m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage[i], m.v_stage[i], m.pairs)
     c.counts[RHS] += len(m.rk.c)

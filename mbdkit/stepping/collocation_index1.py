@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.jit.lane_types import any_of
+from mbdkit.engine.kernels.applied_forces import take_states
 from mbdkit.engine.kernels.system import (
     OK,
     evaluate_powers,
@@ -44,6 +45,7 @@ from mbdkit.stepping.convergence import (
     accelerations_are_round_off,
     relative_to_accelerations,
 )
+from mbdkit.stepping.element_states import solve_states
 from mbdkit.stepping.run_state import FACTORIZATIONS, RHS, load_run_state
 from mbdkit.stepping.simplified_newton import factorize_all, newton_changes
 
@@ -60,6 +62,7 @@ def _tangents(c, m, t, h, at_start, wanted):
         return OK
     choose_tangent_state(c, m, t, h, at_start, wanted)
     top, w, tangent = c.top, c.w, m.tangent
+    take_states(top, w, m.states.z[len(m.rk.c) - 1])
     evaluate_tangents(top, w, tangent.time[0], tangent.q, tangent.v, tangent.acc, tangent.lam)
     for p in range(len(top.pairs)):
         copy(w.jac[p], m.tangent.jac[p])
@@ -72,6 +75,7 @@ def evaluate_accelerations(c, m, t, h, refine, with_powers):
     top, w = c.top, c.w
     for i in range(len(m.rk.c)):
         prepare(top, w, t + m.rk.c[i] * h, m.q_stage[i])
+        take_states(top, w, m.states.z[i])
         status = solve_accelerations(top, w, c.solver, m.q_stage[i], m.v_stage[i], m.spread[i], m.lam[i], refine)
         if status != OK:
             return status
@@ -109,7 +113,9 @@ def right_side(c, m, rate, z, b):
 @subkernel
 def _changes(c, m, t, h, before):
     """Write the change of the stage accelerations by one iteration; return a status."""
-    status = evaluate_accelerations(c, m, t, h, before < ROUGH_CHANGE, False)
+    status = solve_states(c, m, t, h)
+    if status == OK:
+        status = evaluate_accelerations(c, m, t, h, before < ROUGH_CHANGE, False)
     if status != OK:
         return status
     s, n3 = len(m.residual), len(c.q) - 3

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import numpy as np
 
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, State
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.system import Scatter
+from mbdkit.engine.workspace import example_workspace
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.stepping.convergence import IterationLimit, new_limit
 from mbdkit.stepping.stage_polynomials import collocation_polynomials
@@ -208,6 +208,25 @@ class TangentState(NamedTuple):
     """(P, 12) the constraint Jacobian there."""
 
 
+class StageStates(NamedTuple):
+    """First-order states of force elements at the stages; see `mbdkit.stepping.element_states`."""
+
+    rate: State
+    """(s, Z) derivatives by time, which are unknowns of the stages."""
+    first_rate: State
+    """(Z,) derivatives at the beginning of the step."""
+    z: np.ndarray
+    """(s, Z) states."""
+    length: np.ndarray
+    """(s, Z) length of the pathway of the element of each state, and its rate."""
+    speed: np.ndarray
+    slope: np.ndarray
+    """(Z,) derivative of each rate by its own state, at the last stage."""
+    matrix: np.ndarray
+    """(s n, s n) matrix and (s n,) right side of the equations of an element with n states."""
+    right: np.ndarray
+
+
 class Constraints(NamedTuple):
     """Arrays of formulations that impose the constraints on the stages; empty for index 1."""
 
@@ -245,6 +264,7 @@ class Stages(NamedTuple):
     """(s, u) residual of the stage equations; u = 3 B (index 1) or 3 B + m unknowns a stage."""
     change: np.ndarray
     """(s, u) change of accelerations, and of multipliers that are unknowns, by the last iteration."""
+    states: StageStates
     constraints: Constraints
     first: Annotated[FirstAcceleration, STATE]
     tangent: TangentState
@@ -309,6 +329,7 @@ def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_po
         solved_apart=np.zeros(1, dtype=np.int64),
         acc=vectors(s), lam=np.zeros((s, pairs, 2)), q_stage=vectors(s), v_stage=vectors(s),
         residual=np.zeros((s, width)), change=np.zeros((s, width)),
+        states=_new_states(workspace, s),
         constraints=Constraints(
             by_position=by_position, jac=np.zeros((constrained, pairs, 12)), phi=np.zeros((constrained, pairs, 2)),
             mu=np.zeros((shifted, pairs, 2)), shift=vectors(shifted), shift_change=vectors(shifted),
@@ -320,6 +341,15 @@ def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_po
         power=np.zeros((s, 2)), weights=np.zeros((s, s)), dense_weights=np.zeros(s),
         spread=vectors(s), pairs=np.zeros((pairs, 2)),
     )  # fmt: skip
+
+
+def _new_states(workspace: Workspace, stages: int) -> StageStates:
+    """Return storage for the first-order states of a mechanism at the stages."""
+    states = workspace.mechanism.topology.states
+    most = max(np.unique(states[:, 0], return_counts=True)[1], default=0) * stages
+    rate, z, length, speed = np.zeros((4, stages, len(states)))
+    first_rate, slope = np.zeros((2, len(states)))
+    return StageStates(rate, first_rate, z, length, speed, slope, np.zeros((most, most)), np.zeros(most))
 
 
 def new_settings(formulation: Formulation, solver: int, most_iterations: int | None, tolerance: float) -> Settings:

@@ -13,10 +13,12 @@ import numpy as np
 
 from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable
+from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
 from mbdkit.stepping.collocation_stages import NEWTON, load_stages, solves_multipliers
 from mbdkit.stepping.convergence import stays_near
+from mbdkit.stepping.element_states import add_up_states
 from mbdkit.stepping.run_state import (
     AT_END_OF_LAST,
     AT_START_OF_LAST,
@@ -51,12 +53,14 @@ def _predict(m, t, h):
         fill_rows(m.acc, 0.0)
         for i in range(len(m.lam)):
             fill_rows(m.lam[i], 0.0)
+        fill_rows(m.states.rate, 0.0)
         for i in range(len(m.constraints.mu)):
             fill_rows(m.constraints.mu[i], 0.0)
         fill_rows(m.constraints.shift, 0.0)
         return True
     extrapolation_weights((t - m.previous.begin[0]) / size, h / size, m.rk.c, m.weights)
     extrapolate(m.weights, m.acc, m.spread)
+    extrapolate(m.weights, m.states.rate, m.states.z)
     if solves_multipliers(m):  # otherwise, multipliers follow from accelerations
         extrapolate_pairs(m.weights, m.lam, m.constraints.phi)
     return False
@@ -64,8 +68,9 @@ def _predict(m, t, h):
 
 @subkernel
 def evaluate_stages(c, m, h):
-    """Evaluate positions and velocities of every stage."""
+    """Evaluate positions, velocities and first-order states of every stage."""
     stage_states(c, m, h)
+    add_up_states(c, m, h, 0, len(c.from_z))
     shift = m.constraints.shift
     for i in range(len(shift)):
         for j in range(len(shift)):
@@ -152,6 +157,7 @@ def _keep_first_acceleration(c, m):
     ):
         for k in range(len(first.lam)):
             copy(m.lam[s - 1, k], first.lam[k])
+        copy(m.states.rate[s - 1], m.states.first_rate)
         copy(m.acc[s - 1], first.acc)  # the last stage of the previous step is the beginning of this one
     elif c.base_state[0] != AT_START_OF_LAST:
         first.known[0] = 0
@@ -164,8 +170,10 @@ def _first_acceleration(c, m, t):
     if first.known[0] != 0:
         return OK
     prepare(c.top, c.w, t, c.from_q)
+    take_states(c.top, c.w, c.from_z)
     status = solve_accelerations(c.top, c.w, c.solver, c.from_q, c.from_v, first.acc, first.lam, False)
     if status == OK:
+        state_rates(c.top, c.w, c.from_v, m.states.first_rate)
         c.counts[RHS] += 1
         c.counts[FACTORIZATIONS] += 1
         first.known[0] = 1
@@ -174,15 +182,18 @@ def _first_acceleration(c, m, t):
 
 @subkernel
 def increments(c, m, h):
-    """Write the increments of positions and velocities by the step."""
+    """Write the increments of positions, velocities and first-order states by the step."""
     fill(c.dq, 0.0)
     fill(c.dv, 0.0)
+    fill(c.dz, 0.0)
     n3 = len(c.q) - 3
     for i in range(len(m.rk.c)):
         w1, w2 = h * m.rk.b[i], h * h * m.rk.b2[i]
         for d in range(n3):
             c.dv[d] += w1 * m.acc[i, d]
             c.dq[d] += w2 * m.acc[i, d]
+        for e in range(len(c.dz)):
+            c.dz[e] += w1 * m.states.rate[i, e]
     for d in range(n3):
         c.dq[d] += h * c.from_v[d] + h * c.v_low[d]  # including the low part of the compensated velocity
     for j in range(len(m.constraints.shift)):
@@ -225,6 +236,11 @@ def _estimate(c, m, h, kernels):
         filter_estimate(c, m, kernels.estimate_side, c.est_v)
     for d in range(len(c.q) - 3):
         c.est_q[d] = rate * c.est_v[d]
+    for e in range(len(c.z)):
+        gap = m.states.first_rate[e]
+        for i in range(len(m.rk.c)):
+            gap -= m.weights[0, i] * m.states.rate[i, e]
+        c.est_z[e] = rate * gap / (1.0 - rate * min(m.states.slope[e], 0.0))
 
 
 @inlined
@@ -266,7 +282,7 @@ def try_step(c, m, t, h, want_error, kernels):
     status = complete_step(c, m, t, h, kernels)
     if status != OK:
         return status
-    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
+    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv) and stays_finite(c.from_z, c.dz)):
         return NOT_FINITE
     if want_error != 0.0:
         status = _first_acceleration(c, m, t)
@@ -293,6 +309,11 @@ def state_inside(c, m, h, theta):
         w = h * weights[i]
         for d in range(n3):
             c.point_v[d] += w * m.acc[i, d]
+    for e in range(len(c.point_z)):
+        total = 0.0
+        for i in range(len(m.rk.c)):
+            total += weights[i] * m.states.rate[i, e]
+        c.point_z[e] = c.from_z[e] + h * total
     for d in range(len(c.q)):
         c.point_q[d] += c.from_q[d] + theta * h * c.from_v[d]
         c.point_v[d] += c.from_v[d]

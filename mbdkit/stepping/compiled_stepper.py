@@ -469,7 +469,14 @@ class CompiledStepper:
         return np.ascontiguousarray(lam[:, [row.pair for row in rows], [row.place for row in rows]])
 
     def _stretch(
-        self, time: np.ndarray, q: np.ndarray, v: np.ndarray, energy: np.ndarray, interval: np.ndarray, lam: np.ndarray
+        self,
+        time: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        z: np.ndarray,
+        energy: np.ndarray,
+        interval: np.ndarray,
+        lam: np.ndarray,
     ) -> Stretch:
         """Return recorded rows as a stretch, from copies of their arrays in the bundle."""
         stabilized = self.workspace.stabilization.kind != "none"
@@ -482,12 +489,13 @@ class CompiledStepper:
             np.column_stack([time, interval[:, WORK_COLUMNS]]),
             multipliers=self._own_multipliers(lam),
             corrections=interval[:, CORRECTION_COLUMNS].copy() if stabilized else None,
+            z=z,
         )
 
     def _collect(self, rows: int) -> Stretch:
         """Return the rows that the step loop has written."""
         c, some = self.run_state, slice(rows)
-        states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy()
+        states = c.row_time[some].copy(), c.row_q[some].copy(), c.row_v[some].copy(), c.row_z[some].copy()
         return self._stretch(*states, c.row_energy[some], c.row_interval[some], c.row_lam[some])
 
     def _node_arrays(self) -> tuple[np.ndarray, ...]:
@@ -507,5 +515,5 @@ class CompiledStepper:
         c = self.run_state
         interval = c.interval.values[None].copy()
         c.interval.values[:] = 0.0
-        states = np.array([self.time]), c.q[None].copy(), c.v[None].copy()
+        states = np.array([self.time]), c.q[None].copy(), c.v[None].copy(), c.z[None].copy()
         return self._stretch(*states, c.energy[None], interval, c.own_lam[None])

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.jit.dual_arrays import Duals, new_complex_duals, new_duals
@@ -23,7 +22,7 @@ from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import DIVERGED, OK, Engine, Scratch, Topology, solve_system, solved_rows
-from mbdkit.engine.workspace import Workspace, scratch_of
+from mbdkit.engine.workspace import Workspace, example_workspace, scratch_of
 from mbdkit.stepping.run_state import MODIFIED
 
 MOST_PROJECTIONS = 50
@@ -43,16 +42,19 @@ class DualRun(NamedTuple):
     q: State
     """State between two steps."""
     v: State
+    z: State
     energy: State
     from_q: np.ndarray
     """Base state of the step."""
     from_v: np.ndarray
+    from_z: np.ndarray
     v_low: np.ndarray
     """Zeros; numbers."""
     base_state: State
     """(1,) number: as in `RunState`, before the step."""
     dq: np.ndarray
     dv: np.ndarray
+    dz: np.ndarray
     gain: np.ndarray
     projected: np.ndarray
     """(1,) number: whether the run has projected the end of the step."""
@@ -175,12 +177,17 @@ def new_dual_run(workspace: Workspace, seeds: Seeds, laws: np.ndarray, rows: int
     numbers = Engine(workspace.stepping_topology, workspace.scratch, workspace.solver)
     vector = [new_duals(size) for _ in range(7)]
     unit = constants(np.zeros(1), 1.0 / seeds.scale[None])
+    places = top.states[:, 1]
+    z = np.ascontiguousarray(top.law_parameters[places]).view(Duals)
     return DualRun(
-        top=top, still=top._replace(gravity=nothing, baumgarte=nothing), w=dual_scratch(workspace),
+        top=top, still=top._replace(gravity=nothing, baumgarte=nothing),
+        w=dual_scratch(workspace)._replace(law_values=top.law_parameters),
         solver=new_dual_solver(numbers, mechanism.row_index), has_power=np.array([int(mechanism.has_power)]),
-        q=constants(workspace.q0, seeds.get("q")), v=constants(workspace.v0, seeds.get("v")), energy=new_duals(2),
-        from_q=vector[0], from_v=vector[1], v_low=np.zeros(size), base_state=np.array([MODIFIED]),
-        dq=vector[2], dv=vector[3], gain=new_duals(2), projected=np.zeros(1, dtype=np.int64), unit=unit,
+        q=constants(workspace.q0, seeds.get("q")), v=constants(workspace.v0, seeds.get("v")), z=z, energy=new_duals(2),
+        from_q=vector[0], from_v=vector[1], from_z=new_duals(len(places)),
+        v_low=np.zeros(size), base_state=np.array([MODIFIED]),
+        dq=vector[2], dv=vector[3], dz=new_duals(len(places)), gain=new_duals(2),
+        projected=np.zeros(1, dtype=np.int64), unit=unit,
         rest=vector[4], end_q=vector[5], push=vector[6], mu=new_duals(pairs, 2), miss=new_duals(pairs, 2),
         counts=np.zeros(5, dtype=np.int64),
         row_q=new_duals(rows, size), row_v=new_duals(rows, size), row_energy=new_duals(rows, 2),
@@ -202,6 +209,8 @@ def take_base(c, n):
     for d in range(len(c.q)):
         c.from_q[d] = with_value(c.q[d], n.from_q[d])
         c.from_v[d] = with_value(c.v[d], n.from_v[d])
+    for d in range(len(c.z)):
+        c.from_z[d] = with_value(c.z[d], n.from_z[d])
 
 
 @subkernel
@@ -285,6 +294,8 @@ def advance(c, n, row):
         for d in range(len(c.q)):
             c.q[d] = with_value(c.q[d] + c.dq[d], n.q[d])
             c.v[d] = with_value(c.v[d] + c.dv[d], n.v[d])
+    for d in range(len(c.z)):
+        c.z[d] = with_value(c.z[d] + c.dz[d], n.z[d])
     if c.has_power[0] != 0:
         for k in range(2):
             c.energy[k] = with_value(c.energy[k] + c.gain[k], n.energy[k])

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit import dual_complex  # noqa: F401  arithmetic that the kernels of this module use
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
 from mbdkit.engine.jit.dual_arrays import new_duals
 from mbdkit.engine.jit.dual_types import with_value
 from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.engine.workspace import example_workspace
 from mbdkit.stepping import collocation_constrained, collocation_index1, explicit
 from mbdkit.stepping.collocation_stages import (
     NEWTON,
@@ -37,7 +37,7 @@ from mbdkit.stepping.stage_polynomials import extrapolate, extrapolation_weights
 
 def dual_explicit(method: Explicit) -> Explicit:
     """Return the bundle of an explicit method with stages of dual numbers; its coefficients are numbers."""
-    stages = ("rates", "accelerations", "q_stage", "lam", "power")
+    stages = ("rates", "accelerations", "z_rates", "q_stage", "z_stage", "lam", "power")
     return method._replace(
         **{name: new_duals(*getattr(method, name).shape) for name in stages}, status=method.status.copy()
     )
@@ -97,7 +97,19 @@ In beams, whose forces are small differences of large ones, they wander between 
 
 def dual_stages(m: Stages) -> Stages:
     """Return the bundle of a collocation method with stages of dual numbers; coefficients and factors are numbers."""
-    names = ("acc", "lam", "q_stage", "v_stage", "residual", "change", "constraints", "power", "spread", "pairs")
+    names = (
+        "acc",
+        "lam",
+        "q_stage",
+        "v_stage",
+        "residual",
+        "change",
+        "states",
+        "constraints",
+        "power",
+        "spread",
+        "pairs",
+    )
     systems = m.systems
     factors = {name: getattr(systems, name) for name in ("real", "cplx")}
     work = {name: with_derivatives(getattr(systems, name)) for name in systems._fields[4:]}

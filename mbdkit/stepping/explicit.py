@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.jit.lane_types import any_of
+from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
@@ -40,7 +41,10 @@ class Explicit(NamedTuple):
     rates: State
     """(E, 3 (B + 1)) velocities and accelerations of the stages."""
     accelerations: State
+    z_rates: State
+    """(E, Z) derivatives of the first-order states at the stages."""
     q_stage: np.ndarray
+    z_stage: np.ndarray
     lam: np.ndarray
     power: State
     """(E, 2) power of loads and drivers, and dissipated power, at the stages [W]."""
@@ -50,8 +54,8 @@ class Explicit(NamedTuple):
     """(2,) whether the last stage of a step is the first one of the next; number of stages evaluated so far."""
 
 
-def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
-    """Return the bundle of a method for a mechanism."""
+def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int, states: int = 0) -> Explicit:
+    """Return the bundle of a method; `size` is that of vectors, `pairs` and `states` are numbers of the mechanism."""
     a, b, c = method.tableau.floats()
     error, dense = np.zeros((0, len(b))), np.zeros((0, 1))
     if method.pair is not None:
@@ -67,7 +71,9 @@ def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int) -> Explicit:
         dense=np.ascontiguousarray(dense),
         rates=np.zeros((stages, size)),
         accelerations=np.zeros((stages, size)),
+        z_rates=np.zeros((stages, states)),
         q_stage=np.zeros(size),
+        z_stage=np.zeros(states),
         lam=np.zeros((pairs, 2)),
         power=np.zeros((stages, 2)),
         weights=np.zeros(stages),
@@ -117,15 +123,20 @@ def evaluate_stages(c, m, t, h, first, last):
         if i == 0:
             copy(c.from_v, m.rates[0])
             copy(c.from_q, m.q_stage)
+            copy(c.from_z, m.z_stage)
         else:
             stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
             stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
+            if len(c.from_z) > 0:
+                stage_state(c.from_z, h, m.a, m.z_rates, i, m.z_stage)
         prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
+        take_states(c.top, c.w, m.z_stage)
         c.counts[RHS] += 1
         c.counts[FACTORIZATIONS] += 1
         status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False)
         if status != OK:
             return status
+        state_rates(c.top, c.w, m.rates[i], m.z_rates[i])
         if c.has_power[0] != 0:
             m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, m.rates[i], m.lam)
     return OK
@@ -133,9 +144,11 @@ def evaluate_stages(c, m, t, h, first, last):
 
 @subkernel
 def add_up_stages(c, m, h):
-    """Write the increments of the state by a step into ``c.dq`` and ``c.dv``, and those of the energies."""
+    """Write the increments of the state by a step into ``c.dq``, ``c.dv`` and ``c.dz``, and those of the energies."""
     _increment(h, m.b, m.rates, c.dq)
     _increment(h, m.b, m.accelerations, c.dv)
+    if len(c.dz) > 0:
+        _increment(h, m.b, m.z_rates, c.dz)
     if c.has_power[0] != 0:
         for k in range(2):
             c.gain[k] = 0.0
@@ -148,9 +161,11 @@ def estimate_errors(m, h, out):
     """Write the estimates of the local error of a step, one or two, into arrays of `out`."""
     _increment(h, m.error[0], m.rates, out.est_q)
     _increment(h, m.error[0], m.accelerations, out.est_v)
+    _increment(h, m.error[0], m.z_rates, out.est_z)
     if len(m.error) > 1:
         _increment(h, m.error[1], m.rates, out.second_q)
         _increment(h, m.error[1], m.accelerations, out.second_v)
+        _increment(h, m.error[1], m.z_rates, out.second_z)
 
 
 @subkernel
@@ -159,9 +174,12 @@ def evaluate_point(c, m, h, theta, out):
     weights_at(m.dense, theta, m.weights)
     _increment(h, m.weights, m.rates, out.point_q)
     _increment(h, m.weights, m.accelerations, out.point_v)
+    _increment(h, m.weights, m.z_rates, out.point_z)
     for d in range(len(out.point_q)):
         out.point_q[d] += c.from_q[d]
         out.point_v[d] += c.from_v[d]
+    for d in range(len(out.point_z)):
+        out.point_z[d] += c.from_z[d]
     dense_gains(h, m.weights, m.power, out.point_gain)
 
 
@@ -175,6 +193,7 @@ def reuse_first_stage(c, m):
             if m.status[0] != 0 and m.status[1] >= stages:
                 copy(m.rates[stages - 1], m.rates[0])
                 copy(m.accelerations[stages - 1], m.accelerations[0])
+                copy(m.z_rates[stages - 1], m.z_rates[0])
                 m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
                 known = 1
         else:
@@ -212,7 +231,7 @@ def attempt(run, method, t, h, want_error):
         return status
     m.status[1] = stages
     add_up_stages(c, m, h)
-    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
+    if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv) and stays_finite(c.from_z, c.dz)):
         return NOT_FINITE
     if want_error != 0.0:
         estimate_errors(m, h, c)
@@ -241,7 +260,9 @@ class CompiledExplicit(CompiledMethod):
 
     def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
         super().__init__(workspace)
-        self.bundle = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
+        mechanism = workspace.mechanism
+        pairs, states = len(mechanism.topology.pairs), len(mechanism.states)
+        self.bundle = new_explicit(method, mechanism.size, pairs, states)
         self.pinned = PinnedBundle(self.bundle)
         self.has_dense_output = len(self.bundle.dense) > 0
         self.stages = len(self.bundle.b)

@@ -169,6 +169,8 @@ class Stretch:
     corrections: np.ndarray | None = None
     """(T, 4) of the interval that ends with each row, if the run is stabilized: number of projections, largest
     correction of positions [m] and of velocities [m/s] in the mass metric, largest Baumgarte term [m/s^2, rad/s^2]."""
+    z: np.ndarray | None = None
+    """(T, Z) first-order states of force elements; may be None if there are none."""
 
     def rows(self, part: slice | np.ndarray) -> Stretch:
         """Return some of the rows: a slice, or a mask (T,)."""

@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import inlined, kernel
 from mbdkit.engine.jit.lane_arrays import new_lanes
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.lu import Pattern
 from mbdkit.engine.kernels.system import Scatter
-from mbdkit.engine.workspace import Workspace
+from mbdkit.engine.workspace import Workspace, example_workspace
 from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.collocation_index1 import KERNELS
@@ -32,6 +31,7 @@ from mbdkit.stepping.collocation_stages import (
     PreviousStep,
     Settings,
     Stages,
+    StageStates,
     Systems,
     TangentState,
     example_stages,
@@ -67,6 +67,7 @@ class LaneStages(NamedTuple):
     v_stage: np.ndarray
     residual: np.ndarray
     change: np.ndarray
+    states: StageStates
     constraints: Constraints
     first: FirstAcceleration
     tangent: TangentState
@@ -94,6 +95,7 @@ class _Start(NamedTuple):
 
     q: np.ndarray
     v: np.ndarray
+    z: np.ndarray
 
 
 class StagePivoting:
@@ -122,7 +124,7 @@ class StagePivoting:
             If the equations of the first step are singular, or need the pivoted solver; the object must not be used
             afterwards.
         """
-        start: Any = _Start(q, v)
+        start: Any = _Start(q, v, np.zeros(0))
         self._single.start(start, h)
         if self._workspace.solver.pivoted[0]:
             raise SingularSystemError

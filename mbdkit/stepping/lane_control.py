@@ -74,14 +74,17 @@ class LaneControl(NamedTuple):
     est_q: np.ndarray
     """Estimates of the local error, see `mbdkit.stepping.run_state.RunState`."""
     est_v: np.ndarray
+    est_z: np.ndarray
     second_q: np.ndarray
     second_v: np.ndarray
+    second_z: np.ndarray
     new_q: np.ndarray
     """State at the end of the attempted step."""
     new_v: np.ndarray
     point_q: np.ndarray
     """Result of dense output."""
     point_v: np.ndarray
+    point_z: np.ndarray
     point_gain: np.ndarray
     work: np.ndarray
     """(3,) STEPS, SIZE, REJECTED: steps since the last recorded state, size of the last one, rejected steps."""
@@ -107,7 +110,7 @@ def _is_full(s):
 
 
 @subkernel
-def _write_rows(s, due, t, q, v, gain):
+def _write_rows(s, due, t, q, v, z, gain):
     """Store a state in those lanes in which `due` is not 0, and begin a new interval there."""
     c = s.run
     for lane in range(WIDTH):
@@ -118,6 +121,8 @@ def _write_rows(s, due, t, q, v, gain):
         for d in range(len(q)):
             c.row_q[row, d] = put_in(c.row_q[row, d], lane, number_in(q[d], lane))
             c.row_v[row, d] = put_in(c.row_v[row, d], lane, number_in(v[d], lane))
+        for d in range(len(z)):
+            c.row_z[row, d] = put_in(c.row_z[row, d], lane, number_in(z[d], lane))
         for k in range(2):
             c.row_energy[row, k] = put_in(c.row_energy[row, k], lane, number_in(c.energy[k] + gain[k], lane))
         for k in range(len(s.work)):
@@ -138,6 +143,8 @@ def _evaluate(s, t, h, running):
         for d in range(len(m.rates[0])):
             m.rates[0, d] = where(accepted, m.rates[stages - 1, d], m.rates[0, d])
             m.accelerations[0, d] = where(accepted, m.accelerations[stages - 1, d], m.accelerations[0, d])
+        for d in range(len(c.z)):
+            m.z_rates[0, d] = where(accepted, m.z_rates[stages - 1, d], m.z_rates[0, d])
         for k in range(2):
             m.power[0, k] = where(accepted, m.power[stages - 1, k], m.power[0, k])
         first, known = 1, 0.0 * known
@@ -210,7 +217,7 @@ def _write_inner_rows(s, t, h, reached, accepted):
         _evaluate_further(s, t, h, due)
     while any_of(due):
         evaluate_point(c, m, h, min(1.0, (at - t) / h), s)
-        _write_rows(s, where(due, 1.0, 0.0), at, s.point_q, s.point_v, s.point_gain)
+        _write_rows(s, where(due, 1.0, 0.0), at, s.point_q, s.point_v, s.point_z, s.point_gain)
         progress.next_row[0] += where(due, 1.0, 0.0)
         at = start + progress.next_row[0] * interval
         due = due & (at <= reached) & (at < last)
@@ -222,6 +229,7 @@ def _advance(s, at, ended, accepted):
     c, progress = s.run, s.progress
     add_compensated(c.q, c.q_low, c.dq, accepted)
     add_compensated(c.v, c.v_low, c.dv, accepted)
+    add_compensated(c.z, c.z_low, c.dz, accepted)
     if c.has_power[0] != 0:
         add_compensated(c.energy, c.energy_low, c.gain, accepted)
     add_compensated(progress.time, progress.time_low, progress.size, accepted)
@@ -267,7 +275,7 @@ def _attempt(s):
     if every > 0:
         due = accepted & (ended | (progress.accepted[0] == every * below(progress.accepted[0] / every)))
     s.point_gain[0] = s.point_gain[1] = 0.0
-    _write_rows(s, where(due, 1.0, 0.0), progress.time[0], c.q, c.v, s.point_gain)
+    _write_rows(s, where(due, 1.0, 0.0), progress.time[0], c.q, c.v, c.z, s.point_gain)
     lose(c, running & (not (accepted & ended)) & (progress.accepted[0] >= s.max_steps[0]))
     progress.running[0] = where((c.lost[0] != 0.0) | (accepted & ended), 0.0, progress.running[0])
     s.attempts[0] += 1
@@ -310,7 +318,7 @@ def drive_controlled(address):
     if s.attempts[0] == 0:
         begin_energy(c, c.guards, s.progress.time[0], c.q, c.v)
         s.point_gain[0] = s.point_gain[1] = 0.0
-        _write_rows(s, s.progress.running[0], s.progress.time[0], c.q, c.v, s.point_gain)
+        _write_rows(s, s.progress.running[0], s.progress.time[0], c.q, c.v, c.z, s.point_gain)
     while any_of(s.progress.running[0] != 0.0):
         if _is_full(s):
             return FULL
@@ -334,6 +342,7 @@ def new_lane_control(run: LaneRun, control: Control) -> LaneControl:
         run=run, control=control_in_lanes(control),
         progress=LaneProgress(*(new_lanes(1) for _ in LaneProgress._fields)),
         **{name: new_lanes(size) for name in vectors},
+        **{name: new_lanes(len(run.z)) for name in ("est_z", "second_z", "point_z")},
         point_gain=new_lanes(2), work=new_lanes(3), row_work=new_lanes(rows, 3),
         rows=np.zeros(WIDTH, dtype=np.int64), interval=np.zeros(1), attempts=np.zeros(1, dtype=np.int64),
         max_steps=new_lanes(1),

@@ -15,7 +15,7 @@ from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
 from mbdkit.engine.jit.lane_types import number_in, where
 from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
-from mbdkit.engine.kernels.applied_forces import potential_energy
+from mbdkit.engine.kernels.applied_forces import potential_energy, state_rates, take_states
 from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.observe import kinetic_energy, reactions_of, residuals_of
@@ -65,6 +65,7 @@ def _write_row(c, row, t):
     c.row_time[row] = t
     copy(c.q, c.row_q[row])
     copy(c.v, c.row_v[row])
+    copy(c.z, c.row_z[row])
     for k in range(2):
         c.row_energy[row, k] = c.energy[k]
         c.row_interval[row, k] = c.interval[k]
@@ -76,6 +77,7 @@ def _advance(c):
     """Add the increments of a step to the state by compensated sums."""
     add_compensated(c.q, c.q_low, c.dq, True)
     add_compensated(c.v, c.v_low, c.dv, True)
+    add_compensated(c.z, c.z_low, c.dz, True)
     if c.has_power[0] != 0:
         add_compensated(c.energy, c.energy_low, c.gain, True)
 
@@ -86,7 +88,9 @@ def observe_row(c, r):
     top, w, out = c.top, c.w, c.observed
     q, v, acc, lam = c.row_q[r], c.row_v[r], out.acc[r], out.lam[r]
     prepare(top, w, c.row_time[r], q)
+    take_states(top, w, c.row_z[r])
     solve_accelerations(top, w, c.solver, q, v, acc, lam, True)
+    state_rates(top, w, v, out.state_rates[r])
     force_values(top, w, q, v, out.forces[r])
     marker_values(top, w, q, v, out.markers[r])
     beam_values(top, w, out.beams[r])
@@ -128,6 +132,8 @@ def drive(c, take_step):
         c.interval[0] += iterations
         c.interval[1] = max(c.interval[1], iterations)
         lose(c, not (stays_finite(c.q, c.dq) & stays_finite(c.v, c.dv)))
+        if len(c.z) > 0:
+            lose(c, not stays_finite(c.z, c.dz))
         _advance(c)
         t = where(n < steps - 1, start + (n + 1) * step, times.end[0])
         if c.watch.has_loops[0] != 0:
@@ -154,6 +160,7 @@ def _take_explicit_step(c, m, t, h, n):
     if n > 0 and m.status[0] != 0:
         copy(m.rates[stages - 1], m.rates[0])
         copy(m.accelerations[stages - 1], m.accelerations[0])
+        copy(m.z_rates[stages - 1], m.z_rates[0])
         m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
         first = 1
     evaluate_stages(c, m, t, h, first, stages)

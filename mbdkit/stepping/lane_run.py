@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.lane_arrays import new_lanes
 from mbdkit.engine.jit.lane_complex import new_complex_lanes
@@ -14,7 +13,7 @@ from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS
 from mbdkit.engine.kernels.system import LaneSolver, Scratch, Topology
-from mbdkit.engine.workspace import Workspace, scratch_of
+from mbdkit.engine.workspace import Workspace, example_workspace, scratch_of
 from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.stepping.explicit import Explicit, new_explicit
@@ -75,13 +74,17 @@ class LaneRun(NamedTuple):
     q_low: np.ndarray
     v: np.ndarray
     v_low: np.ndarray
+    z: np.ndarray
+    z_low: np.ndarray
     energy: np.ndarray
     energy_low: np.ndarray
     from_q: np.ndarray
-    """The same arrays as `q` and `v`: steps are neither rejected nor projected."""
+    """The same arrays as `q`, `v` and `z`: steps are neither rejected nor projected."""
     from_v: np.ndarray
+    from_z: np.ndarray
     dq: np.ndarray
     dv: np.ndarray
+    dz: np.ndarray
     gain: np.ndarray
     worst: np.ndarray
     counts: np.ndarray
@@ -99,9 +102,11 @@ class LaneRun(NamedTuple):
     near: np.ndarray
     """(P, 11) vectors of the distance to singularity."""
     row_time: np.ndarray
-    """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) states; (R, 2) energies, intervals."""
+    """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) positions and velocities; (R, Z)
+    first-order states; (R, 2) energies, intervals."""
     row_q: np.ndarray
     row_v: np.ndarray
+    row_z: np.ndarray
     row_energy: np.ndarray
     row_interval: np.ndarray
     observed: Observed
@@ -125,9 +130,10 @@ def _widened_scratch(workspace: Workspace, motions: int) -> Scratch:
 
 def explicit_in_lanes(method: ExplicitRungeKutta, workspace: Workspace) -> Explicit:
     """Return the bundle of an explicit method for lanes."""
-    tableau = new_explicit(method, workspace.mechanism.size, len(workspace.mechanism.topology.pairs))
+    top = workspace.mechanism.topology
+    tableau = new_explicit(method, workspace.mechanism.size, len(top.pairs), len(top.states))
     wide: Explicit = widened(tableau)
-    in_lanes = ("rates", "accelerations", "q_stage", "lam", "power", "weights")
+    in_lanes = ("rates", "accelerations", "z_rates", "q_stage", "z_stage", "lam", "power", "weights")
     return tableau._replace(**{name: getattr(wide, name) for name in in_lanes})
 
 
@@ -138,13 +144,15 @@ def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
     by_lane = {name: np.zeros((WIDTH, len(getattr(given, name)))) for name in BY_LANE}
     top: Topology = widened(given)._replace(**by_lane, baumgarte=given.baumgarte)
     solver = LaneSolver(widened(workspace.solver.schur), workspace.solver.row_index, np.array([-1]))
-    q, v = new_lanes(size), new_lanes(size)
+    states = len(given.states)
+    q, v, z = new_lanes(size), new_lanes(size), new_lanes(states)
     one = [new_lanes(1) for _ in range(12)]
     return LaneRun(
-        top=top, w=_widened_scratch(workspace, motions), solver=solver, method=method,
-        has_power=np.zeros(1, dtype=np.int64),
-        q=q, q_low=new_lanes(size), v=v, v_low=new_lanes(size), energy=new_lanes(2), energy_low=new_lanes(2),
-        from_q=q, from_v=v, dq=new_lanes(size), dv=new_lanes(size), gain=new_lanes(2),
+        top=top, w=_widened_scratch(workspace, motions)._replace(law_values=top.law_parameters),
+        solver=solver, method=method, has_power=np.zeros(1, dtype=np.int64),
+        q=q, q_low=new_lanes(size), v=v, v_low=new_lanes(size), z=z, z_low=new_lanes(states),
+        energy=new_lanes(2), energy_low=new_lanes(2),
+        from_q=q, from_v=v, from_z=z, dq=new_lanes(size), dv=new_lanes(size), dz=new_lanes(states), gain=new_lanes(2),
         worst=new_lanes(pairs), counts=new_lanes(5), report=new_lanes(3), interval=new_lanes(2),
         guards=LaneGuards(*one[:5]),
         watch=LaneWatch(
@@ -154,7 +162,7 @@ def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
         times=LaneTimes(one[5], one[6], one[7], one[8], *np.zeros((2, 1), dtype=np.int64)),
         squared_misalignment=new_lanes(pairs), energy_share=one[9], lost=one[10], near=new_lanes(pairs, COLUMNS),
         row_time=new_lanes(rows), row_q=new_lanes(rows, size), row_v=new_lanes(rows, size),
-        row_energy=new_lanes(rows, 2), row_interval=new_lanes(rows, 2),
+        row_z=new_lanes(rows, states), row_energy=new_lanes(rows, 2), row_interval=new_lanes(rows, 2),
         observed=widened(Observed.zeros(rows, given)),
     )  # fmt: skip
 

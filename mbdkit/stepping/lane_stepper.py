@@ -54,6 +54,8 @@ class LaneResults:
     q: np.ndarray
     """(W, T, 3 (B + 1)) positions, ground last."""
     v: np.ndarray
+    z: np.ndarray
+    """(W, T, Z) first-order states."""
     energy: np.ndarray
     """(W, T, 2) work and dissipated energy [J]."""
     observed: Observed
@@ -101,13 +103,14 @@ def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
 def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
     """Return whether a run of index-1 equations without stabilization can be vectorized.
 
-    Events are not supported, `output.interval` only with controlled step size, and the Schur complement must be
-    sufficient.
+    First-order states are supported with explicit methods only. Events are not supported, `output.interval` only with
+    controlled step size, and the Schur complement must be sufficient.
     """
     is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
         not JIT_DISABLED
         and method.traits.has_lanes
+        and (method.traits.is_explicit or not mechanism.states)
         and (is_fixed or method.traits.tolerances is not None)
         and not table.single
         and not table.stops
@@ -193,7 +196,8 @@ class LaneStepper:
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
         c.times.every[0] = tables[0].every
         c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
-        zeros = c.q_low, c.v_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
+        _put(c.z, [one.initial_states for one in mechanisms])
+        zeros = c.q_low, c.v_low, c.z_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
         for array in (*zeros, *c.guards):
             array[...] = 0.0
         c.has_power[0] = int(any(one.has_power for one in mechanisms))
@@ -223,8 +227,8 @@ class LaneStepper:
             See `LaneResults.work`.
         """
         c, count = self.run, len(counters)
-        arrays = (c.row_time, c.row_q, c.row_v, c.row_energy, *c.observed, c.worst, c.row_interval)
-        time, q, v, energy, *observed, worst, iterations = (
+        arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.worst, c.row_interval)
+        time, q, v, z, energy, *observed, worst, iterations = (
             by_run(x, count) if x is c.worst else by_run(x[: rows.max()], count) for x in arrays
         )
         for lane, guards in enumerate(self._guards):
@@ -234,7 +238,7 @@ class LaneStepper:
         counted = tuple(_counted(one, counts) for one, counts in zip(counters, c.counts.T, strict=False))
         lost = np.asarray(c.lost[0, :count] != 0.0)
         return LaneResults(
-            lost, time, q, v, energy, Observed(*observed), worst, iterations, rows, work, evidence, counted
+            lost, time, q, v, z, energy, Observed(*observed), worst, iterations, rows, work, evidence, counted
         )
 
 
@@ -392,7 +396,7 @@ class ControlledLaneStepper(LaneStepper):
             return larger
 
         c: Any = self.run
-        names = ("row_time", "row_q", "row_v", "row_energy", "row_interval")
+        names = ("row_time", "row_q", "row_v", "row_z", "row_energy", "row_interval")
         observed = type(c.observed)(*map(doubled, c.observed))
         self.run = c._replace(observed=observed, **{name: doubled(getattr(c, name)) for name in names})
         self.runs = self.runs._replace(run=self.run, row_work=doubled(self.runs.row_work))

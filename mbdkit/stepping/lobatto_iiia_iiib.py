@@ -116,7 +116,7 @@ class Pair(NamedTuple):
 
 
 def _example() -> Pair:
-    from mbdkit.engine.example_workspace import example_workspace
+    from mbdkit.engine.workspace import example_workspace
     from mbdkit.methods.kinds import LobattoPair
 
     return new_pair(LobattoPair(2), example_workspace())
@@ -348,6 +348,7 @@ class CompiledLobattoPair(CompiledMethod):
 
     def __init__(self, method: LobattoPair, workspace: Workspace):
         super().__init__(workspace)
+        workspace.mechanism.refuse_states("a Lobatto pair")
         self.bundle = new_pair(method, workspace)
         self.stages = method.stages
         self.pinned = PinnedBundle(self.bundle)

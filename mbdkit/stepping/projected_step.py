@@ -80,6 +80,7 @@ def _symmetric_step(run, method, attempt, t, h):
         for d in range(len(c.q)):
             c.from_q[d] = c.q[d] + c.shift_q[d]
             c.from_v[d] = c.v[d] + c.shift_v[d]
+        copy(c.z, c.from_z)
         c.base_state[0] = MODIFIED
         status = call_entry(attempt, run, method, t, h, 0.0)
         if status != OK:

@@ -14,9 +14,8 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.iteration_matrix import vector
-from mbdkit.engine.workspace import Workspace
+from mbdkit.engine.workspace import Workspace, example_workspace
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.impulse import impulse
@@ -114,6 +113,7 @@ class PythonStepper:
         self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
         self.has_power = workspace.mechanism.has_power
         workspace.clamp_motions(*timetable.sides(0))
+        workspace.mechanism.refuse_states("a method that takes its steps in Python")
         self.equations = EquationsOfMotion(workspace)
         self.equations.counters = self.counters
         self.stabilized = StabilizedSteps(self._own_step, self.equations)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import bundle_loader
 from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.bundle_types import STATE, Record, State
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
+from mbdkit.engine.workspace import example_workspace
 from mbdkit.stepping.step_guards import GuardState, new_guard_state
 
 if TYPE_CHECKING:
@@ -120,21 +120,26 @@ class RunState(NamedTuple):
     has_power: np.ndarray
     """(1,) whether work or dissipated energy can change."""
     q: State
-    """State between two steps. `q_low`, `v_low` and `energy_low` are the low parts of compensated sums."""
+    """State between two steps. `q_low`, `v_low`, `z_low` and `energy_low` are the low parts of compensated sums."""
     q_low: State
     v: State
     v_low: State
+    z: State
+    """(Z,) first-order states of force elements, z' = f(t, q, v, z)."""
+    z_low: State
     energy: State
     """(2,) work of loads and drivers, and dissipated energy [J]."""
     energy_low: State
     from_q: State
     """Base state of an attempt: the state, or in a symmetric projection the state plus the first correction."""
     from_v: State
+    from_z: State
     base_state: State
     """(1,) AT_END_OF_LAST, AT_START_OF_LAST or MODIFIED: relation of the base state to the last attempt."""
     dq: State
-    """Result of an attempt: increments of positions and velocities."""
+    """Result of an attempt: increments of positions, velocities and first-order states."""
     dv: State
+    dz: State
     gain: State
     """(2,) increments of the energies, integrated with the weights of the method."""
     own_lam: Record
@@ -142,12 +147,16 @@ class RunState(NamedTuple):
     est_q: np.ndarray
     """Estimates of the local error, if requested."""
     est_v: np.ndarray
+    est_z: np.ndarray
     second_q: np.ndarray
     """Second estimates, of lower order, for methods with two estimates."""
     second_v: np.ndarray
+    second_z: np.ndarray
     point_q: np.ndarray
-    """Result of dense output: positions, velocities, energies gained since the start of the step, multipliers."""
+    """Result of dense output: positions, velocities, first-order states, energies gained since the start of the step,
+    multipliers."""
     point_v: np.ndarray
+    point_z: np.ndarray
     point_gain: np.ndarray
     point_lam: np.ndarray
     new_q: np.ndarray
@@ -178,9 +187,11 @@ class RunState(NamedTuple):
     interval: Interval
     guards: Annotated[GuardState, STATE]
     row_time: np.ndarray
-    """Recorded rows: (R,) times, (R, 3 (B + 1)) states, (R, 2) energies, (R, 9) intervals, (R, P, 2) multipliers."""
+    """Recorded rows: (R,) times, (R, 3 (B + 1)) positions and velocities, (R, Z) first-order states, (R, 2) energies,
+    (R, 9) intervals, (R, P, 2) multipliers."""
     row_q: np.ndarray
     row_v: np.ndarray
+    row_z: np.ndarray
     row_energy: np.ndarray
     row_interval: np.ndarray
     row_lam: np.ndarray
@@ -222,22 +233,25 @@ def new_run_state(
     def by_pair() -> np.ndarray:
         return np.zeros((pairs, 2))
 
-    q, v = workspace.q0.copy(), workspace.v0.copy()
+    q, v, z = workspace.q0.copy(), workspace.v0.copy(), workspace.mechanism.initial_states
     return RunState(
         top=top, still=still, w=workspace.scratch, solver=workspace.solver,
         has_power=np.array([int(workspace.mechanism.has_power)]),
-        q=q, q_low=vector(), v=v, v_low=vector(), energy=np.zeros(2), energy_low=np.zeros(2),
-        from_q=q.copy(), from_v=v.copy(), base_state=np.array([MODIFIED]),
-        dq=vector(), dv=vector(), gain=np.zeros(2), own_lam=by_pair(),
-        est_q=vector(), est_v=vector(), second_q=vector(), second_v=vector(),
-        point_q=vector(), point_v=vector(), point_gain=np.zeros(2), point_lam=by_pair(),
+        q=q, q_low=vector(), v=v, v_low=vector(), z=z, z_low=np.zeros_like(z),
+        energy=np.zeros(2), energy_low=np.zeros(2),
+        from_q=q.copy(), from_v=v.copy(), from_z=z.copy(), base_state=np.array([MODIFIED]),
+        dq=vector(), dv=vector(), dz=np.zeros_like(z), gain=np.zeros(2), own_lam=by_pair(),
+        est_q=vector(), est_v=vector(), est_z=np.zeros_like(z),
+        second_q=vector(), second_v=vector(), second_z=np.zeros_like(z),
+        point_q=vector(), point_v=vector(), point_z=np.zeros_like(z), point_gain=np.zeros(2), point_lam=by_pair(),
         new_q=vector(), new_v=vector(), shift_q=vector(), shift_v=vector(),
         mu=by_pair(), nu=by_pair(), rest=vector(), x=vector(), lam=by_pair(), miss=by_pair(),
         before_q=q.copy(), before_v=v.copy(),
         worst=np.zeros(pairs), counts=np.zeros(5, dtype=np.int64), report=np.zeros(3),
         progress=new_progress(), interval=new_interval(), guards=new_guard_state(workspace.mechanism),
         row_time=np.zeros(rows), row_q=np.zeros((rows, size)), row_v=np.zeros((rows, size)),
-        row_energy=np.zeros((rows, 2)), row_interval=np.zeros((rows, len(INTERVAL_FIELDS))),
+        row_z=np.zeros((rows, len(z))), row_energy=np.zeros((rows, 2)),
+        row_interval=np.zeros((rows, len(INTERVAL_FIELDS))),
         row_lam=np.zeros((rows if own_multipliers else 0, pairs, 2)),
         node_time=np.zeros(nodes), node_weight=np.zeros(nodes),
         node_q=np.zeros((nodes, size)), node_v=np.zeros((nodes, size)),

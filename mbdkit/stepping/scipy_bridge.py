@@ -67,6 +67,7 @@ class SciPyStepper:
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
+        workspace.mechanism.refuse_states("a method of SciPy")
         pairs = len(workspace.mechanism.topology.pairs)
         self.worst_pairs = np.zeros(pairs)
         self.has_power = workspace.mechanism.has_power

@@ -170,12 +170,14 @@ def unit_of_length(by_size: bool, mechanism: CompiledMechanism) -> float:
 
 
 @subkernel
-def scaled_norm(control, error_q, error_v, q, v, dq, dv):
+def scaled_norm(control, error_q, error_v, error_z, c):
     """Return the root mean square of errors over ``atol + rtol |y|``, y the larger of both ends of the step.
 
-    All vectors are (3 (B + 1),), ground last: an estimate of the error, the start of the step, and its increments.
+    Estimates of the errors of positions, velocities and first-order states are given; `c` is the run. The absolute
+    tolerance of angles applies to the states.
     """
     rtol = control.rtol[0]
+    q, v, z, dq, dv, dz = c.from_q, c.from_v, c.from_z, c.dq, c.dv, c.dz
     total = 0.0
     n = len(q) - 3
     for d in range(n):
@@ -184,7 +186,10 @@ def scaled_norm(control, error_q, error_v, q, v, dq, dv):
         scale_v = atol + rtol * max(abs(v[d]), abs(v[d] + dv[d]))
         ratio_q, ratio_v = error_q[d] / scale_q, error_v[d] / scale_v
         total += ratio_q * ratio_q + ratio_v * ratio_v
-    return np.sqrt(total / (2 * n))
+    for d in range(len(z)):
+        ratio = error_z[d] / (control.atol[2] + rtol * max(abs(z[d]), abs(z[d] + dz[d])))
+        total += ratio * ratio
+    return np.sqrt(total / (2 * n + len(z)))
 
 
 @subkernel
@@ -196,9 +201,9 @@ def combined_error(fine, rough):
 @subkernel
 def local_error(control, estimates, c):
     """Return the local error over the tolerance, from one or two estimates of it, for the step of the run `c`."""
-    error = scaled_norm(control, estimates.est_q, estimates.est_v, c.from_q, c.from_v, c.dq, c.dv)
+    error = scaled_norm(control, estimates.est_q, estimates.est_v, estimates.est_z, c)
     if control.estimates[0] == 2:
-        rough = scaled_norm(control, estimates.second_q, estimates.second_v, c.from_q, c.from_v, c.dq, c.dv)
+        rough = scaled_norm(control, estimates.second_q, estimates.second_v, estimates.second_z, c)
         error = combined_error(error, rough)
     return error
 

@@ -4,11 +4,13 @@ A method provides two compiled functions (`mbdkit.engine.jit.entry`) that receiv
 bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's own bundle.
 
 ``attempt(run, method, t, h, want_error)``
-    Computes a step of size `h` from the base state ``from_q, from_v``, which it does not change. Writes ``dq, dv``; if
-    ``has_power``, ``gain``; the multipliers of the method, if it has any, into ``own_lam``; and if `want_error` is not
-    0, the estimates ``est_q, est_v``. ``base_state`` describes how the base state is related to the last attempt.
+    Computes a step of size `h` from the base state ``from_q, from_v, from_z``, which it does not change. Writes ``dq``,
+    ``dv`` and ``dz``; if ``has_power``, ``gain``; the multipliers of the method, if it has any, into ``own_lam``; and
+    if `want_error` is not 0, the estimates ``est_q, est_v, est_z``. ``base_state`` describes how the base state is
+    related to the last attempt.
 ``dense(run, method, t, h, theta)``
-    Writes ``point_q, point_v, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last attempt.
+    Writes ``point_q, point_v, point_z, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last
+    attempt.
 ``keep(run, method, t, h, unused)``
     Stores the stages of the last attempt as nodes of integrals over time, with the weights of the method
     (`mbdkit.stepping.run_state.keep_node`).
@@ -210,6 +212,7 @@ def _try_step(run, method, attempt, plan):
     if mode != SYMMETRIC and progress.retrying[0] == 0:
         copy(c.q, c.from_q)
         copy(c.v, c.from_v)
+        copy(c.z, c.from_z)
     if plan.baumgarte[0]:
         interval.baumgarte_term[0] = max(interval.baumgarte_term[0], _baumgarte_term(c, t))
     if np.isnan(guards.energy[0]):
@@ -259,11 +262,12 @@ def _try_step(run, method, attempt, plan):
 
 
 @subkernel
-def _write_row(c, row, t, q, v, gain, lam):
+def _write_row(c, row, t, q, v, z, gain, lam):
     """Write a recorded state, and begin a new interval."""
     c.row_time[row] = t
     copy(q, c.row_q[row])
     copy(v, c.row_v[row])
+    copy(z, c.row_z[row])
     for k in range(2):
         c.row_energy[row, k] = c.energy[k] + gain[k]
     for k in range(len(c.interval.values)):
@@ -300,7 +304,7 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
         if status != OK:
             return status
         c.counts[PROJECTIONS] += 1
-    _write_row(c, row, at, c.point_q, c.point_v, c.point_gain, c.point_lam)
+    _write_row(c, row, at, c.point_q, c.point_v, c.point_z, c.point_gain, c.point_lam)
     return OK
 
 
@@ -395,7 +399,7 @@ def _advance(c, plan):
 
     Returns a status, whether the run has ended, and whether this is the end of a whole step.
     """
-    if not (stays_finite(c.q, c.dq) and stays_finite(c.v, c.dv)):
+    if not (stays_finite(c.q, c.dq) and stays_finite(c.v, c.dv) and stays_finite(c.z, c.dz)):
         return NOT_FINITE, False, False
     if plan.recording.start_of_step[0]:
         copy(c.q, c.before_q)
@@ -406,6 +410,7 @@ def _advance(c, plan):
             c.dv[d] += c.shift_v[d]
     add_compensated(c.q, c.q_low, c.dq, True)
     add_compensated(c.v, c.v_low, c.dv, True)
+    add_compensated(c.z, c.z_low, c.dz, True)
     if c.has_power[0] != 0:
         _add_energies(c)
     last, whole = _advance_time(plan, c.progress)
@@ -470,7 +475,7 @@ def drive(run, method, attempt, dense, plan, budget):
             return status, rows
         if last or (every > 0 and whole and progress.whole[0] % every == 0):
             c.point_gain[0] = c.point_gain[1] = 0.0
-            _write_row(c, rows, progress.time[0], c.q, c.v, c.point_gain, c.own_lam)
+            _write_row(c, rows, progress.time[0], c.q, c.v, c.z, c.point_gain, c.own_lam)
             rows += 1
         if status == OK and progress.after_stop[0] != 0:
             return AT_STOP, rows

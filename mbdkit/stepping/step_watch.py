@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.example_workspace import example_workspace
 from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
 from mbdkit.engine.jit.decorators import kernel
 from mbdkit.engine.kernels.system import OK, load_engine, prepare, solve_accelerations
+from mbdkit.engine.workspace import example_workspace
 from mbdkit.stepping.interface import Failure, Guards, Impact, StepEvidence
 from mbdkit.stepping.run_plan import GuardLimits, guard_limits
 from mbdkit.stepping.step_guards import (

@@ -231,6 +231,8 @@ class _Builder:
         F is an expression for an `ExpressionLaw`; for any other law it is an undefined function of length, rate, time.
         """
         law = force.force_law
+        if law.states:
+            raise SpecError("first-order states of force elements have no symbolic form", key=f"model.forces.{name}")
         names, values = law_parameters(law, force, force.law_id)
         if not isinstance(law, ExpressionLaw):
             function = self.numeric_law(name, law.function, np.array(values))

@@ -11,6 +11,8 @@ from pydantic import BaseModel, Field, field_validator
 
 from mbdkit import ExpressionLaw, ForceLawPlugin, FunctionLaw, hookimpl
 
+from .motor import MOTOR
+
 length, rate, time = sp.symbols("length rate time")
 stiffness, damping, free, cubic = sp.symbols("stiffness damping free cubic")
 
@@ -109,6 +111,7 @@ def plugin(name: str, options: type[BaseModel], law: Any) -> ForceLawPlugin:
 
 
 LAWS = [
+    MOTOR,
     plugin(
         "linear-sympy",
         Linear,

@@ -331,6 +331,27 @@ def _renewed(new, old, condition):
     return lambda new, old, condition: new
 
 
+def put_in_place(values, place, x):
+    """Store `x` in an array of numbers (N,); lanes in one (WIDTH, N), each in its own row."""
+    values[place] = x
+
+
+@overload(put_in_place)
+def _put_in_place(values, place, x):
+    if isinstance(x, LaneReal):
+
+        def put(values, place, x):
+            for lane in range(WIDTH):
+                values[lane, place] = number_in(x, lane)
+
+    else:
+
+        def put(values, place, x):
+            values[place] = x
+
+    return put
+
+
 @infer_global(operator.pow)
 class _Power(AbstractTemplate):
     def generic(self, arguments: Any, keywords: Any) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, where
+from mbdkit.engine.jit.lane_types import any_of, is_refused, put_in_place, renewed, where
 from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.cross_sections import add_beam_forces, beam_tangents
@@ -97,10 +97,36 @@ def evaluate_tension(top, w, k, rate):
         tension[k, 2] = damping
         tension[k, 3] = 0.5 * stiffness * stretch * stretch
     else:
-        call_law(top.laws[law, 0], length, rate, w.time[0], top.law_parameters, top.laws[law, 1], tension, k)
+        call_law(top.laws[law, 0], length, rate, w.time[0], w.law_values, top.laws[law, 1], tension, k)
         is_law_at_fault = (abs(length) < np.inf) & (abs(rate) < np.inf) & (not abs(tension[k, 0]) < np.inf)
         if is_refused(not is_law_at_fault):
             w.faulty[0] = law
+
+
+@subkernel
+def take_states(top, w, z):
+    """Use the values `z` (Z,) of first-order states in the forces and rates that are evaluated next."""
+    for i in range(len(z)):
+        put_in_place(w.law_values, top.states[i, 1], z[i])
+
+
+@subkernel
+def state_rate(top, w, i, length, rate, t):
+    """Return the derivative by time of state `i`, at the values of the states taken last.
+
+    The length and the rate of the pathway of its element are given.
+    """
+    law, spare = top.states[i, 2], len(top.springs)
+    call_law(top.laws[law, 0], length, rate, t, w.law_values, top.laws[law, 1], w.tension, spare)
+    return w.tension[spare, 0]
+
+
+@subkernel
+def state_rates(top, w, v, out):
+    """Write the derivatives of all states into `out` (Z,); requires `take_states` and `applied_forces`."""
+    for i in range(len(top.states)):
+        k = top.states[i, 0]
+        out[i] = state_rate(top, w, i, w.s[k, 0], path_rate(k, top.springs, v, w.grad), w.time[0])
 
 
 @subkernel
@@ -238,7 +264,7 @@ def powers(top, w, v, lam):
         claims = laws[law, 2]
         if claims & HAS_POTENTIAL != 0:
             spare = len(springs)
-            call_law(laws[law, 0], w.s[k, 0], 0.0, w.time[0], top.law_parameters, laws[law, 1], tension, spare)
+            call_law(laws[law, 0], w.s[k, 0], 0.0, w.time[0], w.law_values, laws[law, 1], tension, spare)
             rest -= tension[spare, 0]
         if claims & PASSIVE != 0:
             lost += rest * rate

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
-from mbdkit.engine.kernels.applied_forces import potential_energy
+from mbdkit.engine.kernels.applied_forces import potential_energy, state_rates, take_states
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
@@ -94,6 +94,8 @@ class Observed(NamedTuple):
     """(T, K, 4) position (x, y) and velocity (x, y) of each marker."""
     beams: np.ndarray
     """(T, E, 4) axial force, shear force and bending moment in the middle of each element, and its strain energy."""
+    state_rates: np.ndarray
+    """(T, Z) derivatives of the first-order states of force elements by time."""
 
     @staticmethod
     def zeros(states: int, top: Topology) -> Observed:
@@ -112,6 +114,7 @@ class Observed(NamedTuple):
             joints=np.zeros((states, len(top.joints), 6)),
             markers=np.zeros((states, len(top.markers), 4)),
             beams=np.zeros((states, int(top.sections[-1, 0]) + 1 if len(top.sections) else 0, 4)),
+            state_rates=np.zeros((states, len(top.states))),
         )
 
     def rows(self, part: slice) -> Observed:
@@ -138,7 +141,7 @@ class SelfStress(NamedTuple):
 
 
 @kernel
-def observe(engine, times, q, v, out, stress, near):
+def observe(engine, times, q, v, z, out, stress, near):
     """Evaluate states one after another.
 
     Parameters
@@ -149,6 +152,8 @@ def observe(engine, times, q, v, out, stress, near):
         Times [s].
     q, v : (T, 3 (B + 1)) arrays
         Positions and velocities, ground last.
+    z : (T, Z) array
+        First-order states of force elements.
     out : Observed
         Receives the values.
     stress : SelfStress
@@ -168,9 +173,11 @@ def observe(engine, times, q, v, out, stress, near):
     for r in range(len(times)):
         prepare(top, w, times[r], q[r])
         lam = out.lam[r]
+        take_states(top, w, z[r])
         status = solve_accelerations(top, w, solver, q[r], v[r], out.acc[r], lam, True)
         if status != OK:
             return status, r
+        state_rates(top, w, v[r], out.state_rates[r])
         force_values(top, w, q[r], v[r], out.forces[r])
         marker_values(top, w, q[r], v[r], out.markers[r])
         beam_values(top, w, out.beams[r])

@@ -88,7 +88,10 @@ class Topology(NamedTuple):
     """(W, 3) laws of all other springs: address of the compiled law, index of its first parameter in `law_parameters`,
     claims (`mbdkit.engine.jit.law_calls`)."""
     law_parameters: RealVector
-    """(N,) for each law its number of parameters, followed by their values."""
+    """(N,) for each law its number of parameters, followed by their values; of a state, the initial value."""
+    states: IntMatrix
+    """(Z, 3) first-order states of force elements: first segment, place among `law_parameters`, row of `laws` of its
+    rate; the states of an element follow one another."""
     loads: IntMatrix
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: RealMatrix
@@ -169,6 +172,9 @@ class Scratch(NamedTuple):
     """(G, 16) derivatives of the forces by the states."""
     section_damp: RealMatrix
     """(G, 16) derivatives of the forces by the rates."""
+    law_values: RealVector
+    """(N,) parameters of laws as in `Topology.law_parameters`, with the present values of states in their places. It is
+    the same array if there are no states."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector

@@ -1,0 +1,158 @@
+"""First-order states of force elements in implicit steps: their stages, solved element by element.
+
+Stage i of a state z, with A the tableau and g its derivative by time:
+
+    z_i = z_n + h sum_j A_ij k_j,        k_i = g(s_i, s'_i, t_i, z_i)
+
+A state acts on bodies through its element only, and bodies act on it through the length s of the pathway only. For
+given positions and velocities of the stages, the equations of each element are therefore a small system of their own,
+which Newton's method solves before every iteration of the bodies' equations. The derivatives k are the unknowns, since
+those of a stiff element would amplify the round-off of z.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba.extending import overload
+
+from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.jit.lane_types import LaneReal
+from mbdkit.engine.kernels.applied_forces import path_rate, pathway_lengths, state_rate
+from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
+
+MOST_ITERATIONS = 50
+DIFFERENCE = 1e-7
+"""Relative change of a state by which derivatives of its rate are estimated. Their errors slow the iteration, but do
+not change its limit."""
+ROUND_OFF, NEGLIGIBLE, STALLED = 1e-16, 1e-9, 0.5
+"""Relative changes of states: round-off; small enough to be round-off if they shrink by less than the third."""
+
+
+def solve_states(c, m, t, h):
+    """Solve for the states of all stages at their present positions and velocities; return a status.
+
+    Runs in lanes have no states if their method is implicit.
+    """
+    return _solve_states(c, m, t, h)
+
+
+@subkernel
+def _solve_states(c, m, t, h):
+    if len(c.from_z) == 0:
+        return OK
+    top, room = c.top, m.states
+    for i in range(len(m.rk.c)):
+        prepare(top, c.w, t + m.rk.c[i] * h, m.q_stage[i])
+        pathway_lengths(top, c.w, m.q_stage[i])
+        for e in range(len(c.from_z)):
+            k = top.states[e, 0]
+            room.length[i, e] = c.w.s[k, 0]
+            room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
+    first = 0
+    while first < len(c.from_z):
+        last = first + 1
+        while last < len(c.from_z) and top.states[last, 0] == top.states[first, 0]:
+            last += 1
+        if not _solve_element(c, m, t, h, first, last):
+            c.report[0] = np.inf
+            return DIVERGED
+        first = last
+    return OK
+
+
+@overload(solve_states)
+def _of_kind(c, m, t, h):
+    if isinstance(h, LaneReal):
+        return lambda c, m, t, h: OK
+    return lambda c, m, t, h: _solve_states(c, m, t, h)
+
+
+@subkernel
+def _solve_element(c, m, t, h, first, last):
+    """Solve for the states `first` to `last - 1`, which are those of an element; return whether that succeeded."""
+    room, stages, before = m.states, len(m.rk.c), np.inf
+    add_up_states(c, m, h, first, last)
+    for _ in range(MOST_ITERATIONS):
+        _linearize(c, m, t, h, first, last)
+        if not _solve_dense(room.matrix, room.right, stages * (last - first)):
+            return False
+        size = change = 0.0
+        for i in range(stages):
+            for e in range(first, last):
+                more = room.right[i * (last - first) + e - first]
+                room.rate[i, e] += more
+                change = max(change, abs(h * more))
+                size = max(size, abs(room.z[i, e]), abs(h * room.rate[i, e]))
+        add_up_states(c, m, h, first, last)
+        if change <= ROUND_OFF * size or (change >= STALLED * before and change <= NEGLIGIBLE * size):
+            return True
+        if not change < np.inf:
+            return False
+        before = change
+    return False
+
+
+@subkernel
+def add_up_states(c, m, h, first, last):
+    """Evaluate the states `first` to `last - 1` of every stage from their derivatives."""
+    for i in range(len(m.rk.c)):
+        for e in range(first, last):
+            total = 0.0
+            for j in range(len(m.rk.c)):
+                total += m.rk.a[i, j] * m.states.rate[j, e]
+            m.states.z[i, e] = c.from_z[e] + h * total
+
+
+@subkernel
+def _linearize(c, m, t, h, first, last):
+    """Write matrix and right side of the equations of an element, ordered by stages."""
+    top, w, room, n = c.top, c.w, m.states, last - first
+    for i in range(len(m.rk.c)):
+        at = t + m.rk.c[i] * h
+        for e in range(first, last):
+            w.law_values[top.states[e, 1]] = room.z[i, e]
+        for e in range(first, last):
+            now = state_rate(top, w, e, room.length[i, e], room.speed[i, e], at)
+            room.right[i * n + e - first] = now - room.rate[i, e]
+        for f in range(first, last):
+            z = room.z[i, f]
+            step = DIFFERENCE * max(abs(z), abs(h * room.rate[i, f]))
+            if step == 0.0:
+                step = DIFFERENCE
+            w.law_values[top.states[f, 1]] = z + step
+            for e in range(first, last):
+                row = i * n + e - first
+                there = state_rate(top, w, e, room.length[i, e], room.speed[i, e], at)
+                slope = (there - room.right[row] - room.rate[i, e]) / step
+                for j in range(len(m.rk.c)):
+                    is_own = i == j and e == f
+                    room.matrix[row, j * n + f - first] = (1.0 if is_own else 0.0) - h * m.rk.a[i, j] * slope
+                if e == f:
+                    room.slope[e] = slope
+            w.law_values[top.states[f, 1]] = z
+
+
+@subkernel
+def _solve_dense(matrix, right, n):
+    """Replace `right` by the solution of the leading `n` equations; return False if they are singular."""
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[pivot, k]):
+                pivot = i
+        if not abs(matrix[pivot, k]) > 0.0:
+            return False
+        if pivot != k:
+            for j in range(k, n):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+            right[k], right[pivot] = right[pivot], right[k]
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            for j in range(k + 1, n):
+                matrix[i, j] -= factor * matrix[k, j]
+            right[i] -= factor * right[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            right[k] -= matrix[k, j] * right[j]
+        right[k] /= matrix[k, k]
+    return True

@@ -1,0 +1,158 @@
+"""First-order states of force elements: a motor whose current lags behind its voltage, against the exact solution."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.spec import load_spec
+
+INERTIA, OPTIONS = 0.02, {"voltage": 12.0, "resistance": 1.5, "inductance": 0.3, "constant": 0.4, "current": 2.0}
+END = 0.5
+
+
+def model(**options: float) -> dict[str, Any]:
+    """A rotor on a pin, driven by the motor; there is no gravity."""
+    return {
+        "name": "mechanism",
+        "gravity": [0.0, 0.0],
+        "bodies": {"rotor": {"mass": 1.0, "inertia": INERTIA, "position": [0.0, 0.0], "angular_velocity": -3.0}},
+        "joints": {"J": {"type": "revolute", "bodies": ["ground", "rotor"], "points": [[0, 0], [0, 0]]}},
+        "forces": {
+            "motor": {
+                "type": "law",
+                "law": "motor",
+                "pathway": {"type": "relative-angle", "bodies": ["ground", "rotor"]},
+                **OPTIONS,
+                **options,
+            }
+        },
+    }
+
+
+def exact(times: np.ndarray, **options: float) -> np.ndarray:
+    """Angular velocity and current (T, 2): J w' = k i, L i' = U - R i - k w, by the matrix exponential."""
+    p = OPTIONS | options
+    matrix = np.zeros((3, 3))
+    matrix[0, 1] = p["constant"] / INERTIA
+    matrix[1] = np.array([-p["constant"], -p["resistance"], p["voltage"]]) / p["inductance"]
+    return np.array([(expm(t * matrix) @ [-3.0, p["current"], 1.0])[:2] for t in times])
+
+
+def spec_of(model: dict[str, Any], integrator: dict[str, Any], step: float = 0.01, **more: Any) -> dict[str, Any]:
+    return {"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": END, "step": step}, **more}
+
+
+def run(integrator: dict[str, Any], step: float = 0.01, **more: Any) -> mbdkit.Run:
+    return mbdkit.run(spec_of(model(), integrator, step, **more)).check()
+
+
+def error(done: mbdkit.Run) -> float:
+    """Largest error of angular velocity and current at the end."""
+    value = done.file["states/value"][-1, 0]
+    return float(np.abs([done["rotor"].angular_velocity[-1], value] - exact(done.time[-1:])[0]).max())
+
+
+FIXED = {
+    "rk4": ({"name": "rk4"}, {}, 4),
+    "rk-gill": ({"name": "rk-gill"}, {}, 4),
+    "gauss": ({"name": "gauss", "stages": 2}, {}, 4),
+    "gauss, fixed-point": ({"name": "gauss", "stages": 2, "stage_solver": "fixed-point"}, {}, 4),
+    "radau": ({"name": "radau-iia", "stages": 2}, {}, 3),
+    "radau, index-2": ({"name": "radau-iia", "stages": 2}, {"formulation": "index-2"}, 3),
+    "radau, index-3": ({"name": "radau-iia", "stages": 2}, {"formulation": "index-3"}, 3),
+    "radau, ggl": ({"name": "radau-iia", "stages": 2}, {"formulation": "ggl"}, 3),
+    "rk4, projection": ({"name": "rk4"}, {"stabilization": "projection"}, 4),
+    "gauss, symmetric": (
+        {"name": "gauss", "stages": 2},
+        {"stabilization": {"name": "projection", "symmetric": True}},
+        4,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FIXED)
+def test_states_are_integrated_with_the_order_of_the_method(name: str) -> None:
+    integrator, sections, order = FIXED[name]
+    errors = [error(run(integrator, step, **sections)) for step in (0.05, 0.025)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
+    assert errors[1] < 1e-3
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        {"name": "dopri5", "adaptive": True},
+        {"name": "dop853", "adaptive": True},
+        {"name": "radau-iia", "adaptive": True},
+    ],
+)
+def test_the_error_of_states_controls_the_step(integrator: dict[str, Any]) -> None:
+    coarse, fine = (error(run({**integrator, "rtol": rtol, "atol": rtol})) for rtol in (1e-5, 1e-9))
+    assert coarse < 1e-3
+    assert fine < 1e-7
+
+
+@pytest.mark.parametrize(
+    "integrator", [{"name": "dopri5", "adaptive": True}, {"name": "radau-iia", "adaptive": True, "stages": 3}]
+)
+def test_states_inside_steps_have_the_accuracy_of_dense_output(integrator: dict[str, Any]) -> None:
+    done = run({**integrator, "rtol": 1e-8, "atol": 1e-8}, output={"interval": 0.013})
+    assert np.abs(done.file["states/value"][:, 0] - exact(done.time)[:, 1]).max() < 1e-5
+
+
+def test_a_stiff_state_is_solved_by_an_implicit_method() -> None:
+    """A time constant of 1e-7 s in steps of 0.01 s: the current follows the velocity at once."""
+    done = mbdkit.run(spec_of(model(inductance=1.5e-7), {"name": "radau-iia", "stages": 3})).check()
+    velocity, current = exact(done.time[-1:], inductance=1.5e-7)[0]
+    assert done["rotor"].angular_velocity[-1] == pytest.approx(velocity, rel=1e-5)
+    assert done.file["states/value"][-1, 0] == pytest.approx(current, rel=1e-5)
+
+
+def test_states_are_archived_with_their_rates_and_units(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    mbdkit.run(spec_of(model(), {"name": "rk4"}), archive=path)
+    done = mbdkit.load(path)
+    states = done.file["states"]
+    assert list(states["state"].asstr()[:]) == ["motor.current"]
+    assert list(states["row_units"].asstr()[:]) == ["A"]
+    velocity, current = done["rotor"].angular_velocity, states["value"][:, 0]
+    rate = (OPTIONS["voltage"] - OPTIONS["resistance"] * current - OPTIONS["constant"] * velocity) / OPTIONS[
+        "inductance"
+    ]
+    np.testing.assert_allclose(states["rate"][:, 0], rate, rtol=1e-12)
+    np.testing.assert_allclose(done["rotor"].angular_acceleration, OPTIONS["constant"] * current / INERTIA, rtol=1e-12)
+    assert np.abs(done.energy.balance).max() < 1e-6  # the motor does work
+    assert states["value"][0, 0] == OPTIONS["current"]
+
+
+def test_runs_in_lanes_have_the_states_of_single_runs() -> None:
+    specs = [
+        load_spec(spec_of(model(voltage=u), {"name": name}), ())
+        for name in ("rk4", "dopri5", "gauss")
+        for u in (6.0, 9.0, 12.0)
+    ]
+    alone = [mbdkit.run(spec).data_sha256 for spec in specs]
+    assert [done.data_sha256 for done in simulate_batch(specs)] == alone
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"integrator": {"name": "scipy-dop853"}}, "SciPy"),
+        ({"integrator": {"name": "rattle"}, "formulation": "index-3"}, "Lobatto"),
+        ({"events": {"turn": {"when": "rotor.angle - 1", "action": "stop"}}}, "events"),
+        ({"check": True}, "check"),
+    ],
+)
+def test_what_does_not_include_states_says_so(more: dict[str, Any], words: str) -> None:
+    spec = spec_of(model(), {"name": "rk4"})
+    with pytest.raises(SpecError, match=rf"{words}.*does not include the states of force elements \(motor.current\)"):
+        mbdkit.run({**spec, **more})
