@@ -77,12 +77,12 @@ def sobol_indices(
     first, total = _indices(np.mean(terms, axis=0)[None])
     random, n = np.random.default_rng(seed), len(values)
     means = np.empty((resamples, terms.shape[1]))
-    for place in range(resamples):
+    for index in range(resamples):
         chosen = np.bincount(random.integers(0, n, n), minlength=n)
-        means[place] = chosen @ terms / n
+        means[index] = chosen @ terms / n
     ends = (1 - confidence) / 2, (1 + confidence) / 2
     with np.errstate(invalid="ignore"):
-        (low, high), (total_low, total_high) = (np.quantile(one, ends, axis=0) for one in _indices(means))
+        (low, high), (total_low, total_high) = (np.quantile(index, ends, axis=0) for index in _indices(means))
     return SobolIndices(first[0], low, high, total[0], total_low, total_high)
 
 

@@ -166,9 +166,9 @@ class Workload:
 
     def __getitem__(self, name: str) -> ElementWorkload:
         """Return the workload of a joint or actuator; of the actuator, if both have the name."""
-        found = [one for one in self.elements if one.name == name]
+        found = [element for element in self.elements if element.name == name]
         if not found:
-            raise UnknownNameError("joint or actuator", name, [one.name for one in self.elements])
+            raise UnknownNameError("joint or actuator", name, [element.name for element in self.elements])
         return found[-1]
 
     def to_dict(self) -> dict[str, Any]:
@@ -176,8 +176,8 @@ class Workload:
         return {
             "start": self.start,
             "end": self.end,
-            "elements": [asdict(one) for one in self.elements],
-            "phases": [asdict(one) for one in self.phases],
+            "elements": [asdict(element) for element in self.elements],
+            "phases": [asdict(phase) for phase in self.phases],
             "cycles": {name: _cycle_data(one) for name, one in self.cycles.items()},
         }
 
@@ -317,7 +317,7 @@ _HEADS = ("", "PEAK", "AT [s]", "RMS", "IMPULSE", "LOADING RATE", "PEAK POWER", 
 
 
 def _phase_text(phase: Phase) -> str:
-    rows = [row for one in phase.elements for row in _rows(one)]
+    rows = [row for element in phase.elements for row in _rows(element)]
     return f"{phase.name}, {phase.start:.6g} to {phase.end:.6g} s\n{table([_HEADS, *rows], indent='  ')}"
 
 

@@ -149,7 +149,7 @@ def _kept_of(recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ..
     """Return the arrays of a layout that are kept, and those of names; and the keys of those with rows."""
     wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
     arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
-    return arrays, frozenset(one.key for one in arrays if one.grows)
+    return arrays, frozenset(array.key for array in arrays if array.grows)
 
 
 def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> None:
@@ -285,7 +285,7 @@ class _Writer:
     def names_of_structures(self) -> None:
         """Write the names of bodies and joints, the recorded arrays, and the redundant joints of each structure."""
         self.scale("", "structures", "structure", range(1, len(self.structures) + 1), "number of the structure")
-        for place, (name, what) in enumerate(
+        for index, (name, what) in enumerate(
             (
                 ("names", "names of bodies, joints and other elements, JSON"),
                 ("recorded", "paths of the arrays that the runs recorded, JSON"),
@@ -293,7 +293,7 @@ class _Writer:
             )
         ):
             array = Array(f"structures/{name}", ("structure",), "1", what, TEXT)
-            create(self.file, array, np.array([key[place] for key in self.structures], object))
+            create(self.file, array, np.array([key[index] for key in self.structures], object))
 
     def structure(self, under: str, rows: Sequence[int]) -> None:
         """Write the arrays of the runs with one structure."""
@@ -335,9 +335,9 @@ class _Writer:
         """Write one array of all runs of a structure; rows that a run does not have are nan, 0 or empty."""
         empty: Any = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
         values = np.full(shape, empty, object if one.dtype == TEXT else one.dtype)
-        for place, result in enumerate(found):
+        for index, result in enumerate(found):
             mine = result.arrays[one.key]
-            values[place, : len(mine)] = mine
+            values[index, : len(mine)] = mine
         dims = ("run", _AXIS[one.dims[0]], *one.dims[1:])
         stored = Array(one.path, dims, one.units, one.long_name, one.dtype, one.row_units)
         if one.dtype == TEXT:

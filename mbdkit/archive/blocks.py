@@ -164,10 +164,10 @@ class Block:
             If the block is damaged.
         """
         structure = self.runs["structure"].astype(int)
-        for place in range(int(structure.max(initial=0))):
-            numbers = self.numbers[structure == place + 1]
+        for index in range(int(structure.max(initial=0))):
+            numbers = self.numbers[structure == index + 1]
             first = self._finished(int(numbers[0]))
-            rows = _Rows(self, prefix(place), first.arrays)
+            rows = _Rows(self, prefix(index), first.arrays)
             yield Run(self._contents(int(numbers[0]), replace(first, arrays=rows))), numbers, rows.counts
 
     def _contents(self, number: int, finished: FinishedRun) -> ArrayContents:

@@ -129,7 +129,7 @@ class ArrayWriter(RunWriter):
         super().__init__(names, arrays)
         self._shared, self._assembly = shared, assembly
         self._keys = {
-            dim: tuple(dict.fromkeys(one.key for one in self.arrays if one.grows and one.dims[0] == dim))
+            dim: tuple(dict.fromkeys(array.key for array in self.arrays if array.grows and array.dims[0] == dim))
             for dim in GROWING
         }
         self._parts: dict[str, list[np.ndarray]] = {key: [] for keys in self._keys.values() for key in keys}
@@ -166,13 +166,13 @@ class ArrayWriter(RunWriter):
         started = time.perf_counter()
         sizes = self.names.sizes
         arrays = {}
-        for one in self.arrays:
-            if one.grows and one.key not in arrays:
-                dtype = np.dtype(object if one.dtype == TEXT else one.dtype)
-                parts = self._parts[one.key]
-                shape = (0, *(sizes[dim] for dim in one.dims[1:]))
+        for array in self.arrays:
+            if array.grows and array.key not in arrays:
+                dtype = np.dtype(object if array.dtype == TEXT else array.dtype)
+                parts = self._parts[array.key]
+                shape = (0, *(sizes[dim] for dim in array.dims[1:]))
                 joined = np.concatenate(parts) if parts else np.zeros(shape, dtype)
-                arrays[one.key] = np.ascontiguousarray(joined, dtype)
+                arrays[array.key] = np.ascontiguousarray(joined, dtype)
         made = FinishedRun(
             self.names,
             self.arrays,

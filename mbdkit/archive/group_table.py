@@ -125,7 +125,7 @@ def group_table(run: Run, group: str) -> GroupTable:
         raise NotRecordedError(f"{group}/time", run.format_version)
     columns = [column for array in arrays for column in _columns(run, array)]
     # The columns of an element, such as a joint, side by side, in the order of the arrays.
-    order = {key: place for place, key in enumerate(dict.fromkeys(_element(column) for column in columns))}
+    order = {key: index for index, key in enumerate(dict.fromkeys(_element(column) for column in columns))}
     columns.sort(key=lambda column: order[_element(column)])
     return GroupTable(run, group, len(run.dataset(f"{group}/time")), tuple(columns))
 

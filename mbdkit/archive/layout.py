@@ -166,7 +166,10 @@ def recorded_by(
 ) -> tuple[Array, ...]:
     """Return the arrays of a run as `recorded` does, without the groups of elements that the mechanism lacks."""
     sizes = names.sizes
-    return recorded(frozenset(one for one in quantities if one not in ELEMENTS or sizes[BY_GROUP[one].axis]), extra)
+    return recorded(
+        frozenset(quantity for quantity in quantities if quantity not in ELEMENTS or sizes[BY_GROUP[quantity].axis]),
+        extra,
+    )
 
 
 def name_texts(names: ArchiveNames) -> Mapping[str, Sequence[str]]:

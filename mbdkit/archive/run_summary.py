@@ -221,8 +221,8 @@ def asked_sentence(run: Run) -> str:
         return ""
     reached = "unknown" if math.isnan(accuracy.reached) else f"{accuracy.reached:.2g}"
     until = "" if accuracy.is_complete or math.isnan(accuracy.reached) else f" until {accuracy.known_until:.4g} s"
-    told = f"{accuracy.asked:g} of the mechanism's size, reached by estimate {reached}{until}"
-    return f"{told}; chosen: {accuracy.chosen}. {accuracy.why}"
+    text = f"{accuracy.asked:g} of the mechanism's size, reached by estimate {reached}{until}"
+    return f"{text}; chosen: {accuracy.chosen}. {accuracy.why}"
 
 
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
@@ -337,9 +337,9 @@ def _fit(run: Run) -> str:
         known = one.residual[np.isfinite(one.residual)]
         found.append((float(np.sqrt(np.mean(known**2))) if known.size else math.nan, name, one.units))
     found.sort(reverse=True)
-    told = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in found[:JOINTS_NAMED])
+    text = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in found[:JOINTS_NAMED])
     more = f", {len(found) - JOINTS_NAMED} more" if len(found) > JOINTS_NAMED else ""
-    return f"residuals (rms) {told}{more}" if found else ""
+    return f"residuals (rms) {text}{more}" if found else ""
 
 
 def _raw_misalignment(run: Run) -> str:
@@ -349,8 +349,8 @@ def _raw_misalignment(run: Run) -> str:
     gaps = run.raw_misalignment
     largest = np.max(np.where(np.isfinite(gaps), gaps, -1.0), axis=0, initial=-1.0)
     order = [int(k) for k in np.argsort(-largest, kind="stable")[:JOINTS_NAMED] if largest[k] >= 0]
-    told = ", ".join(f"{run.joint_names[k]} {largest[k]:.2g} m" for k in order)
-    return f"misaligned by at most {told}" if told else ""
+    text = ", ".join(f"{run.joint_names[k]} {largest[k]:.2g} m" for k in order)
+    return f"misaligned by at most {text}" if text else ""
 
 
 def _actuators(run: Run) -> str:

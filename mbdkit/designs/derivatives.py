@@ -31,7 +31,7 @@ def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
     if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
         return differences(evaluator, x)
     try:
-        found = np.array([one.jacobian for one in gradients(evaluator, x, check=False)])
+        found = np.array([gradient.jacobian for gradient in gradients(evaluator, x, check=False)])
     except MbdkitError as error:
         evaluator.why_differences = str(error).rstrip(".")
         return differences(evaluator, x)
@@ -56,15 +56,16 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
     if evaluator.why_differences:
         return ()
     try:
-        checks = [one.check for one in gradients(evaluator, x, check=True)]
+        checks = [gradient.check for gradient in gradients(evaluator, x, check=True)]
     except MbdkitError:
         return ()
     return tuple(
-        f"The derivative of {one.names[m]} at the best point is not confirmed by differences, {one.derivative[m]:.4g} "
-        f"and {one.extrapolated[m]:.4g} in a random direction: {one.names[m]} may not be smooth there."
-        for one in checks
-        if one is not None
-        for m in np.flatnonzero(~one.agrees)
+        f"The derivative of {check.names[m]} at the best point is not confirmed by differences, "
+        f"{check.derivative[m]:.4g} "
+        f"and {check.extrapolated[m]:.4g} in a random direction: {check.names[m]} may not be smooth there."
+        for check in checks
+        if check is not None
+        for m in np.flatnonzero(~check.agrees)
     )
 
 
@@ -80,7 +81,7 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
     for scenario in evaluator.scenarios:
         spec = scenario.at(settings)
         parameters = resolved(spec, [path_text(path) for path, _ in settings])
-        definitions = definitions_of(spec, [one.name for one in spec.defined_measures()])
+        definitions = definitions_of(spec, [measure.name for measure in spec.defined_measures()])
         with one_thread_of_linear_algebra():
             found.append(
                 gradient_of_run_spec(spec, definitions, parameters, check=check)

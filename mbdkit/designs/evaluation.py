@@ -116,7 +116,7 @@ class ScenarioRuns:
                     runs[place] = spec
                 else:
                     with one_thread_of_linear_algebra(), compute_run(spec) as run:
-                        values = tuple(run.measures[one.name] for one in self._measures)
+                        values = tuple(run.measures[measure.name] for measure in self._measures)
                         found[place] = _judged(values, run.verdict, run.verdict_reasons)
             except ResourceError:
                 raise
@@ -130,7 +130,7 @@ class ScenarioRuns:
                 found[place] = self._failed(result.reason)
                 continue
             stored = Run(ArrayContents(result, Heading(spec)))
-            values = tuple(take(one, stored, spec) for one in self._measures)
+            values = tuple(take(measure, stored, spec) for measure in self._measures)
             found[place] = _judged(values, result.judgement.level, result.judgement.reasons)
         return [one for one in found if one is not None]
 
@@ -226,7 +226,7 @@ class Evaluator:
     @property
     def widths(self) -> np.ndarray:
         """Widths (n,) of the bounds of the variables."""
-        return np.array([self._width(one) for one in self.spec.variables.values()])
+        return np.array([self._width(variable) for variable in self.spec.variables.values()])
 
     @property
     def first(self) -> np.ndarray:
@@ -281,7 +281,7 @@ class Evaluator:
     @property
     def root_weights(self) -> np.ndarray:
         """Square roots (S,) of the weights of the scenarios."""
-        return np.sqrt([one.weight for one in self.spec.situations.values()])
+        return np.sqrt([situation.weight for situation in self.spec.situations.values()])
 
     def totals(self, x: np.ndarray) -> np.ndarray:
         """Return the goals (G,) at a point (n,), summed over the scenarios by their weights; or the sum of squares."""

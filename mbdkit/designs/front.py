@@ -58,9 +58,11 @@ def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
     """Return the points that are not dominated: no other point is better in one goal and as good in all others."""
     if not points:
         return []
-    goals = np.array([evaluator.totals(one.end) for one in points])
+    goals = np.array([evaluator.totals(point.end) for point in points])
     slack = SLACK * np.ptp(goals, axis=0)
-    worse = [bool(np.any(np.all(goals <= one + slack, axis=1) & np.any(goals < one - slack, axis=1))) for one in goals]
+    worse = [
+        bool(np.any(np.all(goals <= goal + slack, axis=1) & np.any(goals < goal - slack, axis=1))) for goal in goals
+    ]
     return [one for one, is_worse in zip(points, worse, strict=True) if not is_worse]
 
 

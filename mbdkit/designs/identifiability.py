@@ -43,7 +43,7 @@ def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], 
         return ()
     _, values, directions = np.linalg.svd(matrix)
     rank = int(np.sum(values > NEGLIGIBLE * values.max(initial=0.0)))
-    return tuple(_change(problem, free, one) for one in directions[rank:])
+    return tuple(_change(problem, free, direction) for direction in directions[rank:])
 
 
 def _second_derivatives(problem: Problem, best: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -28,7 +28,11 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str) -> list[dict[str, 
 def _carry(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]:
     runs = _scenario(json.dumps(task["spec"]), task["kind"], task["folder"])
     points = [[(tuple(path), value) for path, value in settings] for settings in task["settings"]]
-    return {"status": "complete", "reason": "", "results": [plain_outcome(one) for one in runs.outcomes(points)]}
+    return {
+        "status": "complete",
+        "reason": "",
+        "results": [plain_outcome(outcome) for outcome in runs.outcomes(points)],
+    }
 
 
 @lru_cache(maxsize=16)

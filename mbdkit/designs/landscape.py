@@ -37,11 +37,11 @@ class Cut:
 def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
     """Return a cut through the best point (n,) along each variable, within its bounds."""
     found = []
-    for place, name in enumerate(evaluator.spec.variables):
-        low, high = max(best[place] - REACH, 0.0), min(best[place] + REACH, 1.0)
-        shares = np.union1d(np.linspace(low, high, POINTS), best[place])
+    for index, name in enumerate(evaluator.spec.variables):
+        low, high = max(best[index] - REACH, 0.0), min(best[index] + REACH, 1.0)
+        shares = np.union1d(np.linspace(low, high, POINTS), best[index])
         points = np.tile(best, (len(shares), 1))
-        points[:, place] = shares
+        points[:, index] = shares
         evaluator.outcomes(points)  # vectorized where possible
         values = np.array([evaluator.variables(x)[name] for x in points])
         found.append(Cut(name, values, np.array([evaluator.totals(x) for x in points])))

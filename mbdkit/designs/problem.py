@@ -169,7 +169,7 @@ def goal_weights(evaluator: Evaluator, goal: int) -> np.ndarray:
     """Return the weights (S, K) of goals and limits whose weighted sum is a goal of the design."""
     situations = evaluator.spec.situations.values()
     weights = np.zeros((len(situations), len(evaluator.names)))
-    weights[:, goal] = [one.weight for one in situations]
+    weights[:, goal] = [situation.weight for situation in situations]
     return weights
 
 

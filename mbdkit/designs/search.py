@@ -184,9 +184,9 @@ def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray)
         worth = problem.worth(points)
         beyond = 1.0 + max((cost for violation, cost in worth if not violation), default=0.0)
         strategy.tell(list(points), [beyond + violation if violation else cost for violation, cost in worth])
-        place = worth.index(min(worth))
-        if worth[place] < least:
-            best, least = points[place], worth[place]
+        index = worth.index(min(worth))
+        if worth[index] < least:
+            best, least = points[index], worth[index]
     ended = ", ".join(f"{name} {value:g}" for name, value in strategy.stop().items())
     return OptimizeResult(x=best, message=f"CMA-ES ended by {ended}")
 

@@ -157,7 +157,7 @@ def evaluating(
     """
     place = Path("points.jsonl") if folder is None else folder.points
     with one_thread_of_linear_algebra(), Computer(spec, engine, notify, place) as computer:  # searches use it, too
-        names = [one.name for one in spec.defined_measures()]
+        names = [measure.name for measure in spec.defined_measures()]
         known = KnownPoints(computer, None if folder is None else PointFile(place, names, notify), progress)
         try:
             yield Evaluator(spec, known)

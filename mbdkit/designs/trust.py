@@ -129,7 +129,7 @@ def _errors(evaluator: Evaluator, x: np.ndarray, point: str) -> tuple[np.ndarray
             for change, one in others.items()
             if one.verdict == "failed"
         ]
-        away = [np.abs(np.subtract(one.values, found.values)) for one in others.values()]
+        away = [np.abs(np.subtract(other.values, found.values)) for other in others.values()]
         differences.append(np.max(away, axis=0) if away else np.full(len(found.values), np.nan))
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
     table = np.array(differences)

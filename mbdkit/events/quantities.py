@@ -51,8 +51,8 @@ class QuantityEvaluator:
         self.mechanism = workspace.mechanism
         names = archive_names(self.mechanism)
         units = dict(zip(names.joints, names.joint_units, strict=True))
-        self._travels = any(one.kind == "joints" and units[one.name] == "m" for one in quantities)
-        self._takers = [(one.taker(names), one.is_vector) for one in quantities]
+        self._travels = any(quantity.kind == "joints" and units[quantity.name] == "m" for quantity in quantities)
+        self._takers = [(quantity.taker(names), quantity.is_vector) for quantity in quantities]
         self._observer = StateObserver(workspace)
         self._buffers: dict[int, Observed] = {}
 

@@ -69,9 +69,9 @@ def _prepared(
     expressions: Sequence[RunExpression], workspace: Workspace
 ) -> tuple[QuantityEvaluator, list[CompiledExpression]]:
     """Return an evaluator of the quantities of all expressions, and the expressions as functions of its values."""
-    quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
-    places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
-    return QuantityEvaluator(workspace, quantities), [one.compiled(places) for one in expressions]
+    quantities = list(dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities))
+    places = {quantity: index for index, quantity in enumerate(quantities, start=1)}
+    return QuantityEvaluator(workspace, quantities), [expression.compiled(places) for expression in expressions]
 
 
 class Watch:

@@ -147,9 +147,9 @@ class Compiler:
         self.source = self.source.lstrip()
         if not self.source:
             raise SpecError(f"the expression is empty; it should be {self.wanted.partition(',')[0]}")
-        for place, letter in enumerate(self.unquoted()):
+        for index, letter in enumerate(self.unquoted()):
             if not letter.isascii() or not letter.isprintable() or letter in "#\\;":
-                self.refuse(f"the character {letter!r} is not part of an expression", place)
+                self.refuse(f"the character {letter!r} is not part of an expression", index)
 
     def unquoted(self) -> str:
         """Return the text with quoted parts replaced by blanks; this class has no quotes, but subclasses may."""

@@ -78,7 +78,7 @@ class _Term:
         return value if isinstance(value, _Term) else _Term((("const", float(value)),))
 
     def then(self, operation: str, *others: _Term, number: float = 0.0) -> _Term:
-        return _Term((*self.program, *(i for one in others for i in one.program), (operation, number)))
+        return _Term((*self.program, *(i for other in others for i in other.program), (operation, number)))
 
     def __eq__(self, other: object) -> bool:
         return self.program == _Term.of(other).program

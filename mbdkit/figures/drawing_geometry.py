@@ -209,7 +209,7 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
 def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
     """Return the ends of a guide along its axis [m], beyond its point and the slider by a quarter of the size."""
     elements = [*mechanism.joints.values(), *mechanism.forces.values()]
-    places = [mechanism.to_global(name, point) for one in elements for _, name, point in one.attachments()]
+    places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]
     room = 0.25 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0
     (a, b), (start, slider) = joint.bodies, joint.ends
     x, y = mechanism.to_local(a, mechanism.to_global(b, slider))

@@ -46,7 +46,7 @@ def line_styles(chart: Figure) -> list[tuple[str, int]]:
     colours repeat. Lines of the same colour differ in their dashes.
     """
     groups = dict.fromkeys(line.group or line.label for line in chart.lines if not line.color)
-    colors = {group: PALETTE[place % len(PALETTE)] for place, group in enumerate(groups)}
+    colors = {group: PALETTE[index % len(PALETTE)] for index, group in enumerate(groups)}
     found: list[tuple[str, int]] = []
     for line in chart.lines:
         color = line.color or colors[line.group or line.label]

@@ -41,9 +41,9 @@ def of_operands(operation: str, number: float, *operands: Value) -> Value:
     if operation == "norm":
         return _norm(x)
     if operation in ("along_max", "along_min"):
-        place = np.argmax(x.value, axis=0) if operation == "along_max" else np.argmin(x.value, axis=0)
+        index = np.argmax(x.value, axis=0) if operation == "along_max" else np.argmin(x.value, axis=0)
         columns = np.arange(x.value.shape[-1])
-        return Value(x.value[place, columns], x.slope[:, place, columns])
+        return Value(x.value[index, columns], x.slope[:, index, columns])
     rule = OPERATIONS[operation].rule
     if others:
         value, slope, _ = rule(x.value, x.slope, 0.0, others[0].value, others[0].slope, 0.0)

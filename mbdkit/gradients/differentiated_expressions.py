@@ -25,7 +25,7 @@ NO_MEASURES: Definitions = MappingProxyType({})
 
 def definitions_of(spec: RunSpec | InverseSpec, measures: Measures) -> Definitions:
     """Return the definitions of measures, which may be names of those of a spec; raise SpecError if there are none."""
-    known = {one.name: one for one in spec.defined_measures()}
+    known = {measure.name: measure for measure in spec.defined_measures()}
     if isinstance(measures, str):
         measures = [measures]
     named = measures.items() if isinstance(measures, Mapping) else ((text, text) for text in measures)

@@ -107,12 +107,12 @@ def differentiated_run(
         return parts[0]
     crossings = (
         Crossing(same[0].name, same[0].time, np.concatenate([one.slope for one in same]))
-        for same in zip(*(one.crossings for one in parts), strict=True)
+        for same in zip(*(part.crossings for part in parts), strict=True)
     )
     return DifferentiatedRun(
-        joined_states([one.rows for one in parts]),
-        joined_states([one.nodes for one in parts if one.nodes is not None]) if parts[0].nodes is not None else None,
-        np.concatenate([one.end for one in parts]),
+        joined_states([part.rows for part in parts]),
+        joined_states([part.nodes for part in parts if part.nodes is not None]) if parts[0].nodes is not None else None,
+        np.concatenate([part.end for part in parts]),
         tuple(crossings),
         parts[0].sizes,
         parts[0].is_split,
@@ -251,8 +251,8 @@ class _Pass:
                     self._use(now)
             times.append(stretch.time if last is None else stretch.time[stretch.time < last[0]])
         if stepper.failure:
-            told = f"{stepper.failure.code}: {stepper.failure.sentence}"
-            raise RunError(f"a run that stops early has no gradient: {told}")
+            text = f"{stepper.failure.code}: {stepper.failure.sentence}"
+            raise RunError(f"a run that stops early has no gradient: {text}")
         return self._observed(np.concatenate(times), last, events, at_events)
 
     def _use(self, sides: np.ndarray | None) -> None:
@@ -396,5 +396,5 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
     if watch.failure:
         raise RunError(f"a run that stops early has no gradient: {watch.failure.code}: {watch.failure.sentence}")
     expressions = spec.watched()
-    stops = [one is crossings[-1] and watch.stopped is not None for one in crossings]
+    stops = [crossing is crossings[-1] and watch.stopped is not None for crossing in crossings]
     return [Event(one.name, one.time, expressions[one.name], end) for one, end in zip(crossings, stops, strict=True)]

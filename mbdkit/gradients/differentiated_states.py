@@ -138,7 +138,7 @@ def _together(
 ) -> DifferentiatedStates:
     """Return states whose arrays of these `names` are joined from those of the parts."""
     first = parts[0]
-    observed = Observed(*(join(x) for x in zip(*(one.observed for one in parts), strict=True)))
+    observed = Observed(*(join(x) for x in zip(*(part.observed for part in parts), strict=True)))
     known = [name for name in names if np.ndim(getattr(first, name)) > 1 or name == "time"]
-    arrays: dict[str, Any] = {name: join([getattr(one, name) for one in parts]) for name in known}
+    arrays: dict[str, Any] = {name: join([getattr(part, name) for part in parts]) for name in known}
     return replace(first, observe=lambda: observed, **arrays)

@@ -172,11 +172,11 @@ def check_gradients(spec: RunSpec, method: Method) -> None:
     try:
         if not spec.measures:
             raise SpecError("gradients are those of measures, and the spec has no `measures`", key="gradients")
-        for place, name in enumerate(spec.gradients):
+        for index, name in enumerate(spec.gradients):
             try:
                 resolved(spec, [name])
             except SpecError as error:
-                raise SpecError(error.message, key=path_text(("gradients", place))) from None
+                raise SpecError(error.message, key=path_text(("gradients", index))) from None
         resolved(spec, spec.gradients)
         for name, one in expressions_of(spec, definitions_of(spec, list(spec.measures))).items():
             try:
@@ -263,7 +263,9 @@ def gradient_of_run(
     if measured is not None:
         check = check_gradient(Direction.random(parameters, prepared), measured, sizes, value, jacobian)
     return Gradient(
-        tuple(expressions), tuple(one.unit.text for one in expressions.values()), tuple(one.name for one in parameters),
+        tuple(expressions),
+        tuple(expression.unit.text for expression in expressions.values()),
+        tuple(parameter.name for parameter in parameters),
         value, jacobian, prepared.error, tuple(doubts), check,
     )  # fmt: skip
 

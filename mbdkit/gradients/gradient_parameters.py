@@ -91,8 +91,8 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
 
 def _unknown(spec: ModelSpec, name: str) -> Parameter:
     known = list(spec.parameters)
-    told = f"; parameters: {listed(known)}" if known else "; the spec has no `parameters`"
-    hint = did_you_mean(name, known) or told
+    text = f"; parameters: {listed(known)}" if known else "; the spec has no `parameters`"
+    hint = did_you_mean(name, known) or text
     raise _refused(
         f"there is no parameter '{name}'{hint}. Numbers of the model have key paths, such as model.bodies.rod.mass"
     )

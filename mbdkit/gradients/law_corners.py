@@ -98,10 +98,12 @@ class SidedMechanism:
         """
         numbers = self.mechanism.topology.law_parameters
         found = []
-        for one in self.conditions:
-            values = [one.function(*row[one.element, :2], *numbers[one.parameters])[0] for row in forces]
+        for condition in self.conditions:
+            values = [
+                condition.function(*row[condition.element, :2], *numbers[condition.parameters])[0] for row in forces
+            ]
             if min(values) < 0.0 < max(values):
-                found.append(one.force)
+                found.append(condition.force)
         return tuple(dict.fromkeys(found))
 
     def seeds(self, seeds: Seeds) -> Seeds:
@@ -194,7 +196,7 @@ def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
             at_rest = relation.subs(rate, 0)
             replaced[relation] = sp.Or(sp.And(sp.Eq(rate, 0), at_rest), sp.And(sp.Ne(rate, 0), replaced[relation]))
     functions = tuple(
-        sp.lambdify(variables, [g, *(sp.diff(g, one) for one in variables)], modules="math") for g in found
+        sp.lambdify(variables, [g, *(sp.diff(g, variable) for variable in variables)], modules="math") for g in found
     )
     return SidedLaw(
         ExpressionLaw(

@@ -110,13 +110,13 @@ class MeasureOfRun:
             return _Operand(reduced, reduced if name in OF_INTEGRAL and operands[0].nodes is not None else None)
         if operation in ALONG.values():
             self._note_equal_elements(operation, operands[0].rows, expression)
-        on_nodes = [one.nodes for one in operands if one.nodes is not None]
+        on_nodes = [operand.nodes for operand in operands if operand.nodes is not None]
         inner = of_operands(operation, number, *on_nodes) if len(on_nodes) == len(operands) else None
-        return _Operand(of_operands(operation, number, *(one.rows for one in operands)), inner)
+        return _Operand(of_operands(operation, number, *(operand.rows for operand in operands)), inner)
 
     def _of_event(self, quantity: Quantity) -> Value:
         """Return a quantity of an event: the time of its first or last crossing, or their number."""
-        found = [one for one in self.run.crossings if one.name == quantity.name]
+        found = [crossing for crossing in self.run.crossings if crossing.name == quantity.name]
         if quantity.attribute == "count":
             return Value.constant(np.array([float(len(found))]), self.count)
         if not found:
@@ -190,17 +190,17 @@ class MeasureOfRun:
     def _extremum(self, name: str, rows: Value, expression: MeasureExpression) -> Value:
         """Return the largest or smallest value; add a warning if it is not unique."""
         values = rows.value if name == "max" else -rows.value
-        place = int(np.argmax(values))
+        index = int(np.argmax(values))
         spread = float(np.max(values) - np.min(values))
-        near = np.flatnonzero(values >= values[place] - UNIQUE * spread) if np.isfinite(spread) else np.array([place])
-        apart = near[np.abs(near - place) > 1]
-        same = np.isclose(rows.slope[:, apart], rows.slope[:, [place]], rtol=1e-6, atol=0.0).all(axis=0)
+        near = np.flatnonzero(values >= values[index] - UNIQUE * spread) if np.isfinite(spread) else np.array([index])
+        apart = near[np.abs(near - index) > 1]
+        same = np.isclose(rows.slope[:, apart], rows.slope[:, [index]], rtol=1e-6, atol=0.0).all(axis=0)
         if not np.all(same):
             times, apart = self.run.rows.time, apart[~same]
             self.doubts.append(
                 f"the {'largest' if name == 'max' else 'smallest'} value in '{expression.text}' is attained at "
-                f"several times, such as t = {times[place]:.6g} s and {times[apart[0]]:.6g} s, so that it has no "
+                f"several times, such as t = {times[index]:.6g} s and {times[apart[0]]:.6g} s, so that it has no "
                 f"derivative; "
                 "a p-norm is a smooth maximum: mean(x**8)**(1/8)"
             )
-        return rows[place : place + 1]
+        return rows[index : index + 1]

@@ -102,7 +102,7 @@ class Preparation(ABC):
         SpecError
             If the structure of the arrays depends on a parameter, or if the spec is not valid near its value.
         """
-        found = [self._by(one) for one in parameters]
+        found = [self._by(parameter) for parameter in parameters]
         seeds = {
             name: np.stack([one.slopes.get(name, np.zeros(x.shape)) for one in found], axis=-1)
             for name, x in self.base.items()
@@ -112,7 +112,7 @@ class Preparation(ABC):
             weight = self.mechanism.topology.weight
             seeds["weight"] = -(weight**2)[..., None] * seeds["mass"]
         return PreparedDerivatives(
-            Seeds(seeds, np.array([self._scale(one) for one in parameters])),
+            Seeds(seeds, np.array([self._scale(parameter) for parameter in parameters])),
             np.array([one.error for one in found]),
             np.array([one.side for one in found]),
         )
@@ -236,10 +236,10 @@ def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarra
 def weights(places: tuple[int, ...]) -> tuple[float, ...]:
     """Return the weights of ``f(x) - f(0)`` in the derivative at 0 of the polynomial through 0 and all positions."""
     found = []
-    for one in places:
-        weight = Fraction(1, one)
+    for place in places:
+        weight = Fraction(1, place)
         for other in places:
-            if other != one:
-                weight *= Fraction(-other, one - other)
+            if other != place:
+                weight *= Fraction(-other, place - other)
         found.append(float(weight))
     return tuple(found)

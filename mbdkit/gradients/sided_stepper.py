@@ -121,12 +121,12 @@ class SidedStepper(DifferentiatedStepper):
     @property
     def sides(self) -> np.ndarray:
         """The sides (C,) in use."""
-        return np.asarray(self._numbers[[one.side for one in self.conditions]])
+        return np.asarray(self._numbers[[condition.side for condition in self.conditions]])
 
     def set_sides(self, sides: np.ndarray) -> None:
         """Use other sides."""
         assert self.steps is not None
-        places = [one.side for one in self.conditions]
+        places = [condition.side for condition in self.conditions]
         self._numbers[places] = sides
         self.steps.run.top.law_parameters[places, 0] = sides
 
@@ -198,21 +198,24 @@ class SidedStepper(DifferentiatedStepper):
         begin = SAME
         if value(begin) <= 0.0:
             return 0.0, number
-        for place, theta in enumerate(PLACES):
-            if wrong[place, number] and value(theta) < 0.0:
+        for index, theta in enumerate(PLACES):
+            if wrong[index, number] and value(theta) < 0.0:
                 return float(brentq(value, begin, theta, xtol=1e-15)), number
-            if not wrong[place, number]:
+            if not wrong[index, number]:
                 begin = theta
         return None
 
     def _values(self, times: Sequence[float], states: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         """Return the functions of the conditions (N, C) in N states."""
-        q, v = (np.ascontiguousarray([one[i] for one in states]) for i in range(2))
+        q, v = (np.ascontiguousarray([state[i] for state in states]) for i in range(2))
         observed = self._observer.arrays(len(q))
         self._observer.observe(np.array(times), q, v, observed)
         return np.array(
             [
-                [one.function(*row[one.element, :2], *self._numbers[one.parameters])[0] for one in self.conditions]
+                [
+                    condition.function(*row[condition.element, :2], *self._numbers[condition.parameters])[0]
+                    for condition in self.conditions
+                ]
                 for row in observed.forces
             ]
         )
@@ -230,13 +233,15 @@ class SidedStepper(DifferentiatedStepper):
         around, distance = self._evaluator.around(here, float(self.timetable.step or 1.0))
         forces, moved = here.observed.forces[0], around.observed.forces[:, :, 1, 0]
         values, slopes, rates = [], [], []
-        for one in self.conditions:
-            length, rate = forces[one.element, :2]
-            g, by_length, by_rate, *by_parameter = one.function(length[0], rate[0], *self._numbers[one.parameters])
-            own = np.asarray(self.steps.run.top.law_parameters)[one.parameters, 1 : forces.shape[-1]]
+        for condition in self.conditions:
+            length, rate = forces[condition.element, :2]
+            g, by_length, by_rate, *by_parameter = condition.function(
+                length[0], rate[0], *self._numbers[condition.parameters]
+            )
+            own = np.asarray(self.steps.run.top.law_parameters)[condition.parameters, 1 : forces.shape[-1]]
             values.append(g)
             slopes.append(by_length * length[1:] + by_rate * rate[1:] + np.array(by_parameter) @ own)
-            rates.append(by_length * rate[0] + by_rate * rate_of(moved[:, one.element], rate[0], distance))
+            rates.append(by_length * rate[0] + by_rate * rate_of(moved[:, condition.element], rate[0], distance))
         return np.array(values), np.array(slopes), np.array(rates)
 
     def _ahead(self, here: DifferentiatedStates) -> np.ndarray:

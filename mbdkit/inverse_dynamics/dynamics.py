@@ -131,12 +131,12 @@ class Balance:
 
 def columns_of(q: np.ndarray, actuators: Sequence[NamedActuator]) -> np.ndarray:
     """Return the generalized forces (T, n, U) of unit actuators at positions (T, n)."""
-    return np.swapaxes(Quantities([one.quantity for one in actuators]).jacobian(q), 1, 2)
+    return np.swapaxes(Quantities([actuator.quantity for actuator in actuators]).jacobian(q), 1, 2)
 
 
 def weights_of(manifold: Manifold, actuators: Sequence[NamedActuator]) -> np.ndarray:
     """Return the weights (U,) of actuators, those of torques per characteristic length."""
-    return np.array([one.weight / (manifold.length if one.unit == "N m" else 1.0) for one in actuators])
+    return np.array([actuator.weight / (manifold.length if actuator.unit == "N m" else 1.0) for actuator in actuators])
 
 
 def _require_regular(directions: Directions, motion: Motion) -> None:

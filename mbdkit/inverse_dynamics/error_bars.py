@@ -115,15 +115,15 @@ def error_bars(result: Inverse) -> ErrorBars | None:
         return None
     response = _Response(result, independent)
     cutoffs = _other_cutoffs(response, coordinates, how)
-    covariance, *of_changes = _covariances(path, deviation, asked, [how, *(one.how for one in cutoffs)], random)
+    covariance, *of_changes = _covariances(path, deviation, asked, [how, *(cutoff.how for cutoff in cutoffs)], random)
     sensitivity = _sensitivity(response, smoothed_each(times, coordinates, how), covariance)
-    squares = [one**2 for one in _bounds(*_with_loads(result, sensitivity, covariance))]
-    beyond = [np.zeros_like(one) for one in squares]
+    squares = [bound**2 for bound in _bounds(*_with_loads(result, sensitivity, covariance))]
+    beyond = [np.zeros_like(square) for square in squares]
     for one, own in zip(cutoffs, of_changes, strict=True):
-        for place, (change, noise) in enumerate(zip(one.change, _squares(sensitivity, own), strict=True)):
-            beyond[place] += (change**2 - noise) / len(cutoffs)
+        for index, (change, noise) in enumerate(zip(one.change, _squares(sensitivity, own), strict=True)):
+            beyond[index] += (change**2 - noise) / len(cutoffs)
     bounds = [np.sqrt(one + np.maximum(0.0, more)) for one, more in zip(squares, beyond, strict=True)]
-    method = _method(result, deviation, [one.factor for one in cutoffs])
+    method = _method(result, deviation, [cutoff.factor for cutoff in cutoffs])
     actuators, force, torque, position, velocity = bounds
     return ErrorBars(
         deviation,
@@ -145,9 +145,9 @@ def _covariances(
     for noise in path.samples(deviation, asked.samples, random):
         smooth = [path.smoothed(noise, one) for one in how]
         every = [np.concatenate([one.value, one.rate, one.acceleration], axis=1) for one in smooth]
-        for place, one in enumerate(every):
-            change = one - every[0] if place else one
-            totals[place] = totals[place] + change @ np.swapaxes(change, 1, 2)
+        for index, one in enumerate(every):
+            change = one - every[0] if index else one
+            totals[index] = totals[index] + change @ np.swapaxes(change, 1, 2)
     return [np.asarray(total / asked.samples) for total in totals]
 
 
@@ -157,9 +157,9 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
     count = series.value.shape[1]
     typical = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
     found: list[list[np.ndarray]] = []
-    for place in range(3 * count):
-        order, column = divmod(place, count)
-        step = typical[place] or 1e-6 * max(1.0, float(np.max(np.abs(parts[order][:, column]))))
+    for index in range(3 * count):
+        order, column = divmod(index, count)
+        step = typical[index] or 1e-6 * max(1.0, float(np.max(np.abs(parts[order][:, column]))))
         sides = []
         for sign in (1.0, -1.0):
             moved = [part.copy() for part in parts]
@@ -182,7 +182,7 @@ def _with_loads(
         for component, deviation in series.deviation.items():
             loads = problem.loads | {name: series.moved(component, deviation)}  # the outcome is linear in each of them
             moved = forces_of(replace(problem, loads=loads), result.fitted, result.independent, result.motion)
-            columns.append([one / deviation for one in _outcome(moved).minus(base).parts])
+            columns.append([part / deviation for part in _outcome(moved).minus(base).parts])
             deviations.append(deviation)
     if not columns:
         return sensitivity, covariance
@@ -198,7 +198,7 @@ def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.nd
     """Return the bounds, due to noise, of actuators, reaction forces, torques, positions and velocities."""
     reactions, factor = sensitivity[1], np.sqrt(chi2.ppf(LEVEL, 1))
     x, y = reactions[..., 0], reactions[..., 1]
-    found = [factor * np.sqrt(one) for one in _squares(sensitivity, covariance)]
+    found = [factor * np.sqrt(square) for square in _squares(sensitivity, covariance)]
     found[1] = _norm_bound(*(_product(a, b, covariance) for a, b in ((x, x), (y, y), (x, y))))
     return found
 
@@ -206,7 +206,7 @@ def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.nd
 def _squares(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
     """Return the mean squares, due to noise, of actuators, norms of forces, torques, positions and velocities."""
     actuators, reactions, position, velocity = sensitivity
-    x, y, torque = (_product(one, one, covariance) for one in np.moveaxis(reactions, -1, 0))
+    x, y, torque = (_product(moveaxi, moveaxi, covariance) for moveaxi in np.moveaxis(reactions, -1, 0))
     own, place, rate = (_product(one, one, covariance) for one in (actuators, position, velocity))
     return [own, x + y, torque, place, rate]
 
@@ -274,7 +274,8 @@ def _method(result: Inverse, deviation: np.ndarray, factors: list[float]) -> str
     ]
     of_loads = f"; noise of loads with the standard deviations {listed(loads, 'and')}" if loads else ""
     cutoff = (
-        f", and the mean square change of the result with {listed([f'{one:g}' for one in factors], 'and')} times the "
+        f", and the mean square change of the result with {listed([f'{factor:g}' for factor in factors], 'and')} "
+        f"times the "
         f"cutoff, minus that caused by noise, by root sum of squares"
         if factors
         else "; no cutoff was varied"

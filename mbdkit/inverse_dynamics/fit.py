@@ -122,8 +122,8 @@ class Fitter:
                 stride = min(max(1, count // KEYS), 2 * stride)
         known = np.array(poses)
         start = np.empty((count, self.manifold.n))
-        for place in range(self.manifold.n):
-            start[:, place] = np.interp(np.arange(count), keys, known[:, place])
+        for index in range(self.manifold.n):
+            start[:, index] = np.interp(np.arange(count), keys, known[:, index])
         return self.refined(target, start)
 
     def refined(self, target: Target, start: np.ndarray) -> np.ndarray:

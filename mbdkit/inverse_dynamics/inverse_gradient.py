@@ -196,7 +196,7 @@ class _InversePreparation(Preparation):
             and (not driven or np.array_equal(a.topology.motion_values, b.topology.motion_values))
             and own.fitter.manifold.length == other.fitter.manifold.length
             and own.measured.quantities.quantities == other.measured.quantities.quantities
-            and [one.quantity for one in own.actuators] == [one.quantity for one in other.actuators]
+            and [actuator.quantity for actuator in own.actuators] == [actuator.quantity for actuator in other.actuators]
             and own.names.candidates() == other.names.candidates()
         )
 
@@ -243,13 +243,15 @@ class _Frames:
         motion, dynamics, manifold = self.result.motion, self.result.dynamics, self.result.problem.fitter.manifold
         lam = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam).lam
         value, change = self._changes(np.asarray(self._described(lam, None).lack))
-        by_pairs = [manifold.reactions(motion.time, motion.q, motion.v, one).lam for one in np.moveaxis(change, -1, 0)]
+        by_pairs = [
+            manifold.reactions(motion.time, motion.q, motion.v, moveaxi).lam for moveaxi in np.moveaxis(change, -1, 0)
+        ]
         found = self._described(lam, np.stack(by_pairs, axis=-1))
         actuators = self._actuators(value)
         power = np.asarray(found.power[..., self.some])
         supplied = np.stack([power[:, 0] + actuators[:, :, 1].sum(axis=1) + self._load_power(), power[:, 1]], axis=1)
         energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
-        names = tuple(one.name for one in self.result.problem.actuators)
+        names = tuple(actuator.name for actuator in self.result.problem.actuators)
         q, v = (np.asarray(x[..., self.some]) for x in (found.q, found.v))
         observed = Observed(*(np.asarray(x[..., self.some]) for x in found.observed))
         return DifferentiatedStates.of(
@@ -294,7 +296,7 @@ class _Frames:
         needed = lack[:, :-3, 1 : 1 + self.seeds.count] - self._slope("motion.loads", motion.q.shape)
         columns = self._slope("motion.columns", balance.columns.shape)
         needed = needed - np.einsum("tnuk,tu->tnk", columns, dynamics.value)
-        found = [balance.solved(one) for one in np.moveaxis(needed, -1, 0)]
+        found = [balance.solved(moveaxi) for moveaxi in np.moveaxis(needed, -1, 0)]
         return np.stack([one[0] for one in found], axis=-1), np.stack([one[1] for one in found], axis=-1)
 
     def _actuators(self, slope: np.ndarray) -> np.ndarray:

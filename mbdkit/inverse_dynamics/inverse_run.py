@@ -183,9 +183,9 @@ def _names(result: Inverse) -> ArchiveNames:
     return replace(
         archive_names(result.problem.prepared.workspace.mechanism),
         observed=measured.names,
-        observed_units=[one.unit for one in measured.quantities.quantities],
-        actuators=[one.name for one in actuators],
-        actuator_units=[one.unit for one in actuators],
+        observed_units=[quantity.unit for quantity in measured.quantities.quantities],
+        actuators=[actuator.name for actuator in actuators],
+        actuator_units=[actuator.unit for actuator in actuators],
         loads=result.loads.names,
         load_bodies=result.loads.bodies,
     )

@@ -191,7 +191,7 @@ def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str
     force, point = np.zeros((2, len(time), count, 2))
     torque, power = np.zeros((2, len(time), count))
     generalized = np.zeros_like(q)
-    for place, (name, one) in enumerate(series.items()):
+    for index, (name, one) in enumerate(series.items()):
         slack = 1e-9 * max(abs(time[0]), abs(time[-1]))
         if one.time[0] > time[0] + slack or one.time[-1] < time[-1] - slack:
             raise SpecError(
@@ -199,15 +199,15 @@ def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str
                 f"{time[-1]:.6g} s; cut it with `time.start` and `time.end`",
                 key=f"loads.{name}",
             )
-        force[:, place], torque[:, place] = one.at(time, one.force), one.at(time, one.torque)
-        point[:, place] = _global_point(one, time, q)
+        force[:, index], torque[:, index] = one.at(time, one.force), one.at(time, one.torque)
+        point[:, index] = _global_point(one, time, q)
         body = 3 * one.body
-        arm = point[:, place] - q[:, body : body + 2]
+        arm = point[:, index] - q[:, body : body + 2]
         own = np.zeros_like(q)
-        own[:, body : body + 2] = force[:, place]
-        own[:, body + 2] = arm[:, 0] * force[:, place, 1] - arm[:, 1] * force[:, place, 0] + torque[:, place]
+        own[:, body : body + 2] = force[:, index]
+        own[:, body + 2] = arm[:, 0] * force[:, index, 1] - arm[:, 1] * force[:, index, 0] + torque[:, index]
         generalized += own
-        power[:, place] = np.sum(own * v, axis=1)
+        power[:, index] = np.sum(own * v, axis=1)
     on = tuple(bodies[one.body] for one in series.values())
     return Loads(tuple(series), on, force, point, torque, generalized, power)
 

@@ -89,20 +89,20 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     derivatives, deviation = np.empty((2, *raw.shape)), np.full(len(columns), np.nan)
     has_derivatives = [column.rate is not None for column in columns.values()]
     _require_all_or_none(motion, columns, has_derivatives)
-    for place, (name, column) in enumerate(columns.items()):
-        key, unit = f"motion.columns.{name}", quantities.quantities[place].unit
+    for index, (name, column) in enumerate(columns.items()):
+        key, unit = f"motion.columns.{name}", quantities.quantities[index].unit
         factor = unit_factor(column, table, unit, key)
-        raw[:, place] = factor * table.column(column.column, f"{key}.column")[kept]
-        values[:, place] = _bridged(time, raw[:, place], motion.gaps, (table, column.column, kept))
+        raw[:, index] = factor * table.column(column.column, f"{key}.column")[kept]
+        values[:, index] = _bridged(time, raw[:, index], motion.gaps, (table, column.column, kept))
         if unit == "rad":
-            values[:, place] = np.unwrap(values[:, place], period=2 * np.pi * quantities.scale[place])
-            raw[:, place] = np.where(np.isnan(raw[:, place]), np.nan, values[:, place])
+            values[:, index] = np.unwrap(values[:, index], period=2 * np.pi * quantities.scale[index])
+            raw[:, index] = np.where(np.isnan(raw[:, index]), np.nan, values[:, index])
         if column.deviation is not None:
-            deviation[place] = abs(factor) * column.deviation
+            deviation[index] = abs(factor) * column.deviation
         for order, heading in enumerate((column.rate, column.acceleration)):
             if heading is not None:
                 given = factor * table.column(heading, f"{key}.{('rate', 'acceleration')[order]}")[kept]
-                derivatives[order, :, place] = _bridged(time, given, None, (table, heading, kept))
+                derivatives[order, :, index] = _bridged(time, given, None, (table, heading, kept))
     weight = np.array([column.weight for column in columns.values()])
     given_derivatives = derivatives if all(has_derivatives) else None
     return Measured(time, tuple(columns), quantities, raw, values, weight, given_derivatives, deviation), table

@@ -123,11 +123,11 @@ def noise_deviation(
     share = np.empty(
         (path.columns, path.columns)
     )  # [row, column]: mean square of the residuals of one quantity due to the noise of another
-    for place in range(path.columns):
+    for index in range(path.columns):
         one = np.zeros(path.columns)
-        one[place] = 1.0
+        one[index] = 1.0
         squares = [np.sum(path.residual(noise) ** 2, axis=2) for noise in path.samples(one, DRAWS, random)]
-        share[:, place] = np.mean(np.sum(squares, axis=0), axis=0) / DRAWS
+        share[:, index] = np.mean(np.sum(squares, axis=0), axis=0) / DRAWS
     known = ~np.isnan(stated)
     seen = ~known & (np.sum(share, axis=0) > LEAST_SHARE)
     variance = np.where(known, stated, 0.0) ** 2

@@ -180,9 +180,9 @@ def _greedy(rows: np.ndarray, preferred: int) -> tuple[list[int], np.ndarray]:
     for _ in range(rows.shape[2]):
         worst = np.min(np.linalg.norm(left, axis=2), axis=0)
         first = int(np.argmax(worst[:preferred])) if preferred else 0
-        place = first if preferred and worst[first] >= PREFERRED else int(np.argmax(worst))
-        chosen.append(place)
-        left, pivot = _without(left, place)
+        index = first if preferred and worst[first] >= PREFERRED else int(np.argmax(worst))
+        chosen.append(index)
+        left, pivot = _without(left, index)
         independence = np.minimum(independence, pivot)
     return chosen, independence
 
@@ -190,8 +190,8 @@ def _greedy(rows: np.ndarray, preferred: int) -> tuple[list[int], np.ndarray]:
 def _independence(rows: np.ndarray) -> np.ndarray:
     """Return the independence (T,) of chosen quantities, in the order in which they were chosen."""
     left, independence = rows.copy(), np.full(len(rows), np.inf)
-    for place in range(rows.shape[1]):
-        left, pivot = _without(left, place)
+    for index in range(rows.shape[1]):
+        left, pivot = _without(left, index)
         independence = np.minimum(independence, pivot)
     return independence
 

@@ -106,7 +106,7 @@ def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]
     if not how:
         return Smoothed(series, series, series)
     shape = series[:, 0].shape
-    parts = [smoothed(time, series[:, place].reshape(len(time), -1), one) for place, one in enumerate(how)]
+    parts = [smoothed(time, series[:, index].reshape(len(time), -1), one) for index, one in enumerate(how)]
     value, rate, acceleration = (
         np.stack([getattr(part, name).reshape(shape) for part in parts], axis=1)
         for name in ("value", "rate", "acceleration")
@@ -185,7 +185,7 @@ def _cross_validated_spline(time: np.ndarray, series: np.ndarray) -> Smoothed:
                 "cross-validation finds no parameter of the spline for these data; give `parameter`", key=KEY
             ) from None
     value, rate, acceleration = (
-        np.column_stack([getattr(one, name) for one in columns]) for name in ("value", "rate", "acceleration")
+        np.column_stack([getattr(column, name) for column in columns]) for name in ("value", "rate", "acceleration")
     )
     return Smoothed(value, rate / unit, acceleration / unit**2)
 

@@ -50,10 +50,10 @@ class Table:
     _place: dict[str, int] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for place, heading in enumerate(self.headings):
+        for index, heading in enumerate(self.headings):
             if heading in self._place and heading:
                 raise self.error(f"two columns have the heading '{shown(heading)}'")
-            self._place[heading] = place
+            self._place[heading] = index
 
     def __len__(self) -> int:
         return len(self.cells)

@@ -386,16 +386,16 @@ class _MeasureCompiler(RunCompiler):
 
     def beam_of(self, values: Sequence[_Value], node: ast.expr) -> str:
         """Return the beam along which the result has values, if any; raise SpecError where operands do not match."""
-        beams = sorted({one.along for one in values if one.along})
+        beams = sorted({value.along for value in values if value.along})
         if len(beams) > 1:
             self.refuse(f"'{self.segment(node)}' combines the elements of two beams, {listed(beams, 'and')}", node)
-        if beams and any(one.is_vector for one in values):
+        if beams and any(value.is_vector for value in values):
             self.refuse(f"'{self.segment(node)}' combines a vector with the elements of the beam '{beams[0]}'", node)
         return beams[0] if beams else ""
 
     def makes_vector(self, operation: str, values: Sequence[_Value], node: ast.expr) -> bool:
         """Return whether the result is a vector; raise SpecError where vectors cannot be used."""
-        vectors = [one.is_vector for one in values]
+        vectors = [value.is_vector for value in values]
         if not any(vectors):
             return False
         if operation in ("add", "sub"):
@@ -426,21 +426,21 @@ class _MeasureCompiler(RunCompiler):
         if dimension == "root" or exponent is not None:
             power = Fraction(1, 2) if exponent is None else Fraction(exponent).limit_denominator(1000)
             return _PLAIN.times(base or _PLAIN, power)
-        for one in values:
-            if one.unit is not None and not one.unit.is_like(_PLAIN):
+        for value in values:
+            if value.unit is not None and not value.unit.is_like(_PLAIN):
                 what = OPERATIONS[operation].symbol or operation
-                self.refuse(f"'{self.segment(node)}': {what} needs a number or an angle, not {one.unit}", node)
+                self.refuse(f"'{self.segment(node)}': {what} needs a number or an angle, not {value.unit}", node)
         return _RADIAN if dimension == "angle" else _PLAIN
 
     def common(self, operation: str, values: Sequence[_Value], node: ast.expr) -> Unit | None:
         """Return the unit of operands that are added or compared."""
-        units = [one.unit for one in values if one.unit is not None and not one.is_number]
+        units = [value.unit for value in values if value.unit is not None and not value.is_number]
         if not units:
-            return _PLAIN if all(one.is_number for one in values) else None
+            return _PLAIN if all(value.is_number for value in values) else None
         if len(units) == 2 and not units[0].is_like(units[1]):
             verb = {"add": "adds", "sub": "subtracts"}.get(operation, "compares")
-            told = listed([str(one) for one in units], "and")
-            self.refuse(f"'{self.segment(node)}' {verb} quantities of different units, {told}", node)
+            text = listed([str(unit) for unit in units], "and")
+            self.refuse(f"'{self.segment(node)}' {verb} quantities of different units, {text}", node)
         return units[0]
 
 

@@ -271,8 +271,8 @@ class Quantities:
 
     def __init__(self, quantities: Sequence[Quantity]):
         self.quantities = tuple(quantities)
-        self.is_angle = np.array([one.unit == "rad" for one in self.quantities], dtype=bool)
-        self.scale = np.array([one.scale for one in self.quantities])
+        self.is_angle = np.array([quantity.unit == "rad" for quantity in self.quantities], dtype=bool)
+        self.scale = np.array([quantity.scale for quantity in self.quantities])
 
     def __len__(self) -> int:
         return len(self.quantities)
@@ -284,20 +284,20 @@ class Quantities:
     def values(self, q: np.ndarray) -> np.ndarray:
         """Return the values (T, K)."""
         out = np.empty((len(q), len(self)))
-        for place, one in enumerate(self.quantities):
-            out[:, place] = one.value(q)
+        for index, one in enumerate(self.quantities):
+            out[:, index] = one.value(q)
         return out
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the Jacobian (T, K, n)."""
         out = np.zeros((len(q), len(self), q.shape[1]))
-        for place, one in enumerate(self.quantities):
-            one.add_gradient(q, out[:, place])
+        for index, one in enumerate(self.quantities):
+            one.add_gradient(q, out[:, index])
         return out
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the second time derivatives (T, K) where the accelerations of the coordinates are zero."""
         out = np.empty((len(q), len(self)))
-        for place, one in enumerate(self.quantities):
-            out[:, place] = one.curvature(q, v)
+        for index, one in enumerate(self.quantities):
+            out[:, index] = one.curvature(q, v)
         return out

@@ -184,8 +184,8 @@ class _NumberCompiler(Compiler):
         """Raise SpecError for a name that is not a parameter, or for anything else."""
         if isinstance(node, ast.Name):
             hint = did_you_mean(node.id, ["pi", *FUNCTIONS, *self.known])
-            told = f"; parameters: {listed(self.known)}" if self.known else "; the spec has no `parameters`"
-            self.refuse(f"there is no parameter '{node.id}'{hint or told}", node)
+            text = f"; parameters: {listed(self.known)}" if self.known else "; the spec has no `parameters`"
+            self.refuse(f"there is no parameter '{node.id}'{hint or text}", node)
         return super().operand(node)
 
 

@@ -135,7 +135,7 @@ def comparison(
 def differences(runs: Sequence[Run]) -> list[str]:
     """Return for each run what distinguishes it from the others: settings or, if these are equal, title and file."""
     settings = [_settings(run) for run in runs]
-    keys = [key for key in dict.fromkeys(key for one in settings for key in one) if _differs(key, settings)]
+    keys = [key for key in dict.fromkeys(key for setting in settings for key in setting) if _differs(key, settings)]
     if 0 < len(keys) <= _DIFFERENCES:
         found = [
             ", ".join(filter(None, _with_units([one.get(key, _NONE) for key in keys], run)))
@@ -232,7 +232,7 @@ def _leaves(value: Any, path: SpecPath = ()) -> list[tuple[SpecPath, Any]]:
 
 
 def _differs(key: str, settings: Sequence[Mapping[str, _Setting]]) -> bool:
-    return len({one.get(key, _NONE).text for one in settings}) > 1
+    return len({setting.get(key, _NONE).text for setting in settings}) > 1
 
 
 def _title(run: Run) -> str:

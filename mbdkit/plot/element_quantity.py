@@ -271,8 +271,8 @@ def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool
         title = f"{quantity.name}: there are no {what}"
     elif not title:
         column, most = quantity.largest
-        told = f"{value_text(most, quantity.unit)}{_known_to(quantity, column)}"
-        title = f"{quantity.name}: largest {told} ({elements[column]})"
+        text = f"{value_text(most, quantity.unit)}{_known_to(quantity, column)}"
+        title = f"{quantity.name}: largest {text} ({elements[column]})"
     handles += draw_panel(axes, chart, title)
     axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
     legend(axes, handles, [*labels, *few.elements])

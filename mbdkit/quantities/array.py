@@ -269,17 +269,17 @@ class Kind:
     def columns(self) -> tuple[Array, ...]:
         """Arrays with the numbers of each object over time."""
         axes = (self.axis,) if self.axis else ()
-        return tuple(one for one in self.arrays if one.grows and not one.is_scale and one.dims[1:2] == axes)
+        return tuple(array for array in self.arrays if array.grows and not array.is_scale and array.dims[1:2] == axes)
 
     @cached_property
     def labels(self) -> Mapping[str, tuple[Array, ...]]:
         """Arrays with the texts of each object, by their label."""
-        labels = dict.fromkeys(one.label for one in self.arrays if one.label)
-        return {label: tuple(one for one in self.arrays if one.label == label) for label in labels}
+        labels = dict.fromkeys(array.label for array in self.arrays if array.label)
+        return {label: tuple(array for array in self.arrays if array.label == label) for label in labels}
 
     def index(self, name: str, names: ArchiveNames) -> int | slice:
         """Return the index of an object along the axis, or the indices of its elements."""
-        texts = next(one.texts for one in self.arrays if one.path == self.named_by)
+        texts = next(array.texts for array in self.arrays if array.path == self.named_by)
         assert texts is not None
         found = list(texts(names))
         first = found.index(name)
@@ -288,5 +288,5 @@ class Kind:
     @cached_property
     def attributes(self) -> Mapping[str, Attribute]:
         """Quantities of expressions by name; empty if expressions do not have the kind."""
-        recorded = (one for one in self.columns if isinstance(one, Recorded))
+        recorded = (column for column in self.columns if isinstance(column, Recorded))
         return {found.name: found for one in recorded for found in one.attributes if self.example}

@@ -61,8 +61,8 @@ _MISALIGNMENT: Mapping[str, Any] = {
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
     """Return a kind of arrays without the group in their paths; `since` and `optional` hold for all of them."""
     placed = (
-        replace(one, path=f"{group}/{one.path}", since=max(one.since, since), optional=one.optional or optional)
-        for one in arrays
+        replace(array, path=f"{group}/{array.path}", since=max(array.since, since), optional=array.optional or optional)
+        for array in arrays
     )
     return Kind(tuple(placed), **more)
 
@@ -83,7 +83,7 @@ def _units(name: str, dim: str, of: str, units: Callable[[ArchiveNames], Sequenc
     derived = UNITS_OF_ELEMENT.get(name, {})
 
     def texts(names: ArchiveNames) -> Sequence[str]:
-        return [derived.get(one, one) for one in units(names)]
+        return [derived.get(unit, unit) for unit in units(names)]
 
     return _texts(name, dim, f"units of {of}, row by row", texts, **more)
 

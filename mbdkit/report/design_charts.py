@@ -37,13 +37,13 @@ def load_charts(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Figure]:
     """Yield a chart over time of each quantity in goals and limits, before and after."""
     for number, (scenario, pair) in enumerate(pairs.items()):
         spec = design.spec.specs[scenario]
-        for place, quantity in enumerate(_quantities(design, spec)):
+        for index, quantity in enumerate(_quantities(design, spec)):
             unit = str(unit_of(quantity, spec))
             lines = tuple(_line(which, quantity, run) for which, run in pair.items())
             where = f" ({scenario})" if scenario else ""
             shaded = " Shaded: estimated error." if any(line.band is not None for line in lines) else ""
             yield Figure(
-                f"load-{number + 1}-{place + 1}", f"{quantity_words(quantity, unit)}{where}",
+                f"load-{number + 1}-{index + 1}", f"{quantity_words(quantity, unit)}{where}",
                 f"Before and after the design.{shaded}", _TIME, Axis(_kind(quantity, unit), unit), lines,
             )  # fmt: skip
 
@@ -66,8 +66,8 @@ def _kind(quantity: Quantity, unit: str) -> str:
 def _quantities(design: Design, spec: RunSpec | InverseSpec) -> Sequence[Quantity]:
     """Return the quantities in goals and limits that change over time."""
     found: dict[Quantity, None] = {}
-    for one in design.spec.defined_measures():
-        parsed = MeasureExpression.parse(one.expression, spec, one.unit)
+    for measure in design.spec.defined_measures():
+        parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
         found |= dict.fromkeys(quantity for quantity in parsed.quantities if quantity.is_over_time)
     return list(found)
 
@@ -129,18 +129,18 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
         Units of the goals by name.
     """
     limited = " Limits are not considered: the goal may fall beyond an active one." if design.spec.subject_to else ""
-    for place, cut in enumerate(around[""]):
+    for index, cut in enumerate(around[""]):
         words, unit = key_words(cut.variable), variable_unit(design, cut.variable)
         lines = []
         for settings, found in around.items():
             beside = f" with {settings}" if settings else ""
-            other = found[place]
+            other = found[index]
             lines += [
                 Line(f"{goal_words(name)}{beside}", other.values, other.goals[:, k])
                 for k, name in enumerate(design.spec.totals)
             ]
         yield Figure(
-            f"cut-{place + 1}", f"Goal along {words}",
+            f"cut-{index + 1}", f"Goal along {words}",
             f"The goal near the best point, which is marked, with all other variables at their best values.{limited}",
             Axis(words, unit), Axis("goal", _common(units)), tuple(lines),
             marks=(Mark("best", design.best.variables[cut.variable]),),

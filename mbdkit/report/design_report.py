@@ -109,11 +109,11 @@ def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
         sentence = f"{values[:1].upper()}{values[1:]}."
         title = f"The device {POINT_WORDS[which]}"
         yield Section(f"device-{which}", title, (sentence,), replace(shown, caption=shown.caption + where))
-    for place, (scenario, runs) in enumerate(pairs.items()):
+    for index, (scenario, runs) in enumerate(pairs.items()):
         frames = load_drawing(runs["best"], mechanism_of(runs["best"]))
         if frames is not None:
             where = f" in the scenario {scenario}" if scenario else ""
-            yield Section(f"work-{place + 1}", f"The device at work{where}", (), frames)
+            yield Section(f"work-{index + 1}", f"The device at work{where}", (), frames)
 
 
 def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, Any]]:

@@ -47,9 +47,9 @@ def design_verdict(design: Design) -> Verdict:
 def measure_units(design: Design) -> dict[tuple[str, str], str]:
     """Return the units of goals and limits by scenario and name; empty for numbers without one."""
     found = {
-        (scenario, one.name): describe(one, spec).units
+        (scenario, measure.name): describe(measure, spec).units
         for scenario, spec in design.spec.specs.items()
-        for one in design.spec.defined_measures()
+        for measure in design.spec.defined_measures()
     }
     return {place: "" if unit == "1" else unit for place, unit in found.items()}
 
@@ -80,15 +80,15 @@ def _gains(design: Design) -> Iterator[Claim]:
 def _certified(design: Design) -> Claim:
     level = design.trust.verdict
     answer = {"good": Answer.YES, "unknown": Answer.OPEN, "doubtful": Answer.PARTLY}.get(level, Answer.NO)
-    told = f"worst verdict: {level}{f', {design.trust.reason}' if design.trust.reason else ''}"
-    return Claim("runs", "The runs at the best point can be trusted.", "", told, answer, "")
+    text = f"worst verdict: {level}{f', {design.trust.reason}' if design.trust.reason else ''}"
+    return Claim("runs", "The runs at the best point can be trusted.", "", text, answer, "")
 
 
 def _limits(design: Design) -> Iterator[Claim]:
     if design.spec.subject_to:
         answer = Answer.YES if design.is_feasible else Answer.NO
-        told = f"{counted(len(design.spec.subject_to), 'limit')} in {counted(len(design.spec.specs), 'scenario')}"
-        yield Claim("limits", "The best point satisfies all limits.", "", told, answer, "")
+        text = f"{counted(len(design.spec.subject_to), 'limit')} in {counted(len(design.spec.specs), 'scenario')}"
+        yield Claim("limits", "The best point satisfies all limits.", "", text, answer, "")
 
 
 def _compared(design: Design, one: Comparison) -> Claim:
@@ -107,15 +107,15 @@ def _compared(design: Design, one: Comparison) -> Claim:
     size = max(abs(best), abs(design.start.goals[goal]))
     same = moved <= SAME and abs(believed - best) <= SAME * size and one.is_feasible
     in_fact = "a run fails there" if one.fails else f"it is {actual:.6g}{unit}"
-    told = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
+    text = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
     if same:
-        return Claim(name, statement, "", told, Answer.YES, one.reason)
+        return Claim(name, statement, "", text, Answer.YES, one.reason)
     beyond = "" if one.is_feasible or one.fails else ", and limits are violated there"
     sentence = (
         f"With {one.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
         f"{in_fact}{beyond}. {one.reason}"
     )
-    return Claim(name, statement, "", told, Answer.NO, sentence.rstrip())
+    return Claim(name, statement, "", text, Answer.NO, sentence.rstrip())
 
 
 def _tables(design: Design) -> Iterator[Table]:
@@ -147,8 +147,8 @@ def _goal_table(design: Design) -> Table:
     names = ["scenario", "goal or limit", "unit", "start", "best", "smallest", "largest"]
     if not design.spec.scenarios:
         names, rows = names[1:], [row[1:] for row in rows]
-    told = "; ".join(f"{one.name}: {one.expression}" for one in design.spec.defined_measures())
-    return Table("goals", "Goals and limits", tuple(map(Column, names)), tuple(rows), told)
+    text = "; ".join(f"{measure.name}: {measure.expression}" for measure in design.spec.defined_measures())
+    return Table("goals", "Goals and limits", tuple(map(Column, names)), tuple(rows), text)
 
 
 def _comparison_table(design: Design) -> Table:
@@ -172,11 +172,11 @@ def _comparison_table(design: Design) -> Table:
         Column("goal in fact", unit),
         Column("satisfies limits"),
     )
-    told = "; ".join(
+    text = "; ".join(
         f"{name}: {write_yaml(settings).strip().replace(chr(10), ', ')}"
         for name, settings in design.spec.compare.items()
     )
-    note = f"The goal in fact, and whether limits are satisfied, are computed with the settings of the design. {told}."
+    note = f"The goal in fact, and whether limits are satisfied, are computed with the settings of the design. {text}."
     return Table("compared", "Results with other settings", columns, tuple(rows), note)
 
 

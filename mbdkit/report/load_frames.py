@@ -50,8 +50,12 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
     when = "of time" if _cycle(run) is None else "of a cycle, which begins with the contact"
     first = NamedPose.of(mechanism, list(run.bodies), run.array("trajectory/position")[0], np.asarray(run.time))
     kinds = {kind for kind, *_ in _arrows(run, first, 0)}
-    told = "; ".join(words for kind, words in _PLACES.items() if kind in kinds)
-    text = f"Forces to one scale, at equal intervals {when}: {told}." if told else f"At equal intervals {when}."
+    description = "; ".join(words for kind, words in _PLACES.items() if kind in kinds)
+    text = (
+        f"Forces to one scale, at equal intervals {when}: {description}."
+        if description
+        else f"At equal intervals {when}."
+    )
     wide, narrow = (_svg(run, mechanism, *size) for size in ((FRAMES, WIDE), (FRAMES_NARROW, NARROW)))
     return Illustration(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 
@@ -126,12 +130,12 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
     pitch = broadest + 0.25 * size
     shifts = [np.array([pitch * k - (box[:, 0].min() + box[:, 0].max()) / 2, 0.0]) for k, box in enumerate(boxes)]
     canvas = Canvas.fitted(_covered(boxes, arrows, shifts, scale), width)
-    for place, (frame, shift, found) in enumerate(zip(frames, shifts, arrows, strict=True)):
+    for index, (frame, shift, found) in enumerate(zip(frames, shifts, arrows, strict=True)):
         draw_sketch(canvas, frame.drawing, canvas.px(frame.drawing.world(frame.pose) + shift), moving_only=True)
         for kind, point, force in found:
             _arrow(canvas, kind, canvas.px(point + shift), force * scale * canvas.scale)
-        centre = float(canvas.px(np.array([pitch * place, low]))[0])
-        _text(canvas, centre, canvas.height - 26.0, f"{float(run.time[rows[place]]):.4g} s", "middle")
+        centre = float(canvas.px(np.array([pitch * index, low]))[0])
+        _text(canvas, centre, canvas.height - 26.0, f"{float(run.time[rows[index]]):.4g} s", "middle")
     draw_scale_bar(canvas)
     _key(canvas, longest, scale, {kind for found in arrows for kind, *_ in found})
     return canvas.svg()

@@ -45,18 +45,18 @@ def inverse_charts(run: Run) -> list[Figure]:
     time, observed = np.asarray(run.time), list(run.motion.values())
     found = []
     for unit, word in (("rad", "angles"), ("m", "lengths")):
-        chosen = [place for place, one in enumerate(observed) if one.units == unit]
+        chosen = [index for index, one in enumerate(observed) if one.units == unit]
         if chosen:
             curves = bands(time, run.array("motion/residual")[:, chosen], points=_POINTS)
-            lines = tuple(Line(observed[k].name, *curves.curve(place)) for place, k in enumerate(chosen))
+            lines = tuple(Line(observed[k].name, *curves.curve(index)) for index, k in enumerate(chosen))
             caption = f"Measured minus fitted value of each of the observed {word}."
             axis = Axis("residual", unit)
             found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, lines))
     raw = run.raw_misalignment
-    known = [place for place in range(raw.shape[1]) if np.any(np.isfinite(raw[:, place]))]
+    known = [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]
     if known:
         curves = bands(time, raw[:, known], points=_POINTS)
-        lines = tuple(Line(run.joint_names[k], *curves.curve(place)) for place, k in enumerate(known))
+        lines = tuple(Line(run.joint_names[k], *curves.curve(index)) for index, k in enumerate(known))
         caption = "Misalignment of the joints if the bodies were placed by the measured data alone."
         axis = Axis("misalignment", "m")
         found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, lines))
@@ -69,12 +69,14 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
         "work done [J]; work absorbed [J]"
     )
     rows: list[tuple[Cell, ...]] = []
-    for one in elements:
-        load, work = one.load, one.work
+    for element in elements:
+        load, work = element.load, element.work
         power: tuple[Cell, ...] = (None,) * 4
         if work is not None:
             power = (work.peak_power, work.least_power, work.positive, -work.negative)
-        rows.append((one.name, one.kind, load.units, load.peak, load.rms, load.impulse, load.loading_rate, *power))
+        rows.append(
+            (element.name, element.kind, load.units, load.peak, load.rms, load.impulse, load.loading_rate, *power)
+        )
     note = "Impulses are in N s or N m s, loading rates in N/s or N m/s."
     return Table("workload", "Workload of joints and actuators", columns, tuple(rows), note)
 
@@ -130,10 +132,10 @@ def _disagreement(run: Run) -> Section:
     )
     raw = run.raw_misalignment
     gaps: list[tuple[Cell, ...]] = []
-    for place, joint in enumerate(run.joint_names):
-        known = np.isfinite(raw[:, place])
+    for index, joint in enumerate(run.joint_names):
+        known = np.isfinite(raw[:, index])
         if np.any(known):
-            values = raw[known, place]
+            values = raw[known, index]
             at = float(time[known][int(np.argmax(values))])
             gaps.append((joint, float(np.sqrt(np.mean(values**2))), float(values.max()), at))
     heads = columns_of("joint; rms [m]; largest [m]; time of the largest [s]")

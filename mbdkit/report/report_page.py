@@ -75,11 +75,11 @@ class ReportPage:
 
     def figures(self, *, beside: bool) -> tuple[Figure, ...]:
         """Return the charts below the claims of the verdict, or the others."""
-        return tuple(one for one in self.verdict.figures if (one.name in self.beside_verdict) == beside)
+        return tuple(figure for figure in self.verdict.figures if (figure.name in self.beside_verdict) == beside)
 
     def tables(self, *, beside: bool) -> tuple[Table, ...]:
         """Return the tables below the claims of the verdict, or the others."""
-        return tuple(one for one in self.verdict.tables if (one.name in self.beside_verdict) == beside)
+        return tuple(table for table in self.verdict.tables if (table.name in self.beside_verdict) == beside)
 
     @property
     def figure_data(self) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
     columns = columns_of("body; position [m]; angle [rad]; velocity [m/s]; angular velocity [rad/s]")
     count = accuracy.rows_known
     errors = (accuracy.position_error, accuracy.velocity_error)
-    largest = np.stack([np.max(one[:count], axis=0) for one in errors], axis=1)  # (B, 2, 3)
+    largest = np.stack([np.max(error[:count], axis=0) for error in errors], axis=1)  # (B, 2, 3)
     names = list(run.bodies)
     size = np.linalg.norm(largest[..., :2], axis=-1)
     shown = _one_node_of_each_beam(run, size[:, 0])

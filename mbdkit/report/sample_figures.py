@@ -86,8 +86,8 @@ def sample_figures(study: Study) -> tuple[Figure, ...]:
     indices converge; and quantiles over time of the quantities in the measures, if the study stores them.
     """
     figures: list[Figure] = []
-    for one in _measures(study):
-        figures += [_histogram(one), *_convergence(one), *_scatters(one)]
+    for measure in _measures(study):
+        figures += [_histogram(measure), *_convergence(measure), *_scatters(measure)]
     for group in sample_groups(study)[:_MOST_GROUPS]:
         figures += _bands(study, group)
     return tuple(figures)
@@ -99,23 +99,23 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
     indices: list[tuple[Cell, ...]] = []
     spreads: list[tuple[Cell, ...]] = []
     note = ""
-    for one in _measures(study):
-        runs: tuple[Cell, ...] = (one.group.words,) if several else ()
-        known = one.values[np.isfinite(one.values)]
-        unit = one.quantity.axis.unit
+    for measure in _measures(study):
+        runs: tuple[Cell, ...] = (measure.group.words,) if several else ()
+        known = measure.values[np.isfinite(measure.values)]
+        unit = measure.quantity.axis.unit
         found = (np.mean(known), np.std(known, ddof=1), *np.quantile(known, (0, 0.05, 0.5, 0.95, 1)))
-        spreads.append((*runs, one.quantity.axis.label, unit, len(known), *map(float, found)))
-        if (sobol := one.sensitivity()) is not None:
+        spreads.append((*runs, measure.quantity.axis.label, unit, len(known), *map(float, found)))
+        if (sobol := measure.sensitivity()) is not None:
             ends = sobol.indices
             note = (
                 f"Estimates of Saltelli et al. (2010), table 2, (b) and (f), from {sobol.members} members, with "
                 f"{100 * sobol.confidence:g} % intervals by the bootstrap. First order: share of the variance "
                 f"explained by a variable alone; total: including its interactions with the others."
             )
-            for place, key in enumerate(sobol.variables):
+            for index, key in enumerate(sobol.variables):
                 columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
-                numbers = [float(f"{column[place]:.4f}") for column in columns]
-                indices.append((*runs, one.quantity.axis.label, key_words(key), *numbers))
+                numbers = [float(f"{column[index]:.4f}") for column in columns]
+                indices.append((*runs, measure.quantity.axis.label, key_words(key), *numbers))
     first = (Column("runs"),) if several else ()
     tables = []
     if indices:

@@ -83,9 +83,9 @@ def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) ->
         size = half * abs(value) / most if np.isfinite(value) else 0.0
         begin = middle - size if value < 0 else middle
         yield Markup('<rect class="bar" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="14"/>').format(begin, y, size)
-        told = f"{value:+.3g}" if np.isfinite(value) else "unknown"
+        text = f"{value:+.3g}" if np.isfinite(value) else "unknown"
         anchor = Markup(' text-anchor="end"' if value < 0 else "")
-        yield Markup(_TEXT).format(middle + (-size - 6 if value < 0 else size + 6), y + 12, anchor, told)
+        yield Markup(_TEXT).format(middle + (-size - 6 if value < 0 else size + 6), y + 12, anchor, text)
         y += _STEP
     yield Markup('<path class="faint" d="M{0:.1f} {1:.1f}L{0:.1f} {2:.1f}"/>').format(
         middle, top - 3 if is_wide else top + _STEP - 3, y - 3

@@ -166,9 +166,9 @@ def _failures(study: Study) -> Table:
         (point.number, ": ".join(filter(None, [point.family, point_words(point) or "reference"])), point.reason)
         for point in study.failures[: _LISTED if study.spec.has_table else None]
     ]
-    told = f"The first {len(rows)} of {len(study.failures)}." if len(rows) < len(study.failures) else NO_FAILURES.note
+    text = f"The first {len(rows)} of {len(study.failures)}." if len(rows) < len(study.failures) else NO_FAILURES.note
     columns = columns_of("run; member; reason")
-    return replace(NO_FAILURES, columns=columns, rows=tuple(rows), note=told)
+    return replace(NO_FAILURES, columns=columns, rows=tuple(rows), note=text)
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:

@@ -45,7 +45,7 @@ def integrands_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Integ
     SpecError
         If an expression is not valid for the spec.
     """
-    texts = [*(one.expression for one in spec.defined_measures() if one.item is None), *expressions]
+    texts = [*(measure.expression for measure in spec.defined_measures() if measure.item is None), *expressions]
     found = [one for text in texts for one in MeasureExpression.integrands_of(text, spec)]
     return tuple({one.text: one for one in found}.values())
 
@@ -70,8 +70,8 @@ class RunIntegrals:
         mechanism = workspace.mechanism
         self._names = archive_names(mechanism)
         self._waiting = [Nodes.none(mechanism.size)]
-        self._direct = [one for one in integrands if not one.is_nested]
-        self._nested = [one for one in integrands if one.is_nested]
+        self._direct = [integrand for integrand in integrands if not integrand.is_nested]
+        self._nested = [integrand for integrand in integrands if integrand.is_nested]
         self._sums: list[np.ndarray] | None = None
         self._low: list[np.ndarray] = []
         self._read = tuple(dict.fromkeys(quantity for one in self._nested for quantity in one.read))
@@ -101,7 +101,7 @@ class RunIntegrals:
         """Return the sums and the waiting nodes as plain values, for a checkpoint."""
         waiting = Nodes.joined(self._waiting)
         return {
-            "texts": [one.text for one in self.integrands],
+            "texts": [integrand.text for integrand in self.integrands],
             "sums": self._sums,
             "low": self._low,
             "waiting": [waiting.time, waiting.weight, waiting.q, waiting.v],
@@ -111,7 +111,7 @@ class RunIntegrals:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
         sums, low, size = state["sums"], state["low"], self._workspace.mechanism.size
-        if state["texts"] != [one.text for one in self.integrands]:
+        if state["texts"] != [integrand.text for integrand in self.integrands]:
             raise ValueError("it has other integrals")
         waiting = Nodes(*state["waiting"])
         count = len(waiting.time)
@@ -162,10 +162,10 @@ class RunIntegrals:
         gains = [np.atleast_1d(np.sum(x * nodes.weight, axis=-1)) for x in values]
         if self._sums is None:
             self._sums, self._low = ([np.zeros_like(x) for x in gains] for _ in range(2))
-        for place, gain in enumerate(gains):  # compensated sums
-            y = gain + self._low[place]
-            total = self._sums[place] + y
-            self._low[place], self._sums[place] = y - (total - self._sums[place]), total
+        for index, gain in enumerate(gains):  # compensated sums
+            y = gain + self._low[index]
+            total = self._sums[index] + y
+            self._low[index], self._sums[index] = y - (total - self._sums[index]), total
 
     def _values(self, series: Series) -> list[np.ndarray]:
         return [one.values(series, {}, 0.0) for one in self._direct]

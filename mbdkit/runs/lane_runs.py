@@ -264,10 +264,10 @@ def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
     mass, gravity, q, v = (
         np.stack(values)
         for values in (
-            [one.mechanism.topology.mass.ravel() for one in starts],
-            [one.mechanism.topology.gravity for one in starts],
-            [one.q0 for one in starts],
-            [one.v0 for one in starts],
+            [start.mechanism.topology.mass.ravel() for start in starts],
+            [start.mechanism.topology.gravity for start in starts],
+            [start.q0 for start in starts],
+            [start.v0 for start in starts],
         )
     )
     with np.errstate(all="ignore"):
@@ -314,7 +314,7 @@ class _Group:
         starts, tables = [one.start for one in members], [one.table for one in members]
         results = self.stepper.advance(starts, tables, [one.pivots for one in members])
         states = self._states(results)
-        lost = results.lost | self._beyond_limits(results, [one.guards for one in tables])
+        lost = results.lost | self._beyond_limits(results, [table.guards for table in tables])
         if np.all(lost):
             return [None] * len(members)
         with np.errstate(all="ignore"):  # in lost lanes
@@ -361,7 +361,7 @@ class _Group:
     def _beyond_limits(self, results: LaneResults, limits: Sequence[Guards]) -> np.ndarray:
         """Return (W,) whether a recorded state is near a limit of misalignment, so that each joint must be checked."""
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
-        smallest = np.array([min(one.misalignment, one.angle_misalignment) for one in limits])
+        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in limits])
         return np.asarray(~(largest <= smallest / 4))  # a joint has at most three rows
 
     def _recorded(

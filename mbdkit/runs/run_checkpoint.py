@@ -172,7 +172,7 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
         # evaluating an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
-        "impacts": [[one.time, one.energy, one.velocity] for one in stepper.impacts],
+        "impacts": [[impact.time, impact.energy, impact.velocity] for impact in stepper.impacts],
     }
 
 

@@ -126,7 +126,7 @@ def _scenario_spec(
     chosen |= changes or {}
     _put_all(data, chosen)
     given |= chosen
-    data["measures"] = {one.name: {"value": one.expression} for one in design.defined_measures()}
+    data["measures"] = {measure.name: {"value": measure.expression} for measure in design.defined_measures()}
     kind = InverseSpec if is_inverse(data) else RunSpec
     try:
         spec = kind(**data)

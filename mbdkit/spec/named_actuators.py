@@ -72,7 +72,9 @@ def actuators_of(
         found = [_given(name, one, names) for name, one in given.items()]
     else:
         found = _of_observed(observed, names)
-    residuals = [one for one in _residuals(names) if all(one.quantity != other.quantity for other in found)]
+    residuals = [
+        residual for residual in _residuals(names) if all(residual.quantity != other.quantity for other in found)
+    ]
     for one in residuals:
         if one.name in given:
             raise SpecError(
@@ -135,7 +137,7 @@ def _residuals(names: QuantityNames) -> list[NamedActuator]:
         body, prefix = names.body(root, "model"), ROOT if len(roots) == 1 else root
         axes = AXES if mechanism.bodies[root].inertia is not None else AXES[:2]
         named = _coordinates_of_body(body, names)
-        own = {f"{prefix}.{axis}": Coordinate(body, place) for place, axis in enumerate(axes)}
+        own = {f"{prefix}.{axis}": Coordinate(body, index) for index, axis in enumerate(axes)}
         found += [NamedActuator(*one) for one in (named if len(named) == len(axes) else own).items()]
     return found
 

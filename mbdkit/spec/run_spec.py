@@ -246,8 +246,8 @@ class RunSpec(ModelSpec):
         assert type(model) is type(self.model)
         if self._around_model is None:
             sections = canonical(self)
-            place = list(sections).index("model")
-            before, after = dict(list(sections.items())[:place]), dict(list(sections.items())[place + 1 :])
+            index = list(sections).index("model")
+            before, after = dict(list(sections.items())[:index]), dict(list(sections.items())[index + 1 :])
             head, tail = canonical_text(before)[:-1], canonical_text(after)[1:]
             self._around_model = head + "," * bool(before) + '"model":', "," * bool(after) + tail
         spec = self.model_copy(update={"model": model})

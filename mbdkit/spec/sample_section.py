@@ -84,28 +84,28 @@ def _frozen(name: str, given: Any) -> Any:
     with np.errstate(all="ignore"):
         known = np.isfinite(made.ppf([0.1, 0.5, 0.9]))
     if not np.all(known):
-        told = ", ".join(f"{key} {value:g}" for key, value in values.items())
-        raise SpecError(f"the distribution does not exist for these parameters: {told}")
+        text = ", ".join(f"{key} {value:g}" for key, value in values.items())
+        raise SpecError(f"the distribution does not exist for these parameters: {text}")
     return made
 
 
 def _values(name: str, given: Any, names: Sequence[str], needed: Sequence[str]) -> dict[str, float]:
     """Return the given parameters by name."""
-    told = f"'{name}' has the parameters {listed(names, 'and')}"
+    text = f"'{name}' has the parameters {listed(names, 'and')}"
     if isinstance(given, Mapping):
         for key in given:
             if key not in names:
-                raise SpecError(f"unknown parameter{did_you_mean(str(key), names)}; {told}", key=str(key))
+                raise SpecError(f"unknown parameter{did_you_mean(str(key), names)}; {text}", key=str(key))
         values = dict(given)
     elif isinstance(given, list | tuple):
         if len(given) > len(names):
-            raise SpecError(f"has {len(given)} parameters, which are too many: {told}")
+            raise SpecError(f"has {len(given)} parameters, which are too many: {text}")
         values = dict(zip(names, given, strict=False))
     else:
-        raise SpecError(f"needs its parameters as a list or a mapping, not {found(given)}: {told}")
+        raise SpecError(f"needs its parameters as a list or a mapping, not {found(given)}: {text}")
     missing = [one for one in needed if one not in values]
     if missing:
-        raise SpecError(f"needs {listed([f'`{one}`' for one in missing], 'and')}: {told}")
+        raise SpecError(f"needs {listed([f'`{one}`' for one in missing], 'and')}: {text}")
     for key, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise SpecError(f"should be a number, not {found(value)}", key=str(key))

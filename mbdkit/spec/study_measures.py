@@ -94,7 +94,7 @@ def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
     """Return the expressions of measures that a study defines itself; those of its bases are part of the specs of
     runs.
     """
-    return tuple(one.expression for one in measures if one.item is None and not one.of_base)
+    return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)
 
 
 def built_in(measures: Any) -> tuple[str, ...] | None:
@@ -173,8 +173,8 @@ def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> Defined
             message = f"'{wanted}' is a built-in measure, which is selected by its name alone: `measures: [{wanted}]`"
             raise SpecError(message, key=path_text(place))
         known = [*(BUILT_IN if isinstance(place[-1], int) else ()), *installed.names("measure")]
-        told = f"; known: {listed(known)}" if known else "; no installed plugin has any"
-        hint = did_you_mean(wanted, known) or told
+        text = f"; known: {listed(known)}" if known else "; no installed plugin has any"
+        hint = did_you_mean(wanted, known) or text
         raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(place))
     try:
         item = installed.get("measure", wanted)

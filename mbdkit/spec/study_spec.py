@@ -51,8 +51,8 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
     if not sizes:
         raise SpecError("needs at least one key of a run spec, such as `time.step: [0.1, 0.01]`")
     if len(set(sizes.values())) > 1:
-        told = listed([f"'{key}' has {size}" for key, size in sizes.items()], "and")
-        raise SpecError(f"the keys of one axis vary together and must have the same number of values; here {told}")
+        text = listed([f"'{key}' has {size}" for key, size in sizes.items()], "and")
+        raise SpecError(f"the keys of one axis vary together and must have the same number of values; here {text}")
     return axis
 
 
@@ -263,9 +263,12 @@ class StudySpec(StrictSpec):
     def needs_files(self) -> str:
         """Names of the keys that require a file for each run, as text; empty if there are none."""
         families = self.families.values()
-        if any(reference not in ("none", None) for reference in (self.reference, *(one.reference for one in families))):
+        if any(
+            reference not in ("none", None)
+            for reference in (self.reference, *(family.reference for family in families))
+        ):
             return "`reference`"
-        if any((repeats or 1) > 1 for repeats in (self.repeats, *(one.repeats for one in families))):
+        if any((repeats or 1) > 1 for repeats in (self.repeats, *(family.repeats for family in families))):
             return "`repeats`"
         return f"the measure {self.second_run_measures[0]}" if self.second_run_measures else ""
 

@@ -230,7 +230,7 @@ def _plan(study: str, changed: int) -> BlockStudyPlan:
 
 
 def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:
-    base, values = point.grid.base_json, {path_text(one.path): one.value for one in point.settings}
+    base, values = point.grid.base_json, {path_text(setting.path): setting.value for setting in point.settings}
     if point.lacking:
         reason = f"not-installed: the distribution {point.lacking} is not installed."
         return _Member(point, base, values, Refused("left-out", reason))
@@ -238,14 +238,14 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
         return _Member(point, base, values, Refused("failed", skip[point.number]))
     mark.note(point.number)  # recorded first, because recorded first, because a model of a plugin may end the process
     try:
-        spec = varied[base].spec([(one.path, one.value) for one in point.settings])
+        spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
         spec.mechanism()
     except SpecError:
         try:
             return _Member(point, base, values, point.spec)  # for the location of the error in the study
         except SpecError as error:  # without the file, which depends on the folder
-            told = f"{error.key}: {error.message}" if error.key else error.message
-            return _Member(point, base, values, Refused("failed", f"wrong-input: {told}"))
+            text = f"{error.key}: {error.message}" if error.key else error.message
+            return _Member(point, base, values, Refused("failed", f"wrong-input: {text}"))
     except Exception as error:
         return _Member(point, base, values, refusal(error))
     return _Member(point, base, values, spec)

@@ -196,8 +196,8 @@ class _Batch(Generic[Work]):
         if not all(task.writes for task in self.tasks):
             return self.tasks, []
         done = [_written(task.path) != before for task, before in zip(self.tasks, self._before, strict=True)]
-        place = done.index(False) if False in done else len(done) - 1
-        return self.tasks[place : place + 1], self.tasks[:place] + self.tasks[place + 1 :]
+        index = done.index(False) if False in done else len(done) - 1
+        return self.tasks[index : index + 1], self.tasks[:index] + self.tasks[index + 1 :]
 
 
 def _written(path: Path) -> int:

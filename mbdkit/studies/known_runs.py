@@ -48,8 +48,8 @@ class KnownRuns:
         else:
             if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
                 count = len(before.references["status"])
-                rows = [before.row(place, of_references=True) for place in range(count)]
-                rows += [before.row(place) for place in range(len(before))]
+                rows = [before.row(index, of_references=True) for index in range(count)]
+                rows += [before.row(index) for index in range(len(before))]
         self._by_run: Mapping[str, Row] = {row.run_id: row for row in rows}
         self._measured: Mapping[tuple[str, str], Row] = {(row.run_id, row.reference_id): row for row in rows}
 

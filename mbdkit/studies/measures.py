@@ -68,15 +68,15 @@ class RunGroup:
 def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
     """Yield the indices of runs that can form a `RunGroup`."""
     groups: dict[bytes, list[list[int]]] = {}
-    for place, run in enumerate(runs):
+    for index, run in enumerate(runs):
         alike = groups.setdefault(run.arrays["time"].tobytes(), [])
         for places in alike:
             other = runs[places[0]]
             if run.layout == other.layout and run.names == other.names:
-                places.append(place)
+                places.append(index)
                 break
         else:
-            alike.append([place])
+            alike.append([index])
     for found in groups.values():
         yield from found
 
@@ -145,7 +145,7 @@ def _largest_value(units: str) -> Callable[[RunGroup], np.ndarray]:
             forces = group.first.forces
         except NotRecordedError:
             return group.everywhere(math.nan)
-        chosen = [place for place, force in enumerate(forces.values()) if force.units == units]
+        chosen = [index for index, force in enumerate(forces.values()) if force.units == units]
         return _largest_of(np.abs(group.array("forces/value")[:, :, chosen])) if chosen else group.everywhere(0.0)
 
     return take

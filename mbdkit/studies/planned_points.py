@@ -62,8 +62,8 @@ class Grid:
     def base_json(self) -> str:
         """The spec of all points before the values of each are set, as JSON."""
         data = {"mbdkit": 1, **copy.deepcopy(dict(self.base))}
-        for one in self.overrides:
-            put(data, one.path, copy.deepcopy(one.value))
+        for override in self.overrides:
+            put(data, override.path, copy.deepcopy(override.value))
         return json.dumps(plain(data), separators=(",", ":"), ensure_ascii=False)
 
     @property

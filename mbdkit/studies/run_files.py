@@ -38,10 +38,10 @@ class RunFiles(RunStore):
             notify(f"{counted(count, 'run')} left out: the distribution {name} is not installed")
         self._known = KnownRuns(self.spec, self.folder, self.plan.runs)
         self._missing: list[str] = []
-        for place, run_id in enumerate(self.plan.runs):
+        for index, run_id in enumerate(self.plan.runs):
             if not self._known.is_done(run_id):
                 self._known.note(run_id, None)  # another shard, or a worker of an interrupted call, may still write it
-                self._missing += [run_id] if shard is None or shard.has(place) else []
+                self._missing += [run_id] if shard is None or shard.has(index) else []
         self._again = self._to_run_again() if shard is None else []
         self._repeats = self._missing_repeats() if shard is None else {}
         return len(self._missing) + len(self._again) + len(self._repeats)

@@ -179,7 +179,7 @@ class _Condition(Compiler):
             if not isinstance(right, ast.List | ast.Tuple) or not 1 <= len(right.elts) <= MOST_COMPARED:
                 self.refuse(f"`in` needs a list of at most {MOST_COMPARED} values, such as ['rk4', 'gauss']", right)
             value = self.value(left, nesting)
-            among = [_equal(value, self.value(one, nesting)) for one in right.elts]
+            among = [_equal(value, self.value(elt, nesting)) for elt in right.elts]
             within = np.logical_or.reduce(np.broadcast_arrays(*among))
             return within if isinstance(operation, ast.In) else np.logical_not(within)
         if isinstance(operation, ast.Eq | ast.NotEq):

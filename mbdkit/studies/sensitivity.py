@@ -69,9 +69,9 @@ class Sensitivity:
         width = max(map(len, ("variable", *self.variables)))
         one = self.indices
         lines = [f"{'variable':<{width}}  {'first order':<26}  total"]
-        for place, name in enumerate(self.variables):
+        for index, name in enumerate(self.variables):
             first, total = (
-                f"{value[place]:.3f} ({low[place]:.3f} to {high[place]:.3f})"
+                f"{value[index]:.3f} ({low[index]:.3f} to {high[index]:.3f})"
                 for value, low, high in (
                     (one.first, one.first_low, one.first_high),
                     (one.total, one.total_low, one.total_high),

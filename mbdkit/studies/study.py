@@ -113,7 +113,11 @@ class Study(HtmlView):
 
         Runs that are left out because a distribution is not installed do not count as missing.
         """
-        return "partial" if "missing" in (*self.statuses(), *(one.status for one in self.references)) else "complete"
+        return (
+            "partial"
+            if "missing" in (*self.statuses(), *(reference.status for reference in self.references))
+            else "complete"
+        )
 
     def statuses(self) -> Sequence[str]:
         """Return the status of each point."""
@@ -130,7 +134,7 @@ class Study(HtmlView):
         if self.spec.in_blocks:
             return self._all.at(places)
         failed = [self.points[place] for place in places]
-        return (*failed, *(one for one in self.references if one.status == "failed"))
+        return (*failed, *(reference for reference in self.references if reference.status == "failed"))
 
     @property
     def families(self) -> dict[str, str]:

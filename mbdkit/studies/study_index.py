@@ -258,14 +258,14 @@ class _Table:
         self.file.create_group(self.group)
         count = len(columns["status"])
         self._create(self.dim, range(1, count + 1), INTEGER, Description("1", "number of the run"))
-        for place, (name, values) in enumerate(columns.items(), start=1):
+        for index, (name, values) in enumerate(columns.items(), start=1):
             if name == REPEATS:
                 self._create("repeat", range(1, values.shape[1] + 1), INTEGER, _NUMBER_OF_TIMING, ("repeat",))
                 self._create(name, values, FLOAT, _TIMINGS_OF_RUN, (self.dim, "repeat"))
             elif self.index.states is None:
                 self._plain(name, values)
             else:
-                self._coded(name, place, values)
+                self._coded(name, index, values)
 
     def _described(self, name: str) -> Description:
         what = TEXTS.get(name, f"axis of the study: {name} of the run spec")
@@ -350,7 +350,10 @@ def read(path: Path) -> Index:
         if file.attrs["data_sha256"] != data_sha256(file):
             raise ValueError("data_sha256 does not match")
         index = _read_plain(file) if major == known[0] else _read_coded(file)
-        lengths = {len(column) for column in index.runs.values()}, {len(one) for one in index.references.values()}
+        lengths = (
+            {len(column) for column in index.runs.values()},
+            {len(reference) for reference in index.references.values()},
+        )
         if max(map(len, lengths)) > 1:
             raise ValueError("its columns have different lengths")
         return index

@@ -81,8 +81,8 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
             try:
                 now = describe(measure, run)
             except SpecError as error:
-                told = f" (in {label})" if number else ""
-                raise _placed(spec, measure, SpecError(error.message + told, key=error.key)) from None
+                text = f" (in {label})" if number else ""
+                raise _placed(spec, measure, SpecError(error.message + text, key=error.key)) from None
             before = found.setdefault(measure.name, now)
             if before != now:
                 raise _placed(

@@ -130,8 +130,8 @@ def _few(labels: Sequence[object]) -> str:
 
 def _named(point: StudyPoint) -> str:
     which = "reference" if point.is_reference else "run"
-    told = "; ".join(filter(None, (point.family, point.label)))
-    return f"{which} {point.number}{f' ({told})' if told else ''}"
+    text = "; ".join(filter(None, (point.family, point.label)))
+    return f"{which} {point.number}{f' ({text})' if text else ''}"
 
 
 def outcome(study: Study) -> dict[str, Any]:

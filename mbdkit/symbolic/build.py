@@ -166,17 +166,19 @@ class _Builder:
         constraints, jacobian, gamma, multipliers = [], [], [], []
         for name, joint in self.mechanism.joints.items():
             a, b = (self.bodies.index(body) for body in joint.bodies)
-            for one in joint.constraints(self.mechanism.relative_angle(*joint.bodies)):
-                terms = _constraint_terms(one.kind)
-                jet = None if one.motion is None else _jet(one.motion)
-                here = self.values(a, b, self.constraint_parameters(name, joint.bodies, one), jet, one.center)
-                for place in range(one.rows):
-                    constraints.append(terms["phi"][place].xreplace(here))
-                    gamma.append(terms["gamma"][place].xreplace(here))
+            for constraint in joint.constraints(self.mechanism.relative_angle(*joint.bodies)):
+                terms = _constraint_terms(constraint.kind)
+                jet = None if constraint.motion is None else _jet(constraint.motion)
+                here = self.values(
+                    a, b, self.constraint_parameters(name, joint.bodies, constraint), jet, constraint.center
+                )
+                for index in range(constraint.rows):
+                    constraints.append(terms["phi"][index].xreplace(here))
+                    gamma.append(terms["gamma"][index].xreplace(here))
                     whole = [sp.Integer(0)] * len(self.q)
-                    self.spread([x.xreplace(here) for x in terms["jacobian"].row(place)], a, b, whole)
+                    self.spread([x.xreplace(here) for x in terms["jacobian"].row(index)], a, b, whole)
                     jacobian.append(whole)
-                    label = joint.rows[one.first_row + place]
+                    label = joint.rows[constraint.first_row + index]
                     shown = label if len(label) == 1 else _text(label)
                     tex = rf"\lambda_{{{_text(name)},{shown}}}"
                     multipliers.append(self.symbol(f"lambda_{name}_{label}", tex))

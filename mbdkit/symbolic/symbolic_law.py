@@ -96,7 +96,7 @@ def smooth_pieces(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp
     """Return force and potential of a law with all discontinuities as conditions of ``Piecewise``; see
     `law_expressions`.
     """
-    force, potential = (_without_corners(one) for one in law_expressions(law, names))
+    force, potential = (_without_corners(expression) for expression in law_expressions(law, names))
     return force, potential
 
 

@@ -158,9 +158,9 @@ def check_by_pilots(
     coarser = [pilot.rows(rows.time) for pilot in pilots]
     settled = int(np.searchsorted(rows.time[:-1], pilots[-1].time[: FIRST_STEPS + 1][-1]))
     errors = estimate_from_coarser(rows, coarser, tolerances, units_of(workspace, rows), spec.accuracy or 0.0, settled)
-    told = listed([f"{pilot.setting:.2g}" for pilot in pilots], "and")
+    text = listed([f"{pilot.setting:.2g}" for pilot in pilots], "and")
     runs = "a coarser run" if len(pilots) == 1 else "coarser runs"
-    method = f"Difference from {runs} of the same method with tolerance{'s' * (len(pilots) > 1)} {told}, extrapolated"
+    method = f"Difference from {runs} of the same method with tolerance{'s' * (len(pilots) > 1)} {text}, extrapolated"
     method += "." if len(pilots) > 1 else " with the expected exponent of the tolerance."
     until = resolved_until(spec, pilots[-1].time)
     if until < rows.time[-1]:

@@ -236,8 +236,8 @@ def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice 
     if spec.choose != "method" or choice.limited != ROUNDING or choice.candidate.integrator["name"] == GAUSS["name"]:
         return None
     search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), None)
-    told = f"Rounding errors limit {choice.candidate.integrator['name']}. "
-    return search.of(Candidate(GAUSS, False, 2.0 * GAUSS["stages"]), told=told)
+    text = f"Rounding errors limit {choice.candidate.integrator['name']}. "
+    return search.of(Candidate(GAUSS, False, 2.0 * GAUSS["stages"]), told=text)
 
 
 class _Search:
@@ -341,8 +341,8 @@ class _Search:
         other = self.pilot(implicit, pilots[-1].setting, budget)
         name, rival = explicit.integrator["name"], implicit.integrator["name"]
         if other.failure or other.work >= pilots[-1].work:
-            told = f"Stability limits the steps of {name}, but {rival} would cost more. "
-            return self.of(explicit, None if pilots[-1].failure == "max-steps" else pilots, told)
+            text = f"Stability limits the steps of {name}, but {rival} would cost more. "
+            return self.of(explicit, None if pilots[-1].failure == "max-steps" else pilots, text)
         costs = f"a pilot run costs {other.work:.3g} evaluations instead of {pilots[-1].work:.3g}"
         more = " or more" if pilots[-1].failure == "max-steps" else ""
         return self.of(implicit, None, f"Stability limits the steps of {name}; with {rival}, {costs}{more}. ")

@@ -175,7 +175,7 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
                 for target in TARGETS
             ]
     answers = [_saves_work(ratio) for ratio in ratios.get(RADAU3, [])]
-    told = "; ".join(
+    text = "; ".join(
         f"{method}: "
         + ", ".join(f"{ratio:.2g} for {target:.0e} m" for ratio, target in zip(found, TARGETS, strict=True))
         for method, found in ratios.items()
@@ -186,7 +186,7 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
         "adaptive",
         "Refining the step adaptively makes the implicit method better.",
         "recommended, not tried",
-        f"ratio of the evaluations of SciPy's adaptive Radau to those with fixed steps of {told or 'unknown'}",
+        f"ratio of the evaluations of SciPy's adaptive Radau to those with fixed steps of {text or 'unknown'}",
         answer,
         f"{start} the same misalignment, SciPy's adaptive Radau needs {least_most(ratios.get(RADAU3, []))} times the "
         f"evaluations of the same method with fixed steps, and {least_most(ratios.get(GAUSS3, []))} times those of "
@@ -204,7 +204,7 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
     else:
         drift = math.nan
     answers = [_saves_work(1 / gain) for gain in gains]
-    told = ", ".join(f"{gain:.2f} times for {target:.0e} m" for gain, target in zip(gains, TARGETS, strict=False))
+    text = ", ".join(f"{gain:.2f} times for {target:.0e} m" for gain, target in zip(gains, TARGETS, strict=False))
     extra = (
         f" At equal work, the misalignment is {drift:.0f} times smaller with six stages."
         if math.isfinite(drift) and drift > 1
@@ -214,7 +214,7 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
         "stages",
         "With more than three stages, the same misalignment needs less work.",
         "not tried",
-        f"ratio of the evaluations of Gauss 3 to those of Gauss 6: {told}",
+        f"ratio of the evaluations of Gauss 3 to those of Gauss 6: {text}",
         together(answers),
         f"For the same misalignment, six stages need {least_most([1 / gain for gain in gains])} times the evaluations "
         f"of three.{extra}",
