@@ -178,7 +178,7 @@ def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
         ("model.bodies.rodd.mass", "no key 'model.bodies.rodd.mass': there is no 'rodd' in model.bodies"),
         ("model.forces.s.stiffness", "is the text or expression 'k'"),
         ("model.bodies.rod", "should be the key of a number"),
-        ("time.step", "is no parameter of the model"),
+        ("time.step", "is not a parameter of the model"),
     ],
 )
 def test_wrong_parameters_are_refused(parameter: str, message: str) -> None:
