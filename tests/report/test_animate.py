@@ -48,7 +48,7 @@ def data_of(text: str) -> dict:
 
 
 def test_a_gif_moves_in_real_time_and_repeats(make_run, tmp_path):
-    path = animate(make_run(rows=76, step=0.02), tmp_path / "a.gif")
+    path = animate(make_run(rows=101, step=0.02), tmp_path / "a.gif")
     with Image.open(path) as image:
         assert image.format == "GIF"
         first = np.asarray(image.convert("RGB"))
@@ -60,8 +60,8 @@ def test_a_gif_moves_in_real_time_and_repeats(make_run, tmp_path):
             image.seek(number)
             durations.append(image.info["duration"])
         assert np.any(np.asarray(image.convert("RGB")) != first)
-    assert 35 <= len(durations) <= 39
-    assert sum(durations) == pytest.approx(1500 + 1000, abs=50)
+    assert 47 <= len(durations) <= 51
+    assert sum(durations) == pytest.approx(2000 + 1000, abs=50)
 
 
 def test_a_long_run_makes_no_more_than_four_hundred_frames(make_run, tmp_path):
