@@ -125,13 +125,14 @@ class Output(Section):
 class Event(Section):
     """An event: a zero crossing of an expression during the run.
 
-    Expressions may contain t; NAME.x, .y, .angle, .vx, .vy, .angular_velocity, .ax, .ay and .angular_acceleration of a
-    body; NAME.force, .force_x, .force_y, .torque, .misalignment, .angle, .driver_power, .force_first_x, .force_first_y,
-    .force_second_x and .force_second_y of a joint; forces.NAME.length, .rate, .value, .power and .potential of a force
-    element; markers.NAME.x, .y, .vx and .vy of a marker; beams.NAME.axial[i], .shear[i] and .moment[i] of element i of
-    a beam, from 0, and beams.NAME.strain_energy; and energy.kinetic, .potential and .total. If a body and a joint have
-    the same name, write bodies.NAME or joints.NAME. Names with characters other than letters, digits and underscores
-    must be quoted, as in joints["J 1"].force.
+    Expressions may contain t; NAME.x, .y, .angle, .vx, .vy, .angular_velocity, .ax, .ay and .angular_acceleration of
+    a body; NAME.force, .force_x, .force_y, .torque, .misalignment, .velocity_misalignment, .angle_misalignment,
+    .angle, .driver_power, .force_first_x, .force_first_y, .force_second_x and .force_second_y of a joint;
+    forces.NAME.length, .rate, .value, .power and .potential of a force element; markers.NAME.x, .y, .vx and .vy of a
+    marker; beams.NAME.axial[i], .shear[i] and .moment[i] of element i of a beam, from 0, and
+    beams.NAME.strain_energy; and energy.kinetic, .potential and .total. If a body and a joint have the same name,
+    write bodies.NAME or joints.NAME. Names with characters other than letters, digits and underscores must be quoted,
+    as in joints["J 1"].force.
     """
 
     when: str
