@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
@@ -115,7 +115,7 @@ class Column:
         return np.asarray(values.sum(axis=1)) if self.is_sum else values
 
 
-def _columns(kind: Kind) -> Iterator[tuple[str, Column]]:
+def columns_of(kind: Kind) -> Iterator[tuple[str, Column]]:
     """Yield the columns of one object of a kind with their names."""
     for array in kind.columns:
         rows = "N" if array.dims[0] == "interval" else "T"
@@ -150,7 +150,8 @@ class Label:
 class View:
     """Base class of histories: the columns of one object of a run, or of a whole group.
 
-    Subclasses have the columns and labels of a kind in the table of quantities.
+    Subclasses have the columns and labels of a kind in the table of quantities; they declare the columns for type
+    checkers and completion (`mbdkit.archive.history_columns`).
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ class View:
 
     def __init_subclass__(cls, of: str) -> None:
         kind = BY_GROUP[of]
-        for name, column in _columns(kind):
+        for name, column in columns_of(kind):
             setattr(cls, name, column)
         for name, arrays in kind.labels.items():
             setattr(cls, name, Label(arrays))
@@ -176,10 +177,6 @@ class View:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}>" if self.name else f"<{type(self).__name__}>"
 
-    if TYPE_CHECKING:  # columns
-
-        def __getattr__(self, name: str) -> np.ndarray: ...
-
 
 VIEWS: dict[str, type[View]] = {}
 """Classes of histories by group."""
@@ -188,12 +185,31 @@ VIEWS: dict[str, type[View]] = {}
 class BodyHistory(View, of="trajectory"):
     """Motion of one body: its centre of mass in the global frame and its angle."""
 
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    position: np.ndarray
+    angle: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+    acceleration: np.ndarray
+    angular_acceleration: np.ndarray
+
 
 class JointHistory(View, of="joints"):
     """Misalignment of one joint and its reaction: force and torque of the first body on the second.
 
     Its `angle` is in `angle_units`: ``rad``, or ``m`` for the travel of a slide.
     """
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    misalignment: np.ndarray
+    velocity_misalignment: np.ndarray
+    angle_misalignment: np.ndarray
+    reaction_force: np.ndarray
+    reaction_torque: np.ndarray
+    reaction_force_first: np.ndarray
+    reaction_force_second: np.ndarray
+    angle: np.ndarray
+    driver_power: np.ndarray
 
     bodies: tuple[str, str]
     angle_units: str
@@ -212,12 +228,23 @@ class ForceHistory(View, of="forces"):
     counter-clockwise; or the magnitude of a force at a point [N]. The second body of a load is the one that it acts on.
     """
 
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    length: np.ndarray
+    rate: np.ndarray
+    value: np.ndarray
+    power: np.ndarray
+    potential: np.ndarray
+
     bodies: tuple[str, str]
     units: str
 
 
 class MarkerHistory(View, of="markers"):
     """Position and velocity of one marker in the global frame."""
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    position: np.ndarray
+    velocity: np.ndarray
 
     body: str
 
@@ -229,6 +256,12 @@ class BeamHistory(View, of="beams"):
     tangent: the force and moment that the part on the side of end b exerts on the part on the side of end a. The moment
     is positive where it increases the angle along the beam.
     """
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    axial: np.ndarray
+    shear: np.ndarray
+    moment: np.ndarray
+    strain_energy: np.ndarray
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -251,11 +284,21 @@ class BeamHistory(View, of="beams"):
 class ObservedHistory(View, of="motion"):
     """One observed quantity of a measured motion: measured value, and value of the fitted mechanism."""
 
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    raw: np.ndarray
+    fitted: np.ndarray
+    residual: np.ndarray
+
     units: str
 
 
 class ActuatorHistory(View, of="actuators"):
     """Value [N or N m], its error and power of one actuator, in inverse dynamics."""
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    value: np.ndarray
+    power: np.ndarray
+    value_error: np.ndarray
 
     units: str
 
@@ -263,11 +306,33 @@ class ActuatorHistory(View, of="actuators"):
 class LoadHistory(View, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    force: np.ndarray
+    point: np.ndarray
+    torque: np.ndarray
+    power: np.ndarray
+
     body: str
+
+
+class StateHistory(View, of="states"):
+    """Value and rate of one first-order state of a force element."""
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    value: np.ndarray
+    rate: np.ndarray
+
+    units: str
 
 
 class ConstraintHistory(View, of="constraints"):
     """Residuals and multipliers of one constraint row, whose constraint function is in `units`: ``m`` or ``rad``."""
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    position_residual: np.ndarray
+    velocity_residual: np.ndarray
+    multiplier: np.ndarray
+    method_multiplier: np.ndarray
 
     units: str
 
@@ -275,9 +340,29 @@ class ConstraintHistory(View, of="constraints"):
 class Energy(View, of="energy"):
     """Energies of the whole mechanism."""
 
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    kinetic: np.ndarray
+    potential: np.ndarray
+    total: np.ndarray
+    dissipated: np.ndarray
+    work: np.ndarray
+    balance: np.ndarray
+
 
 class Steps(View, of="steps"):
     """Statistics of the integrator for each recorded interval; interval i ends at row i (the start is row 0)."""
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    time: np.ndarray
+    steps: np.ndarray
+    size: np.ndarray
+    iterations: np.ndarray
+    iterations_max: np.ndarray
+    rejected: np.ndarray
+    projections: np.ndarray
+    position_correction: np.ndarray
+    velocity_correction: np.ndarray
+    acceleration_correction: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -395,3 +480,46 @@ class Histories(ReadOnlyDict[str, V]):
     def __repr__(self) -> str:
         few = ", ".join(list(self)[:8])
         return f"<{len(self)} of {self.kind.one}: {few}{', ...' if len(self) > 8 else ''}>"
+
+
+# One class a kind, because completion in notebooks reads the class of the histories from its definition.
+
+
+class BodyHistories(Histories[BodyHistory]):
+    """The bodies of a run by name."""
+
+
+class JointHistories(Histories[JointHistory]):
+    """The joints of a run by name."""
+
+
+class ForceHistories(Histories[ForceHistory]):
+    """The force elements of a run by name."""
+
+
+class MarkerHistories(Histories[MarkerHistory]):
+    """The markers of a run by name."""
+
+
+class BeamHistories(Histories[BeamHistory]):
+    """The beams of a run by name."""
+
+
+class StateHistories(Histories[StateHistory]):
+    """The first-order states of a run by name."""
+
+
+class ConstraintHistories(Histories[ConstraintHistory]):
+    """The constraint rows of a run by name."""
+
+
+class ObservedHistories(Histories[ObservedHistory]):
+    """The observed quantities of a measured motion of a run by name."""
+
+
+class ActuatorHistories(Histories[ActuatorHistory]):
+    """The actuators of inverse dynamics of a run by name."""
+
+
+class LoadHistories(Histories[LoadHistory]):
+    """The measured loads of a run by name."""

@@ -16,19 +16,20 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import (
-    ActuatorHistory,
-    BeamHistory,
+    ActuatorHistories,
+    BeamHistories,
+    BodyHistories,
     BodyHistory,
-    ConstraintHistory,
+    ConstraintHistories,
     Energy,
     Events,
-    ForceHistory,
-    Histories,
-    JointHistory,
-    LoadHistory,
-    MarkerHistory,
+    ForceHistories,
+    JointHistories,
+    LoadHistories,
+    MarkerHistories,
     NotRecordedError,
-    ObservedHistory,
+    ObservedHistories,
+    StateHistories,
     Steps,
 )
 from mbdkit.archive.measured_values import Integrals, MeasuredValues
@@ -40,7 +41,7 @@ from mbdkit.base.errors import RunError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.array import Kind
-from mbdkit.quantities.table import BY_WORD
+from mbdkit.quantities.table import BY_GROUP, BY_WORD
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.inverse_spec import is_inverse, refused_as_run
 from mbdkit.trust.criteria import LEVELS, Level
@@ -213,7 +214,7 @@ class Run(HtmlView):
         return self._names["joints/joint"]
 
     @cached_property
-    def bodies(self) -> Histories[BodyHistory]:
+    def bodies(self) -> BodyHistories:
         """Motions of the bodies by name.
 
         Examples
@@ -223,7 +224,7 @@ class Run(HtmlView):
         >>> run.bodies["rod1"].position.shape
         (101, 2)
         """
-        return Histories(BY_WORD["bodies"], self)
+        return BodyHistories(BY_WORD["bodies"], self)
 
     def __getitem__(self, name: str) -> BodyHistory:
         """Return the motion of the body `name`."""
@@ -233,7 +234,7 @@ class Run(HtmlView):
         return list(self.bodies)
 
     @cached_property
-    def joints(self) -> Histories[JointHistory]:
+    def joints(self) -> JointHistories:
         """Misalignments, reactions and angles of the joints by name.
 
         Examples
@@ -245,7 +246,7 @@ class Run(HtmlView):
         >>> run.joints["J2"].reaction_force.shape
         (101, 2)
         """
-        return Histories(BY_WORD["joints"], self)
+        return JointHistories(BY_WORD["joints"], self)
 
     @cached_property
     def integrals(self) -> Integrals:
@@ -290,7 +291,7 @@ class Run(HtmlView):
         return tuple(name for name in self.joint_names if rows.get(name) in _ROWS_OF_DRIVERS)
 
     @cached_property
-    def forces(self) -> Histories[ForceHistory]:
+    def forces(self) -> ForceHistories:
         """Lengths, forces and energies of the force elements by name.
 
         Raises
@@ -298,10 +299,10 @@ class Run(HtmlView):
         MbdkitError
             If the run did not record them.
         """
-        return Histories(BY_WORD["forces"], self)
+        return ForceHistories(BY_WORD["forces"], self)
 
     @cached_property
-    def markers(self) -> Histories[MarkerHistory]:
+    def markers(self) -> MarkerHistories:
         """Positions and velocities of the markers by name.
 
         Raises
@@ -309,10 +310,10 @@ class Run(HtmlView):
         MbdkitError
             If the run did not record them.
         """
-        return Histories(BY_WORD["markers"], self)
+        return MarkerHistories(BY_WORD["markers"], self)
 
     @cached_property
-    def beams(self) -> Histories[BeamHistory]:
+    def beams(self) -> BeamHistories:
         """Shapes, internal forces and strain energies of the beams by name.
 
         Raises
@@ -320,12 +321,17 @@ class Run(HtmlView):
         MbdkitError
             If the run did not record them.
         """
-        return Histories(BY_WORD["beams"], self)
+        return BeamHistories(BY_WORD["beams"], self)
 
     @cached_property
-    def motion(self) -> Histories[ObservedHistory]:
+    def states(self) -> StateHistories:
+        """First-order states of force elements by name, ``element.state``; empty if there are none."""
+        return StateHistories(BY_GROUP["states"], self)
+
+    @cached_property
+    def motion(self) -> ObservedHistories:
         """Observed quantities of the measured motion by name; empty unless this is inverse dynamics."""
-        return Histories(BY_WORD["motion"], self)
+        return ObservedHistories(BY_WORD["motion"], self)
 
     @property
     def raw_misalignment(self) -> np.ndarray:
@@ -340,7 +346,7 @@ class Run(HtmlView):
         return self.array("motion/raw_misalignment")
 
     @cached_property
-    def actuators(self) -> Histories[ActuatorHistory]:
+    def actuators(self) -> ActuatorHistories:
         """Values and powers of the actuators by name; empty unless this is inverse dynamics.
 
         Examples
@@ -352,12 +358,12 @@ class Run(HtmlView):
         >>> list(run.actuators), run.actuators["J1"].units
         (['J1'], 'N m')
         """
-        return Histories(BY_WORD["actuators"], self)
+        return ActuatorHistories(BY_WORD["actuators"], self)
 
     @cached_property
-    def loads(self) -> Histories[LoadHistory]:
+    def loads(self) -> LoadHistories:
         """Measured loads by name; empty unless this is inverse dynamics."""
-        return Histories(BY_WORD["loads"], self)
+        return LoadHistories(BY_WORD["loads"], self)
 
     def text(self, path: str, index: int | slice | None) -> str:
         """Return one of the texts in the array at `path`; an empty one if the archive lacks them."""
@@ -393,9 +399,9 @@ class Run(HtmlView):
         return self._header.redundancy
 
     @cached_property
-    def constraints(self) -> Histories[ConstraintHistory]:
+    def constraints(self) -> ConstraintHistories:
         """Residuals and multipliers of the constraint rows by name, ``joint.row``."""
-        return Histories(BY_WORD["constraints"], self)
+        return ConstraintHistories(BY_WORD["constraints"], self)
 
     @property
     def singularity_distance(self) -> np.ndarray:

@@ -232,7 +232,7 @@ KINDS = (
         "states",
         _TIME,
         _texts("state", "state", "name of the first-order state of a force element: element.state", lambda n: n.states),
-        _texts("row_units", "state", "units of value, row by row", lambda n: n.state_units),
+        _texts("row_units", "state", "units of value, row by row", lambda n: n.state_units, label="units"),
         _texts("rate_row_units", "state", "units of rate, row by row",
             lambda names: [f"{unit}/s" for unit in names.state_units]),
         _taken("value", ("time", "state"), MIXED, "value of the state", lambda s: s.z, row_units="row_units"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import get_args
 
-from mbdkit.archive import layout_document
+from mbdkit.archive import history, history_columns, layout_document
 from mbdkit.archive.layout import (
     BY_PATH,
     FORMAT_VERSION,
@@ -146,6 +146,12 @@ def test_specs_choose_the_groups_that_the_table_lets_them_choose() -> None:
 
 def test_elapsed_time_is_the_only_timing() -> None:
     assert [array.path for array in LAYOUT if is_timing(array.path)] == ["trajectory/elapsed_s"]
+
+
+def test_declarations_of_columns_are_fresh() -> None:
+    text = Path(history.__file__).read_text(encoding="utf-8")
+    command = "python -m mbdkit.archive.history_columns mbdkit/archive/history.py"
+    assert history_columns.renewed(text) == text, f"run: {command}"
 
 
 def test_document_is_fresh() -> None:

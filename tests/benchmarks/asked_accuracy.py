@@ -22,8 +22,8 @@ import numpy as np
 
 import mbdkit
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.runs import simulated_run
-from mbdkit.runs.accuracy import companion, pilot_run, recorded_pilot, step_interpolation
+from mbdkit.runs import recorded_states, simulated_run
+from mbdkit.runs.accuracy import companion, pilot_run, step_interpolation
 from mbdkit.runs.accuracy.pilot_run import run_pilot, work_of
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import build, make_method, timetable
@@ -78,7 +78,7 @@ def observed(work: dict[str, float]) -> Iterator[None]:
             return super().observe(times, *args)
 
     with ExitStack() as stack:
-        for module in (companion, recorded_pilot, step_interpolation):
+        for module in (recorded_states, step_interpolation):
             stack.enter_context(mock.patch.object(module, "StateObserver", Counting))
         yield
 
@@ -97,7 +97,7 @@ def counted() -> Iterator[dict[str, float]]:
 
         return mock.patch.object(module, "start_method", start)
 
-    with patch(simulated_run), patch(companion), patch(pilot_run), patch(recorded_pilot), observed(work):
+    with patch(simulated_run), patch(companion), patch(pilot_run), observed(work):
         yield work
     for name, method, stepper in started:
         work[name] += work_of(method, stepper.counters.rhs_evaluations)
@@ -159,7 +159,7 @@ def line(known: Known, asked: float, runs: list[Tuned]) -> tuple[str, bool, Rati
     measure = PositionMeasure.of(spec, build(spec)[0])
     true = float(np.max(measure.share(run.array("trajectory/position") - known.solve(run.time)[0])))
     best = min((one for one in runs if one.error <= asked), key=lambda one: one.work)
-    steps = work["pilot_run"] + work["recorded_pilot"] + work["simulated_run"]
+    steps = work["pilot_run"] + work["simulated_run"]
     total = steps + work["companion"]
     wall = fastest(given) / fastest(best.spec)
     ratios = steps / best.work, total / best.work, (total + work["states"]) / best.work, wall

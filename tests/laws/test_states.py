@@ -56,7 +56,7 @@ def run(integrator: dict[str, Any], step: float = 0.01, **more: Any) -> mbdkit.R
 
 def error(done: mbdkit.Run) -> float:
     """Largest error of angular velocity and current at the end."""
-    value = done.file["states/value"][-1, 0]
+    value = done.states["motor.current"].value[-1]
     return float(np.abs([done["rotor"].angular_velocity[-1], value] - exact(done.time[-1:])[0]).max())
 
 
@@ -105,7 +105,7 @@ def test_the_error_of_states_controls_the_step(integrator: dict[str, Any]) -> No
 )
 def test_states_inside_steps_have_the_accuracy_of_dense_output(integrator: dict[str, Any]) -> None:
     done = run({**integrator, "rtol": 1e-8, "atol": 1e-8}, output={"interval": 0.013})
-    assert np.abs(done.file["states/value"][:, 0] - exact(done.time)[:, 1]).max() < 1e-5
+    assert np.abs(done.states["motor.current"].value - exact(done.time)[:, 1]).max() < 1e-5
 
 
 def test_a_stiff_state_is_solved_by_an_implicit_method() -> None:
@@ -113,7 +113,7 @@ def test_a_stiff_state_is_solved_by_an_implicit_method() -> None:
     done = mbdkit.run(spec_of(model(inductance=1.5e-7), {"name": "radau-iia", "stages": 3})).check()
     velocity, current = exact(done.time[-1:], inductance=1.5e-7)[0]
     assert done["rotor"].angular_velocity[-1] == pytest.approx(velocity, rel=1e-5)
-    assert done.file["states/value"][-1, 0] == pytest.approx(current, rel=1e-5)
+    assert done.states["motor.current"].value[-1] == pytest.approx(current, rel=1e-5)
 
 
 def test_states_are_archived_with_their_rates_and_units(tmp_path: Path) -> None:
@@ -156,3 +156,13 @@ def test_what_does_not_include_states_says_so(more: dict[str, Any], words: str) 
     spec = spec_of(model(), {"name": "rk4"})
     with pytest.raises(SpecError, match=rf"{words}.*does not include the states of force elements \(motor.current\)"):
         mbdkit.run({**spec, **more})
+
+
+def test_states_are_read_by_name() -> None:
+    done = run({"name": "rk4"})
+    assert list(done.states) == ["motor.current"]
+    current = done.states["motor.current"]
+    assert current.units == "A"
+    differences = (current.value[2:] - current.value[:-2]) / (done.time[2:] - done.time[:-2])
+    assert current.rate[1:-1] == pytest.approx(differences, abs=0.02)
+    assert not mbdkit.run("pendulum", time={"end": 0.1, "step": 0.05}).states

@@ -166,7 +166,7 @@ def with_law(law: str, **options: Any) -> Mechanism:
         ("named-length", {}, "its parameter 'length' has the name of an argument of the law"),
         ("not-an-expression", {}, "an object of type str is not a SymPy expression"),
         ("unknown-symbol", {"stiffness": 1.0}, "the symbol 'stifness' of its force is not one of"),
-        ("wrong-potential", {"stiffness": 1.0}, "of its potential is not its force at rate zero"),
+        ("wrong-potential", {"stiffness": 1.0}, ", is not its force at rate zero"),
         ("timed-potential", {"stiffness": 1.0}, "has no potential: remove the potential"),
         ("no-parameters", {}, "failed to compute its parameters: ZeroDivisionError: no parameters today"),
         ("inverse", {"compliance": 0.0}, "failed to check its options: ZeroDivisionError: float division by zero"),
@@ -193,7 +193,7 @@ def test_a_law_that_gives_no_number_ends_the_run_as_not_finite(integrator: str) 
     assert run.status == "failed"
     assert run.status_reason.startswith("not-finite: ")
     assert 0.4 < run.time[-1] <= 0.5
-    assert "the law of force 'p' gives no finite number" in run.status_reason
+    assert "the law of force 'p' does not give a finite number" in run.status_reason
 
 
 @pytest.mark.parametrize("integrator", ["gauss", "radau-iia", "scipy-radau"])
@@ -203,7 +203,7 @@ def test_a_law_that_gives_no_derivative_ends_the_run_of_a_method_that_asks_for_i
     time = {"end": 9.0, "step": 0.01}
     run = mbdkit.run(with_law("no-slope"), integrator={"name": integrator, **options}, time=time)
     assert run.status == "failed"
-    assert run.status_reason.startswith("not-finite: the law of force 'p' gives no finite number")
+    assert run.status_reason.startswith("not-finite: the law of force 'p' does not give a finite number")
 
 
 def test_a_law_without_a_finite_derivative_serves_an_explicit_method() -> None:

@@ -1,4 +1,4 @@
-"""A study says why its runs are not advanced in lanes."""
+"""A study says why its runs are not vectorized."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ BASE: dict[str, Any] = {
         ({"check": True}, "their errors are estimated"),
     ],
 )
-def test_a_study_says_why_its_runs_are_advanced_alone(sections: dict[str, Any], reason: str, tmp_path: Path) -> None:
+def test_a_study_says_why_its_runs_are_not_vectorized(sections: dict[str, Any], reason: str, tmp_path: Path) -> None:
     said: list[str] = []
     mbdkit.ensemble(BASE | sections, {"model.angles.0": [0.1, 0.2]}, out=tmp_path / "study", notify=said.append)
-    told = [text for text in said if "not in lanes" in text]
+    told = [text for text in said if "not vectorized" in text]
     wanted = f"the runs are not vectorized but computed one after another, because {reason}"
     assert told == ([wanted] if reason else [])

@@ -88,7 +88,7 @@ REFUSED: dict[str, tuple[Any, str, str]] = {
     "the same name twice": ([{"a": "final(t)"}, {"a": "final(t)"}], "measures[1].a", "defined twice"),
     "an axis": ({"model.gravity": "final(t)"}, "measures.model.gravity", "is also a measure"),
     "an unknown plugin": ({"a": {"name": "jump"}}, "measures.a", "there is no measure 'jump'"),
-    "a built-in name": ({"a": {"name": "duration"}}, "measures.a", "taken by its name alone"),
+    "a built-in name": ({"a": {"name": "duration"}}, "measures.a", "selected by its name alone"),
     "neither": ("some", "measures", "should be 'all', a list of measures, or a mapping"),
 }
 

@@ -125,7 +125,7 @@ def test_an_executor_that_is_shut_down_computes_nothing_and_its_refusal_is_told(
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda task: task | {"path": "/nowhere/runs/block-000000.h5"}, "does not see the folder /nowhere/runs;"),
+        (lambda task: task | {"path": "/nowhere/runs/block-000000.h5"}, "cannot access the folder /nowhere/runs;"),
         (lambda task: task | {"version": "0.0.1"}, "the study needs 0.0.1; install the same version there"),
     ],
 )

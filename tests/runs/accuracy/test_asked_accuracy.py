@@ -86,7 +86,7 @@ def test_the_last_pilot_is_the_run_and_the_others_check_it(name, monkeypatch):
         made = run(1e-6, model=known.model, time={"end": known.end})
     assert made.verdict == "good"
     assert (work["simulated_run"], work["companion"]) == (0, 0)
-    assert work["recorded_pilot"] < 3 * made.stats["rhs_evaluations"]
+    assert work["pilot_run"] < 3 * made.stats["rhs_evaluations"]
     assert made.accuracy is not None
     assert "coarser run" in made.accuracy.method
     assert true_error(made, known) < 3 * made.accuracy.reached
@@ -156,8 +156,8 @@ def test_chaos_ends_as_doubtful_with_the_reason():
     assert made.status == "complete"
     assert made.verdict in ("doubtful", "bad")
     told = " ".join(made.verdict_reasons)
-    assert "asked for positions accurate to 1e-06" in told
-    assert "chaos" in told or "rounding" in told
+    assert "to have positions accurate to 1e-06" in told
+    assert "chaotic" in told or "rounding" in told
 
 
 def test_the_archive_stores_the_choice_and_runs_again_to_the_bit(tmp_path):
@@ -189,7 +189,7 @@ def test_a_run_that_misses_the_accuracy_of_its_given_step_says_so():
     made = run(1e-9, integrator={"name": "rk4"}, time={"end": 2.0, "step": 0.02}, choose="nothing")
     assert made.spec["time"]["step"] == 0.02
     assert made.verdict == "doubtful"
-    assert "asked for positions accurate to 1e-09" in made.verdict_reasons[0]
+    assert "to have positions accurate to 1e-09" in made.verdict_reasons[0]
 
 
 def test_limits_of_steps_are_told_where_they_prevent_the_accuracy():
@@ -207,7 +207,9 @@ def test_a_run_that_ends_early_misses_its_accuracy_for_this_reason():
     failure = Failure("wall-time", "stopped at t = 1 s after limits.wall_time = 1 s.")
     told = "the run ended early: stopped at t = 1 s after limits.wall_time = 1 s"
     assert missed_because(missed, [choice], failure) == told
-    assert missed_because(missed, [choice]).endswith("(chaos); one attempt did not suffice")
+    assert missed_because(missed, [choice]).endswith(
+        "chaotic motions, which amplify errors; one attempt did not suffice"
+    )
     assert missed_because(missed, [choice] * 2).endswith("2 attempts with smaller steps did not suffice")
 
 
