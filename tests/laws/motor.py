@@ -7,8 +7,8 @@ from pydantic import BaseModel
 
 from mbdkit import ExpressionLaw, ForceLawPlugin
 
-rate, voltage, resistance, inductance, constant, current = sp.symbols(
-    "rate voltage resistance inductance constant current"
+rate, time, voltage, resistance, inductance, constant, current = sp.symbols(
+    "rate time voltage resistance inductance constant current"
 )
 
 
@@ -27,6 +27,22 @@ MOTOR = ForceLawPlugin(
     ExpressionLaw(
         -constant * current,
         rates={"current": ((voltage - resistance * current - constant * rate) / inductance, "A")},
+    ),
+    ("@misc{test}",),
+)
+
+ALTERNATING = ForceLawPlugin(
+    "alternating-motor",
+    "The motor at an alternating voltage, with a resistance that grows with the current.",
+    Motor,
+    ExpressionLaw(
+        -constant * current,
+        rates={
+            "current": (
+                (voltage * sp.sin(5 * time) - resistance * (current + current**3 / 10) - constant * rate) / inductance,
+                "A",
+            )
+        },
     ),
     ("@misc{test}",),
 )

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field, field_validator
 
 from mbdkit import ExpressionLaw, ForceLawPlugin, FunctionLaw, hookimpl
 
-from .motor import MOTOR
+from .motor import ALTERNATING, MOTOR
 
 length, rate, time = sp.symbols("length rate time")
 stiffness, damping, free, cubic = sp.symbols("stiffness damping free cubic")
@@ -111,6 +111,7 @@ def plugin(name: str, options: type[BaseModel], law: Any) -> ForceLawPlugin:
 
 
 LAWS = [
+    ALTERNATING,
     MOTOR,
     plugin(
         "linear-sympy",
