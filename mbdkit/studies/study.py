@@ -13,7 +13,6 @@ import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.block_writer import KEEPING_TIMES
-from mbdkit.archive.blocks import Block
 from mbdkit.archive.group_table import data_frame
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
@@ -22,7 +21,6 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.measures.take import Description
-from mbdkit.runs.simulation import simulate
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
@@ -34,6 +32,7 @@ from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import TEXTS, describe_column
 from mbdkit.studies.study_point import Points, StudyPoint, archive_of
+from mbdkit.studies.verified_runs import check_stored, remake
 
 if TYPE_CHECKING:
     import pandas
@@ -193,17 +192,36 @@ class Study(HtmlView):
         ----------
         point
             A point, or its place among the points, counted from 0 as in `points` and in the table of `to_frame`.
+
+        Raises
+        ------
+        SpecError
+            If its file contains another run, that of another study included, or other data than the index says.
         """
         chosen = self._point(point)
-        if not self.spec.in_blocks:
-            return None if chosen.path is None else load(chosen.path)
-        if not chosen.row.data_sha256:
+        path = self._path(chosen)
+        if path is None or (self.spec.in_blocks and not chosen.row.data_sha256):
             return None
-        with self._block(chosen) as block:
-            return block.run(chosen.number)
+        if self.spec.in_blocks:
+            with self._blocks.open(path, self._sha256) as block:
+                run = block.run(chosen.number)
+        else:
+            run = load(path)
+        if run is not None:
+            try:
+                check_stored(run, chosen, path)
+            except BaseException:
+                run.close()
+                raise
+        return run
 
-    def _block(self, point: StudyPoint) -> Block:
-        return Block(self._files.block(self._blocks.block_of(point.number - 1)))
+    def _path(self, point: StudyPoint) -> Path | None:
+        """Return the file of a run; None if it has none of its own."""
+        return self._files.block(self._blocks.block_of(point.number - 1)) if self.spec.in_blocks else point.path
+
+    @cached_property
+    def _sha256(self) -> str:
+        return self.spec.sha256()
 
     @cached_property
     def _blocks(self) -> StudyBlocks:
@@ -221,30 +239,31 @@ class Study(HtmlView):
         Raises
         ------
         MbdkitError
-            If the run has no results, or if its data are not bitwise identical to those that were stored: `data_sha256`
-            differs.
+            If the run has no results, if its file contains another run, or if its data, measures, counters and
+            verdict are not bitwise identical to those in the index. Timings and measures of second runs are not
+            compared.
         """
         chosen = self._point(point)
         if not chosen.row.data_sha256:
             raise MbdkitError(
                 f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
             )
-        run = simulate(chosen.spec)
-        if run.data_sha256 != chosen.row.data_sha256:
-            written, now = self._written_by(chosen), version("mbdkit")
-            why = f"; mbdkit {written} wrote it, this is {now}" if written != now else ""
-            raise MbdkitError(f"run {chosen.number} has different data than those stored when computed again{why}")
-        return run
+        written, now = self._written_by(chosen), version("mbdkit")
+        why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
+        reference = self.reference(chosen)
+        try:
+            return remake(self.spec, chosen, reference, why)
+        finally:
+            if reference is not None:
+                reference.close()
 
     def _point(self, point: StudyPoint | int) -> StudyPoint:
         return point if isinstance(point, StudyPoint) else self.points[operator.index(point)]
 
     def _written_by(self, point: StudyPoint) -> str:
-        """Return the version of mbdkit that computed the run of a point."""
-        if self.spec.in_blocks:
-            with self._block(point) as block:
-                return block.version
-        run = self.run(point)
+        """Return the version of mbdkit that computed the run of a point, after checking its file; "unknown" without."""
+        path = self._path(point)
+        run = self.run(point) if path is not None and path.exists() else None
         if run is None:
             return "unknown"
         with run:
@@ -275,8 +294,7 @@ class Study(HtmlView):
 
     def reference(self, point: StudyPoint) -> Run | None:
         """Open the archive of the reference run of a point, or return None if it has none."""
-        path = self._files.archive(point.reference_id)
-        return load(path) if point.reference_id and path.exists() else None
+        return next((self.run(one) for one in self.references if one.run_id == point.reference_id), None)
 
     def runs(self, family: str | None = None) -> Iterator[tuple[StudyPoint, Run | None]]:
         """Yield each point of one family, or of the whole study, with its open archive."""
@@ -412,8 +430,8 @@ class Study(HtmlView):
         if self.spec.store not in KEEPING_TIMES:
             raise NotStoredError("values over time", str(self.spec.store))
         for path in filter(Path.exists, map(self._files.block, range(self._blocks.count))):
-            with Block(path) as block:
-                for run, numbers, counts in block.joined_runs() if block.study_sha256 == self.spec.sha256() else ():
+            with self._blocks.open(path, self._sha256) as block:
+                for run, numbers, counts in block.joined_runs():
                     yield run, numbers.tolist(), counts
 
     def _places(self, family: str) -> list[int]:

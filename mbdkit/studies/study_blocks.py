@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -52,6 +53,10 @@ def is_for_blocks(spec: StudySpec) -> bool:
     if spec.store is not None:
         return spec.in_blocks
     return spec.has_table or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
+
+
+class AnotherStudyError(SpecError):
+    """A block belongs to another study than its folder."""
 
 
 @dataclass(frozen=True)
@@ -112,15 +117,29 @@ class StudyBlocks:
         if not path.exists():
             return False
         try:
-            with Block(path) as found:
-                if found.study_sha256 == spec.sha256():
-                    whole = found.numbers.tolist() == [place + 1 for place in self.places(block)]
-                    return (
-                        whole and found.is_sound() and not is_passing(found.runs["status"], found.runs["status_reason"])
-                    )
+            with self.open(path, spec.sha256()) as found:
+                whole = found.numbers.tolist() == [place + 1 for place in self.places(block)]
+                return whole and found.is_sound() and not is_passing(found.runs["status"], found.runs["status_reason"])
+        except AnotherStudyError:
+            raise
         except (SpecError, ResourceError):
             return False
-        raise SpecError("this is a block of another study; move it to another folder", file=path)
+
+    def open(self, path: Path, study_sha256: str) -> Block:
+        """Open a block of a study.
+
+        Raises
+        ------
+        AnotherStudyError
+            If it is a block of another study.
+        SpecError
+            If it is not a block that this version can read.
+        """
+        found = Block(path)
+        if found.study_sha256 != study_sha256:
+            found.close()
+            raise AnotherStudyError("this is a block of another study; move it to another folder", file=path)
+        return found
 
 
 def is_passing(statuses: np.ndarray, reasons: np.ndarray) -> bool:

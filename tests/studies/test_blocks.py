@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import fcntl
 import json
 import os
@@ -21,7 +22,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.blocks import Block
-from mbdkit.archive.fingerprint import data_sha256, datasets
+from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.runs import batch
 from mbdkit.spec import RunSpec
@@ -154,6 +155,7 @@ def test_a_run_that_cannot_be_made_again_is_told_from_the_one_that_was_stored(tm
     study = pendulums(4, store="hashes", out=tmp_path / "s")
     other = study.points[1]
     object.__setattr__(other.row, "data_sha256", study.points[2].row.data_sha256)
+    (tmp_path / "s" / "runs" / "block-000000.h5").unlink()  # the index alone tells what was computed
     with pytest.raises(MbdkitError, match="run 2 has different data"):
         study.remake(other)
 
@@ -238,6 +240,47 @@ def test_a_block_of_another_study_is_not_replaced(tmp_path: Path) -> None:
     moved.write_bytes((tmp_path / "a" / "runs" / "block-000000.h5").read_bytes())
     with pytest.raises(SpecError, match="a block of another study"):
         pendulums(6, store="summary", out=tmp_path / "b")
+
+
+def test_a_run_of_another_study_is_not_returned(tmp_path: Path) -> None:
+    # the blocks have the same number of runs, and are sound: only the hash of their study tells them apart
+    pendulums(4, store="histories", out=tmp_path / "a")
+    angles = {"model.angles.0": np.linspace(0.5, 1.5, 4)}
+    study = mbdkit.ensemble(BASE, angles, store="histories", out=tmp_path / "b")
+    moved = tmp_path / "b" / "runs" / "block-000000.h5"
+    moved.write_bytes((tmp_path / "a" / "runs" / "block-000000.h5").read_bytes())
+    for read in (study.run, study.remake, lambda _: study.quantiles("rod1.angle")):
+        with pytest.raises(SpecError, match="a block of another study") as refused:
+            read(1)
+        assert refused.value.file == str(moved)
+
+
+def test_a_block_whose_runs_have_other_data_than_the_index_is_not_read(tmp_path: Path) -> None:
+    study = pendulums(4, store="histories", out=tmp_path / "s")
+    path = tmp_path / "s" / "runs" / "block-000000.h5"
+    with h5py.File(path, "r+") as file:
+        file["runs/data_sha256"][1] = file["runs/data_sha256"][0]
+    assert study.run(0) is not None
+    for read in (study.run, study.remake):
+        with pytest.raises(SpecError, match="the data of run 2 are not those that the study has indexed"):
+            read(1)
+
+
+def test_a_falsified_index_is_found_when_a_run_is_computed_again(tmp_path: Path) -> None:
+    pendulums(4, store="summary", out=tmp_path / "s")
+    path = tmp_path / "s" / "index.h5"
+    with h5py.File(path, "r+") as file:
+        file["runs/energy_balance_max"][...] = 123.0
+        file["runs/rhs_evaluations"][...] = 7
+        file.attrs["data_sha256"] = data_sha256(file)
+        file.attrs["attributes_sha256"] = attributes_sha256(file)
+    study = mbdkit.load_study(tmp_path / "s")
+    assert study.points[1].values["energy_balance_max"] == 123.0  # the hashes are not a signature
+    with pytest.raises(MbdkitError, match="the index has other values of energy_balance_max, rhs_evaluations"):
+        study.remake(1)
+    row = dataclasses.replace(study.points[2].row, verdict="bad", values={})
+    with pytest.raises(MbdkitError, match="the index has other values of verdict"):
+        study.remake(dataclasses.replace(study.points[2], row=row))
 
 
 def test_shards_of_blocks_make_the_whole(grid: mbdkit.Study, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -118,3 +119,24 @@ def test_measures_may_be_chosen(tmp_path):
     assert np.isnan(values["energy_balance_max"])  # not recorded
     assert "end_error" not in values
     assert "energy_scale" not in values
+
+
+def test_another_run_under_the_name_of_a_run_is_refused(copied, tmp_path):
+    study = mbdkit.load_study(copied)
+    first, second = study.points[0], study.points[1]
+    first.path.write_bytes(second.path.read_bytes())
+    with pytest.raises(SpecError, match="another run in place of run 1") as refused:
+        study.run(first)
+    assert refused.value.file == str(first.path)
+    study.references[0].path.write_bytes(second.path.read_bytes())
+    with pytest.raises(SpecError, match="in place of the reference run"):
+        study.reference(second)
+
+
+def test_every_number_of_a_study_with_a_reference_is_computed_again(finished):
+    for point in finished.points:
+        finished.remake(point)
+    errors = dict(finished.points[1].values, trajectory_error=1e-9)
+    falsified = replace(finished.points[1], row=replace(finished.points[1].row, values=errors))
+    with pytest.raises(MbdkitError, match="the index has other values of trajectory_error"):
+        finished.remake(falsified)

@@ -1,0 +1,90 @@
+"""What is compared when a run of a study is read from its file, and when it is computed again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from mbdkit.archive.layout import COUNTERS
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import listed
+from mbdkit.measures.take import take
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.study_measures import ERRORS, expressions_of
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS
+from mbdkit.studies.study_point import StudyPoint
+
+
+def check_stored(run: Run, point: StudyPoint, path: Path) -> None:
+    """Check that a stored run is the one that the study plans and has indexed.
+
+    Parameters
+    ----------
+    path
+        Its file, which may have been replaced since the study was indexed.
+
+    Raises
+    ------
+    SpecError
+        If its spec is not that of the point, or its identifier or data are not those of the index.
+    """
+    which = f"the reference run {point.run_id}" if point.is_reference else f"run {point.number}"
+    another = run.run_id != point.run_id
+    with suppress(MbdkitError):  # the plugin of its model is not installed here
+        another = another or run.run_spec.sha256() != point.spec.sha256()
+    if another:
+        message = f"this file contains another run in place of {which} of the study"
+        raise SpecError(f"{message}; move it to another folder, and run `mbdkit study` again", file=path)
+    if run.data_sha256 != point.row.data_sha256:
+        message = f"the data of {which} are not those that the study has indexed: data_sha256 differs"
+        raise SpecError(f"{message}; run `mbdkit study` again to index what is in the folder", file=path)
+
+
+def remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str) -> Run:
+    """Integrate the run of a point again, and compare it with its row in the index.
+
+    Parameters
+    ----------
+    reference
+        Stored reference run for its errors, if it has one.
+    why
+        Appended to messages, to explain differences.
+
+    Raises
+    ------
+    MbdkitError
+        If data, measures, counters or verdict differ from those in the index.
+    """
+    run = simulate(point.spec, measures=expressions_of(study.defined_measures()))
+    if run.data_sha256 != point.row.data_sha256:
+        message = f"run {point.number} has different data than those stored when computed again"
+        raise MbdkitError(f"{message}{why}")
+    differing = [
+        name
+        for name, value in _numbers(study, point, run, reference)
+        if not (value == point.values[name] or (math.isnan(value) and math.isnan(point.values[name])))
+    ]
+    if run.verdict != (point.verdict or run.verdict):
+        differing.append("verdict")
+    if differing:
+        message = f"run {point.number} has the same data when computed again, but the index has other values of"
+        raise MbdkitError(f"{message} {listed(differing)}{why}")
+    return run
+
+
+def _numbers(study: StudySpec, point: StudyPoint, run: Run, reference: Run | None) -> Iterator[tuple[str, float]]:
+    """Yield the numbers in the row of a point that follow from its run, and from its reference run."""
+    known: Mapping[str, float] = point.values
+    for name, measure in (MEASURES if run.accuracy is None else {**MEASURES, **OF_CHECKED_RUNS}).items():
+        if name in known and (reference is not None or name not in ERRORS):
+            yield name, measure.of(run, reference)
+    for defined in study.defined_measures():
+        if defined.name in known:
+            yield defined.name, take(defined, run, run.run_spec)
+    for name in COUNTERS:
+        if name in known and name in run.stats:
+            yield name, float(run.stats[name])
