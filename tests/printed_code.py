@@ -12,9 +12,12 @@ import shlex
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 from typer.testing import CliRunner
 
 from mbdkit.cli import app
+from mbdkit.runs import lane_runs, simulated_run
+from mbdkit.trust.criteria import Judgement, judge
 
 
 class Block(NamedTuple):
@@ -42,9 +45,23 @@ def fenced_blocks(text: str) -> list[Block]:
     return [Block(parts[k + 1], parts[k + 2], parts[k]) for k in range(0, len(parts) - 1, 3)]
 
 
-def run_blocks(blocks: list[Block], folder: Path) -> None:
-    """Run blocks in order in the folder, which is the current one."""
+def run_blocks(blocks: list[Block], folder: Path) -> list[Judgement]:
+    """Run blocks in order in the folder, which is the current one, and return the verdicts on their runs."""
     names: dict[str, Any] = {"__name__": "guide"}
+    judged: list[Judgement] = []
+
+    def judge_and_keep(*arguments: Any) -> Judgement:
+        judged.append(judge(*arguments))
+        return judged[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (simulated_run, lane_runs):
+            patch.setattr(module, "judge", judge_and_keep)
+        _run_in_order(blocks, folder, names)
+    return judged
+
+
+def _run_in_order(blocks: list[Block], folder: Path, names: dict[str, Any]) -> None:
     for number, block in enumerate(blocks):
         if not block.is_run:
             continue

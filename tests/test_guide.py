@@ -52,8 +52,9 @@ def test_a_wrong_topic_is_answered_with_the_nearest_one() -> None:
 
 @pytest.mark.parametrize("topic", [topic for topic, page in PAGES.items() if fenced_blocks(page.text) and topic != OWN])
 @pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
-def test_the_examples_of_a_page_run_as_printed(topic: str, in_tmp_path: Path) -> None:
-    run_blocks(fenced_blocks(PAGES[topic].text), in_tmp_path)
+def test_the_examples_of_a_page_run_as_printed_and_without_a_doubt(topic: str, in_tmp_path: Path) -> None:
+    judged = run_blocks(fenced_blocks(PAGES[topic].text), in_tmp_path)
+    assert [reason for one in judged if one.level in ("doubtful", "bad") for reason in one.reasons] == []
 
 
 def page_block(topic: str, start: str) -> str:

@@ -39,7 +39,7 @@ _ANGLE = re.compile(r"\[rad( or m)?\]")
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
     """Return the warnings of the model, and about angles in degrees, long steps, and parameters."""
-    return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_unused_parameters(spec))
+    return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec))
 
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
@@ -76,14 +76,16 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
 
 
 def doubts(spec: RunSpec, warnings: Iterable[str]) -> tuple[str, ...]:
-    """Return the warnings of a run that question its result, without those about intended limits of model and step."""
+    """Return the warnings of a run that question its result: all but those about intended limits of model and step, and
+    about unused parameters, which affect no result.
+    """
     known = _known(spec)
     return tuple(warning for warning in warnings if warning not in known)
 
 
 def _known(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings about effects that model and step do not include."""
-    return (*spec.mechanism().warnings, *_unresolved_beams(spec))
+    """Return the warnings that do not question the result."""
+    return (*spec.mechanism().warnings, *_unresolved_beams(spec), *_unused_parameters(spec))
 
 
 def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...]:
