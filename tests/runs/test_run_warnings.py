@@ -191,6 +191,6 @@ def test_steps_in_which_a_stiff_beam_turns_too_far_say_so() -> None:
 
 def test_an_unused_parameter_is_told_but_does_not_question_the_run() -> None:
     run = mbdkit.run(SPEC | {"parameters": {"crank": 1.0}})
-    assert run.warnings == ("the parameter at parameters.crank is not used",)
+    assert run.warnings == ["the parameter at parameters.crank is not used"]
     assert run.verdict == "unknown"
     assert not run.verdict_reasons
