@@ -21,6 +21,9 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn
 
+RATE_SAMPLES = 5
+"""Number of intervals beside a gap from which the rate of an angle is taken; fewer would have more noise."""
+
 SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
 
 
@@ -92,11 +95,9 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     for index, (name, column) in enumerate(columns.items()):
         key, unit = f"motion.columns.{name}", quantities.quantities[index].unit
         factor = unit_factor(column, table, unit, key)
-        raw[:, index] = factor * table.column(column.column, f"{key}.column")[kept]
-        values[:, index] = _bridged(time, raw[:, index], motion.gaps, (table, column.column, kept))
-        if unit == "rad":
-            values[:, index] = np.unwrap(values[:, index], period=2 * np.pi * quantities.scale[index])
-            raw[:, index] = np.where(np.isnan(raw[:, index]), np.nan, values[:, index])
+        given, where = factor * table.column(column.column, f"{key}.column")[kept], (table, column.column, kept)
+        raw[:, index] = given if unit == "m" else _continued(time, given, 2 * np.pi * quantities.scale[index], where)
+        values[:, index] = _bridged(time, raw[:, index], motion.gaps, where)
         if column.deviation is not None:
             deviation[index] = abs(factor) * column.deviation
         for order, heading in enumerate((column.rate, column.acceleration)):
@@ -177,6 +178,52 @@ def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:
             f"leaves no row of the motion, which lasts from {times[0]:.6g} to {times[-1]:.6g} s", key="time"
         )
     return kept
+
+
+def _continued(time: np.ndarray, values: np.ndarray, period: float, where: tuple[Table, str, np.ndarray]) -> np.ndarray:
+    """Return an angle (T,) continued over full turns, from sample to sample and over its gaps; these stay nan.
+
+    Between neighbouring samples, the angle takes the shorter way. Over a gap, it takes the turns that agree best with
+    its rates on both sides.
+
+    Raises
+    ------
+    SpecError
+        If the turns during a gap are not certain.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    turned = np.unwrap(values[known], period=period)
+    if known.size and np.ptp(values[known]) > period / 2:  # otherwise, the angle does not turn
+        gap = np.diff(known) > 1
+        change = np.diff(turned)
+        for place in np.flatnonzero(gap).tolist():
+            lasts = time[known[place + 1]] - time[known[place]]
+            sides = [_rate_beside(time[known], change, gap, place, step) for step in (-1, 1)]
+            expected = [rate * lasts for rate in sides if rate is not None]
+            off = float(np.mean(expected)) - change[place] if expected else 0.0
+            turns = np.round(off / period)
+            turned[place + 1 :] += period * turns
+            if not expected or abs(off - period * turns) > period / 4 or np.ptp(expected) > period / 2:
+                table, heading, rows = where
+                raise table.error(
+                    f"column '{shown(heading)}': the number of full turns during a gap of {lasts:.4g} s is not "
+                    "certain; fill the gap, or cut the motion with `time.start` and `time.end`",
+                    row=int(rows[known[place] + 1]),
+                )
+    continued = values.copy()
+    continued[known] = turned
+    return continued
+
+
+def _rate_beside(time: np.ndarray, change: np.ndarray, gap: np.ndarray, place: int, step: int) -> float | None:
+    """Return the mean rate of a column before (`step` -1) or after a gap, from samples up to the next gap."""
+    last = place
+    while abs(last - place) < RATE_SAMPLES and 0 <= last + step < len(change) and not gap[last + step]:
+        last += step
+    if last == place:
+        return None
+    first, end = (last, place) if step < 0 else (place + 1, last + 1)
+    return float(np.sum(change[first:end]) / (time[end] - time[first]))
 
 
 def _bridged(

@@ -1,9 +1,13 @@
 """The smoothed motion of a mechanism, in independent coordinates, consistent with its constraints to round-off.
 
-As many quantities as there are degrees of freedom are chosen as independent coordinates, such that they determine the
-motion well in all frames. Their fitted values are smoothed and differentiated; positions, velocities and accelerations
-of all bodies follow from them and the constraints. If no choice is good in all frames, as for the cyclic motion of a
-linkage in which no link rotates fully, different coordinates are used in different intervals of the motion.
+As many quantities as there are degrees of freedom are chosen as independent coordinates. Their fitted values are
+smoothed and differentiated; positions, velocities and accelerations of all bodies follow from them and the constraints.
+
+What was measured is smoothed: observed quantities are the coordinates if enough of them are independent in all frames,
+however badly they are scaled, since other coordinates would pass the errors of smoothing on to the measured ones, often
+enlarged. Otherwise, coordinates are chosen such that they determine the motion well in all frames. If no choice does,
+as for the cyclic motion of a linkage in which no link rotates fully, different coordinates are used in different
+intervals of the motion.
 """
 
 from __future__ import annotations
@@ -20,7 +24,16 @@ from mbdkit.inverse_dynamics.smoothing import Smoothed
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 
 PREFERRED = 0.2
-"""Independence above which an observed quantity is preferred to others that are more independent."""
+"""Independence above which an observed quantity is preferred to others that are more independent, if the observed
+quantities do not suffice."""
+
+FOLD = 0.05
+"""Share of its largest value below which the independence of observed quantities means that the motion passes near a
+fold, such as the dead centre of a measured rocker, where they do not determine it."""
+
+LEAST = 1e-4
+"""Independence below which observed quantities count as dependent even if it does not change during the motion; many
+bodies in series have small values, 1 / 580 for the relative angles of 100 links."""
 
 ENOUGH = 0.05
 """Smallest independence of the coordinates of an interval, over all of its frames."""
@@ -85,7 +98,8 @@ def independent_coordinates(
         Quantities that may serve as independent coordinates, by name.
     """
     observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
-    preferred = [name for name, one in observed.items() if one in candidates.values()]
+    exactly = len(observed) == fitter.manifold.freedoms
+    preferred = [name for name, one in observed.items() if exactly or one in candidates.values()]
     named = {name: observed[name] for name in preferred} | {
         name: one for name, one in candidates.items() if one not in [observed[name] for name in preferred]
     }
@@ -151,6 +165,10 @@ def _chosen(
     directions: Directions = manifold.directions(manifold.frames(time, q).jacobian)
     size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
     rows = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
+    if preferred >= rows.shape[2]:
+        places, independence = _greedy(rows[:, :preferred], preferred)
+        if np.min(independence, initial=np.inf) >= max(LEAST, FOLD * np.max(independence, initial=0.0)):
+            return [(0, places)]
     places, independence = _greedy(rows, preferred)
     if np.min(independence, initial=np.inf) >= ENOUGH:
         return [(0, places)]
