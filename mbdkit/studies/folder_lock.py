@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import IO
 
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
@@ -150,7 +151,9 @@ def _started(pid: int) -> str:
 def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "study") -> Iterator[None]:
     """Hold the lock on a part of a study, or on the folder of a design, and release it at the end of the block.
 
-    The lock of a process of this machine that has died is removed. There are no locks on Windows.
+    The lock of a process of this machine that has died is removed. A process in another container may share the folder
+    and the name of the machine, but its number means nothing here; so the file of the lock is itself locked (`flock`)
+    until the end of the block, and belongs to a living process as long as it is. There are no locks on Windows.
 
     Parameters
     ----------
@@ -169,6 +172,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
         return
     lock = folder / f"{LOCK}{shard.number}-of-{shard.count}"
     owner = Owner.this_process()
+    held = None
     try:
         with _alone(mutex):
             for path in sorted(folder.glob(f"{LOCK}*")):
@@ -177,22 +181,48 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
                     path.unlink(missing_ok=True)
                 elif shard.overlaps(Shard(int(name[1]), int(name[2]))):
                     _remove_stale(path, command)
-            _write(lock, owner)
+            held = _write(lock, owner)
         yield
     finally:
         if Owner.of(lock) == owner:
             lock.unlink(missing_ok=True)
+        if held is not None:
+            held.close()
 
 
-def _write(lock: Path, owner: Owner) -> None:
-    begun = lock.with_name(f"{LOCK}{owner.token}")
+def _write(lock: Path, owner: Owner) -> IO[str]:
+    """Create the file of a lock, and return it, open and locked where the file system has such locks."""
+    import fcntl
+
+    begun, file = lock.with_name(f"{LOCK}{owner.token}"), None
     try:
-        begun.write_text(json.dumps(asdict(owner)))
+        file = begun.open("w")
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX)
+        file.write(json.dumps(asdict(owner)))
+        file.flush()
         rename_new(begun, lock)
     except OSError as error:
+        if file is not None:
+            file.close()
         raise ResourceError(f"the lock cannot be written: {error.strerror or error}", file=lock) from error
     finally:
         begun.unlink(missing_ok=True)
+    return file
+
+
+def _is_held(lock: Path) -> bool:
+    """Return whether a process, in any container, holds the kernel's lock on the file of a lock."""
+    import fcntl
+
+    try:
+        with lock.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # exclusive locks need write access on some file systems
+    except BlockingIOError:
+        return True
+    except OSError:
+        pass
+    return False
 
 
 def _remove_stale(lock: Path, command: str) -> None:
@@ -204,7 +234,7 @@ def _remove_stale(lock: Path, command: str) -> None:
     if owner is None:
         message = f"another `mbdkit {command}` may be running in this folder; if none is, remove {shown(lock)}"
         raise ResourceError(message, file=folder)
-    if owner.is_dead:
+    if owner.is_dead and not _is_held(lock):
         lock.unlink(missing_ok=True)
         return
     who = f"process {owner.pid} on {shown(owner.host)}, since {shown(owner.since)}"

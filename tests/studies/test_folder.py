@@ -184,6 +184,31 @@ def test_the_lock_of_a_killed_process_whose_parent_has_not_noticed_is_taken_over
         child.wait()
 
 
+def test_the_lock_of_a_living_process_in_another_container_is_kept(copied: Path) -> None:
+    """In another PID namespace on one machine, processes have other numbers, so that each seems to be dead."""
+    hold = "import sys; from mbdkit.studies.study_folder import StudyFolder; from pathlib import Path\n"
+    hold += "with StudyFolder(Path(sys.argv[1])).locked(): print('held', flush=True); sys.stdin.read()"
+    command = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount-proc", sys.executable, "-c", hold]
+    other = subprocess.Popen([*command, str(copied)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert other.stdin is not None
+    assert other.stdout is not None
+    try:
+        if other.stdout.readline() != "held\n":
+            pytest.skip("this machine creates no PID namespaces")
+        owner = Owner.of(copied / ".lock-1-of-1")
+        assert owner is not None
+        assert owner.is_dead  # as far as its number tells
+        with pytest.raises(ResourceError, match="another `mbdkit study` is running in this folder"):
+            StudyFolder(copied).locked().__enter__()
+        assert Owner.of(copied / ".lock-1-of-1") == owner
+    finally:
+        other.stdin.close()
+        other.stdout.close()
+        other.wait()
+    with StudyFolder(copied).locked():
+        pass
+
+
 def test_a_lock_of_another_machine_is_kept_and_the_message_names_it(copied: Path) -> None:
     lock = held_by(copied, host="node7")
     with pytest.raises(ResourceError, match=r"on node7, since .* or remove .*\.lock-1-of-1 if it no longer runs"):
