@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,12 @@ GAPS = ("", "nan", "na", "n/a", "null")
 """Texts, in lower case, of cells without a value."""
 
 HEADINGS_SHOWN = 30
+
+LARGEST_FILE = 128 * 2**20
+"""Size of a file above which it is not read [bytes]."""
+
+MOST_CELLS = 10_000_000
+"""Largest number of cells of a table; a cell takes some 70 bytes of memory."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +95,10 @@ class Table:
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
             raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}", key=key)
         try:
-            values = np.array([float(cells[place]) for cells in self.cells])
+            texts = [cells[place] for cells in self.cells]
+            if not all(map(_is_plain, texts)):
+                raise ValueError
+            values = np.array([float(text) for text in texts])
         except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are not numbers
             values = np.array([math.inf])
         if np.any(np.isinf(values)):
@@ -105,6 +114,8 @@ class Table:
             if text.lower() in GAPS:
                 return math.nan
             try:
+                if not _is_plain(text):
+                    raise ValueError
                 cell = float(text)
             except ValueError:
                 raise self.error(f"column '{shown(heading)}': {shown(text)!r} is not a number", row=row) from None
@@ -139,6 +150,11 @@ class Table:
         return values
 
 
+def _is_plain(cell: Any) -> bool:
+    """Return whether `float` reads a cell as other programs do: not with ``1_0`` as 10, or digits of other scripts."""
+    return not isinstance(cell, str) or (cell.isascii() and "_" not in cell)
+
+
 def read_table(path: Path, key: str) -> Table:
     """Read a table from a file in the format given by its suffix: .csv, .txt, .mot, .sto, .trc or .c3d.
 
@@ -153,6 +169,14 @@ def read_table(path: Path, key: str) -> Table:
         what = "is a folder" if path.is_dir() else "there is no such file"
         raise SpecError(f"{what}: {shown(str(path))}", key=key)
     suffix = path.suffix.lower()
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=path) from None
+    if size > LARGEST_FILE:
+        most = LARGEST_FILE >> 20
+        message = f"this table has {size / 2**20:.0f} MiB, but at most {most} MiB are read"
+        raise SpecError(f"{message}; keep the rows and columns that are used", file=path)
     if suffix == ".c3d":
         return _read_c3d(path)
     readers = {".csv": _read_csv, ".txt": _read_csv, ".mot": _read_storage, ".sto": _read_storage, ".trc": _read_trc}
@@ -163,7 +187,7 @@ def read_table(path: Path, key: str) -> Table:
             key=key,
         )
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").split("\n")
     except UnicodeDecodeError:
         raise SpecError("this file is not valid UTF-8 text", file=path) from None
     except OSError as error:
@@ -183,13 +207,55 @@ def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
 
 def _read_csv(file: str, lines: list[str]) -> Table:
     """Read a table with a line of headings; lines that begin with # are comments."""
-    kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    if not kept:
+    first = next((line for line in lines if _is_row(line)), None)
+    if first is None:
         raise SpecError("this table is empty; its first line should hold the headings of the columns", file=file)
-    delimiter = max(",;\t", key=kept[0][1].count)
-    rows = list(csv.reader((line for _, line in kept), delimiter=delimiter))
-    headings = [cell.strip() for cell in rows[0]]
-    return _checked(Table(file, headings, rows[1:], [number for number, _ in kept[1:]]))
+    rows = list(_within(file, _csv_rows(file, lines, max(",;\t", key=first.count))))
+    headings = [cell.strip() for cell in rows[0][1]]
+    return _checked(Table(file, headings, [cells for _, cells in rows[1:]], [number for number, _ in rows[1:]]))
+
+
+def _is_row(line: str) -> bool:
+    """Return whether a line of a CSV file is neither empty nor a comment."""
+    return bool(line.strip()) and not line.startswith("#")
+
+
+def _csv_rows(file: str, lines: list[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a CSV file with the number of the line where each begins; quoted cells may have line breaks."""
+    begun = 0
+
+    def of_row() -> Iterator[str]:
+        nonlocal begun
+        for number, line in enumerate(lines, 1):
+            if begun or _is_row(line):
+                begun = begun or number
+                yield line + "\n"
+
+    try:
+        for cells in csv.reader(of_row(), delimiter=delimiter):
+            yield begun, cells
+            begun = 0
+    except csv.Error as error:
+        most = csv.field_size_limit()
+        why = f"a cell of this row has more than {most} characters; is a quotation mark missing?"
+        raise SpecError(
+            why if "limit" in str(error) else f"this row cannot be read: {error}", file=file, line=begun
+        ) from None
+
+
+def _within(file: str, rows: Iterable[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a table with their lines; raise SpecError if they have more than `MOST_CELLS` cells."""
+    count = 0
+    for line, cells in rows:
+        count += len(cells)
+        if count > MOST_CELLS:
+            raise _too_many_cells(file)
+        yield line, cells
+
+
+def _too_many_cells(file: str) -> SpecError:
+    message = f"this table has more than {MOST_CELLS} cells; keep the rows and columns that are used"
+    return SpecError(message, file=file)
 
 
 def _read_storage(file: str, lines: list[str]) -> Table:
@@ -202,7 +268,7 @@ def _read_storage(file: str, lines: list[str]) -> Table:
     if not kept:
         raise SpecError("this table is empty: no headings follow `endheader`", file=file)
     split = _cells_of(kept[0][1])
-    rows = [split(line) for _, line in kept]
+    rows = [cells for _, cells in _within(file, ((number, split(line)) for number, line in kept))]
     in_degrees = header.get("inDegrees", "no").lower() == "yes"
     return _checked(Table(file, rows[0], rows[1:], [number for number, _ in kept[1:]], in_degrees=in_degrees))
 
@@ -225,7 +291,8 @@ def _read_trc(file: str, lines: list[str]) -> Table:
     markers = [name for name in names[2:] if name]
     headings = [*names[:2], *(f"{marker}.{axis}" for marker in markers for axis in "xyz")]
     kept = [(number, line) for number, line in enumerate(lines[5:], 6) if line.strip()]
-    rows = [line.split("\t")[: len(headings)] for _, line in kept]
+    split = ((number, line.split("\t")[: len(headings)]) for number, line in kept)
+    rows = [cells for _, cells in _within(file, split)]
     unit = header.get("Units", "m").strip() or "m"
     return _checked(Table(file, headings, rows, [number for number, _ in kept], length_unit=unit))
 
@@ -244,6 +311,8 @@ def _read_c3d(path: Path) -> Table:
     except (OSError, RuntimeError, ValueError, IndexError) as error:
         raise SpecError(f"this is not a C3D file that can be read: {shown(str(error))}", file=path) from None
     points = file["data"]["points"]  # (4, markers, frames)
+    if points.size > MOST_CELLS:
+        raise _too_many_cells(str(path))
     about = file["parameters"]["POINT"]
     parts = sorted((name for name in about if re.fullmatch(r"LABELS\d*", name)), key=lambda name: (len(name), name))
     labels = [str(label) for name in parts for label in about[name]["value"]][: points.shape[1]]  # 255 in each part

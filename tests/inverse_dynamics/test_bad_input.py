@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
+from mbdkit.inverse_dynamics import tables
 
 ROWS = ["time,hip,text", *(f"{0.01 * i:.2f},{0.1 * i:.3f},a" for i in range(20))]
 
@@ -59,6 +60,12 @@ def with_row(number: int, row: str) -> list[str]:
         (with_row(5, "0.035,0.3,a"), {"smooth": {"name": "butterworth", "cutoff": 5}}, "needs evenly spaced samples"),
         (with_row(21, "0.19,,a"), {"gaps": {"longest": 1}}, "t.csv:21: column 'hip': a gap at an end of the motion"),
         (with_row(5, "0.03,,a"), {"gaps": {"longest": 0.01}}, "t.csv:5: column 'hip': a gap of 0.02 s is longer than"),
+        (with_row(5, "0.03,-8_9.3,a"), {}, "t.csv:5: column 'hip': '-8_9.3' is not a number"),
+        (with_row(5, "0.03,\u0661\u0662,a"), {}, "t.csv:5: column 'hip': '\u0661\u0662' is not a number"),
+        (with_row(5, f"0.03,{'1' * 140_000},a"), {}, "t.csv:5: a cell of this row has more than 131072 characters"),
+        ([*with_row(5, '0.03,0.3,"a\n\n# b"'), "0.2,x,a"], {}, "t.csv:24: column 'hip': 'x' is not a number"),
+        (with_row(5, "0.03,x,a\u2028b"), {}, "t.csv:5: column 'hip': 'x' is not a number"),
+        ([*with_row(3, "0.01,0.1,a\x0cb"), "0.2,x,a"], {}, "t.csv:22: column 'hip': 'x' is not a number"),
         (ROWS[:4], {}, "derivatives need at least 6 samples, but the motion has 3"),
     ],
 )  # fmt: skip
@@ -68,6 +75,23 @@ def test_a_wrong_table_is_refused(rows: list[str], change: dict[str, Any], messa
         mbdkit.inverse(pendulum(str(tmp_path / "t.csv"), **change))
     told = str(caught.value).replace(f"{tmp_path}/", "")
     assert message.removeprefix("key ") in told
+
+
+@pytest.mark.parametrize(
+    ("limit", "message"),
+    [
+        ("LARGEST_FILE", "t.csv: this table has 0 MiB, but at most 0 MiB are read; keep the rows and columns that"),
+        ("MOST_CELLS", "t.csv: this table has more than 50 cells; keep the rows and columns that are used"),
+    ],
+)
+def test_a_table_that_is_too_large_is_refused(
+    limit: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, limit, 50)
+    (tmp_path / "t.csv").write_text("\n".join(ROWS), encoding="utf-8")
+    with pytest.raises(SpecError) as caught:
+        mbdkit.inverse(pendulum(str(tmp_path / "t.csv")))
+    assert message in str(caught.value)
 
 
 def test_a_motion_that_leaves_a_body_unobserved_is_refused_by_its_name() -> None:
