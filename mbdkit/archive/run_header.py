@@ -22,7 +22,7 @@ from mbdkit.archive.part_file import part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import LONGEST_TITLE
+from mbdkit.base.plain_data import LONGEST_NAME, LONGEST_TITLE
 from mbdkit.base.text import shortened, shown
 from mbdkit.quantities.array import GROWING, TEXT
 from mbdkit.quantities.names import AXES, COORDINATES
@@ -75,8 +75,8 @@ _MAPPINGS = ("model", "integrator", "time", "output")
 #: Sections that may be null as well.
 _OPTIONAL_MAPPINGS = ("limits", "events")
 
-LONGEST = 1_000
-"""Longest name [characters]; pictures with longer ones take minutes."""
+LONGEST = 4 * LONGEST_NAME
+"""Longest name that is read [characters]: some are made of several, such as those of constraints and residuals."""
 
 
 def check_shapes(file: h5py.File) -> None:

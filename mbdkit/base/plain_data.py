@@ -25,6 +25,9 @@ DEEPEST = 100
 LONGEST_TITLE = 10_000
 """Largest number of characters of a title; drawing longer ones takes minutes."""
 
+LONGEST_NAME = 255
+"""Largest number of characters of the name of an element; pictures with names of thousands take minutes."""
+
 LARGEST_NUMBER = int(sys.float_info.max)
 """Largest magnitude of a whole number in a spec: that of a number in double precision."""
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Container, Iterable, Mapping
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import found
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.plain_data import LONGEST_NAME, found
+from mbdkit.base.text import did_you_mean, listed, shortened
 from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
@@ -140,6 +140,9 @@ def check_name(name: object, key: str) -> None:
         raise SpecError(f"should be text, not {found(name)}", key=key)
     if name == GROUND:
         raise SpecError("the name 'ground' is reserved for the global frame; choose another name", key=key)
+    if len(name) > LONGEST_NAME:
+        message = f"has {len(name)} characters; a name has at most {LONGEST_NAME}"
+        raise SpecError(message, key=key.replace(name, shortened(name)))
     if not name or name != name.strip() or any(letter in "/." or not letter.isprintable() for letter in name):
         raise SpecError(
             f"should be non-empty printable text without '/', '.' and surrounding spaces, not {name!r}",

@@ -130,7 +130,7 @@ def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[Defined
     for name, definition in definitions.items():
         place = (*above, name)
         if not _NAME.fullmatch(name):
-            message = "a measure has a name of letters, digits and _ . -, which begins with a letter"
+            message = "a measure has a name of at most 100 letters, digits and _ . -, which begins with a letter"
             raise SpecError(message, key=path_text(place))
         if name in BUILT_IN:
             raise SpecError(f"'{name}' is a built-in measure; choose another name", key=path_text(place))

@@ -11,8 +11,8 @@ from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_valid
 from pydantic_core import PydanticCustomError
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, parse_path, path_text
-from mbdkit.base.text import listed
+from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text
+from mbdkit.base.text import listed, shortened
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
 from mbdkit.spec.sample_section import Sample, comparable
@@ -211,10 +211,9 @@ class StudySpec(StrictSpec):
             )
         self._check_sample()
         for name, family in self.families.items():
-            if not name.strip() or "/" in name:
-                raise SpecError(
-                    f"'{name}' is not a valid name: it should be non-empty and contain no '/'", key="families"
-                )
+            if not name.strip() or "/" in name or len(name) > LONGEST_NAME:
+                wanted = f"it should be non-empty, contain no '/', and have at most {LONGEST_NAME} characters"
+                raise SpecError(f"'{shortened(name)}' is not a valid name: {wanted}", key="families")
             if self.base is None and family.base is None:
                 raise SpecError(
                     "is missing, here and at the top level of the study: the run spec to vary",
