@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import unicodedata
+import re
 from collections.abc import Iterable, Sequence
 
-#: Unicode characters that reverse or hide text, in addition to control characters.
-_DECEPTIVE = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff")
+_HARMFUL = re.compile(
+    "[\0-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff"  # not allowed in XML, or interpreted by terminals
+    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]"  # reverse or hide text
+)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
@@ -60,17 +62,16 @@ def shown(text: object, *, lines: bool = False) -> str:
     lines
         Whether line feeds and tabulators are kept.
     """
-    return "".join(char if _is_harmless(char) or (lines and char in "\n\t") else _escaped(char) for char in str(text))
+    return _HARMFUL.sub(_kept_lines if lines else _escaped, str(text))
 
 
-def _is_harmless(char: str) -> bool:
-    if char.isprintable():
-        return True
-    return unicodedata.category(char) in ("Zs", "Cf", "Cn", "Co") and char not in _DECEPTIVE
+def _kept_lines(found: re.Match[str]) -> str:
+    return found[0] if found[0] in "\n\t" else _escaped(found)
 
 
-def _escaped(char: str) -> str:
-    return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(char, f"\\u{ord(char):04x}")  # as in JSON: all are below U+10000
+def _escaped(found: re.Match[str]) -> str:
+    """Return a character as in JSON; all are below U+10000."""
+    return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(found[0], f"\\u{ord(found[0]):04x}")
 
 
 _MARKED = str.maketrans({char: f"\\{char}" for char in "\\`*_[]|#~$"} | {"<": "&lt;", ">": "&gt;", "&": "&amp;"})

@@ -13,9 +13,11 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import ScalarFormatter
 
 from mbdkit.base.files import replacing
+from mbdkit.base.text import shown
 from mbdkit.figures.palette import ALARM, FAINT, GRID, INK, PAPER
 from mbdkit.plot.caption import Caption
 
@@ -129,6 +131,7 @@ def save(figure: Figure, target: Path) -> None:
     """
     kind = target.suffix[1:].lower()
     content = io.BytesIO()  # Matplotlib's PDF writer replaces the error of a full disk by one of its own
+    _escape(figure)
     with replacing(target) as temporary, mpl.rc_context(_FILES):
         quietly(lambda: figure.savefig(content, format=kind, dpi=figure.dpi, metadata=_METADATA.get(kind)))
         temporary.write_bytes(content.getvalue())
@@ -137,8 +140,17 @@ def save(figure: Figure, target: Path) -> None:
 def png(figure: Figure) -> bytes:
     """Return `figure` as the bytes of a PNG file."""
     content = io.BytesIO()
+    _escape(figure)
     quietly(lambda: figure.savefig(content, format="png", dpi=figure.dpi, bbox_inches=None))
     return content.getvalue()
+
+
+def _escape(figure: Figure) -> None:
+    """Escape control characters in all texts of a figure; a file of SVG that has them is not valid."""
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if (escaped := shown(text.get_text(), lines=True)) != text.get_text():
+            text.set_text(escaped)
 
 
 def quietly(draw: Callable[[], Any]) -> Any:

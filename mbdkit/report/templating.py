@@ -10,6 +10,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from mbdkit.base.text import shown
+
 
 def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]] | None = None) -> str:
     """Return a page.
@@ -17,11 +19,12 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
     Parameters
     ----------
     values
-        Values that it shows; texts are escaped.
+        Values that it shows; texts are escaped. So are control characters, on the whole page: in JSON, this does not
+        change their meaning.
     """
     environment = _environment()
     environment.filters.update(filters or {})
-    return environment.get_template(template).render(values)
+    return shown(environment.get_template(template).render(values), lines=True)
 
 
 def script_json(value: Any) -> Markup:

@@ -19,7 +19,8 @@ def spec(kind: str, name: str) -> dict[str, Any]:
         "joints": {"A": {"type": "revolute", "bodies": ["ground", body], "points": [[0, 0], [-0.5, 0]]}},
         "forces": {"f": {"type": "torque", "body": body, "value": "sin(t)"}},
         "markers": {"k": {"body": body, "point": [0, 0]}},
-        "beams": {"c": {"a": [0, 0], "b": [1, 0], "elements": 2, "E": 1e9, "nu": 0.3, "A": 0.01, "I": 1e-4, "density": 1}},
+        "beams": {"c": {"a": [0, 0], "b": [1, 0], "elements": 2, "mass_per_length": 1.0, "rotary_inertia": 0.01,
+                        "stiffness": {"axial": 1e7, "shear": "none", "bending": 1e3}}},
         "coordinates": {"q": f"{name if kind == 'joints' else 'A'}.angle"},
     }  # fmt: skip
     if kind not in ("bodies", "events"):
