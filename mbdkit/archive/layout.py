@@ -30,6 +30,7 @@ REASONS = (
     "fell-apart",
     "energy-jump",
     "branch-left",
+    "out-of-range",
     "event",
     "plugin-error",
 )

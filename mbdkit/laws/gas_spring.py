@@ -22,8 +22,9 @@ class GasSpringOptions(StrictModel):
     x is the compression, ``extended_length - length``. The gas in the cylinder follows the polytropic law ``p
     V^exponent = constant``, and its volume decreases linearly with x, so that the push at full stroke is ``progression
     * preload``. Manufacturers call preload F1, the force at full stroke F2, and F2/F1 progression. The end stops of the
-    cylinder are not part of the law: beyond the extended length the push decreases further by the same formula, and
-    beyond the stroke it increases linearly.
+    cylinder are not part of the law: it holds from full stroke to the extended length, and a run that leaves this range
+    is doubtful. Beyond the extended length the push decreases further by the same formula, and beyond the stroke it
+    increases linearly.
     """
 
     preload: NotNegative
@@ -96,4 +97,9 @@ def parameters(options: GasSpringOptions) -> dict[str, float]:
     }
 
 
-LAW = ExpressionLaw(force, potential, passive=True, parameters=parameters)
+def valid_range(options: GasSpringOptions) -> dict[str, tuple[float, float]]:
+    """Return the lengths between the end stops."""
+    return {"length": (options.extended_length - options.stroke, options.extended_length)}
+
+
+LAW = ExpressionLaw(force, potential, passive=True, parameters=parameters, valid_range=valid_range)

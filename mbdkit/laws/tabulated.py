@@ -26,7 +26,8 @@ class TableOptions(StrictModel):
     """Options of `table`: a spring whose force over its length is given by points, and a linear damper.
 
     The force is the cubic spline through the points, with the not-a-knot condition at both ends (a parabola for three
-    points, a straight line for two). Beyond the ends it is extrapolated linearly with the slope at the end.
+    points, a straight line for two). Beyond the ends it is extrapolated linearly with the slope at the end, and a run
+    that gets there is doubtful.
     """
 
     table: Annotated[
@@ -93,4 +94,10 @@ def parameters(options: TableOptions) -> list[float]:
     return [options.damping, float(len(pieces)), *lengths.tolist(), *pieces.ravel().tolist()]
 
 
-LAW = FunctionLaw(law, potential=True, passive=True, parameters=parameters)
+def valid_range(options: TableOptions) -> dict[str, tuple[float, float]]:
+    """Return the lengths that the table covers."""
+    lengths = options.table[0]
+    return {"length": (lengths[0], lengths[-1])}
+
+
+LAW = FunctionLaw(law, potential=True, passive=True, parameters=parameters, valid_range=valid_range)

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 ARGUMENTS = ("length", "rate", "time")
 """Arguments of every law: length s [m or rad], rate s' [m/s or rad/s] and time t [s]."""
 
+Ranges = Mapping[str, tuple[float, float]]
+"""Lowest and highest value of some arguments of a law, by their names; the others may have any value."""
+
 
 @dataclass(frozen=True, eq=False)
 class ExpressionLaw:
@@ -44,6 +47,10 @@ class ExpressionLaw:
         a function that returns it, and its unit, by the name of the state. The name is also that of a parameter, whose
         value is the initial one; all expressions may contain it. A law with states has no potential, so that its power
         counts as work, or as dissipated if it is passive.
+    valid_range
+        Where the law holds, such as ``{"length": (0.0, 0.3), "rate": (-1.0, 1.0)}`` [SI units, radians], or a function
+        from an instance of the law's options to this; a bound may be infinite. Outside of it, the law must still give
+        finite numbers. A run that leaves the range is doubtful, or stops under ``limits.law_range: stop``.
     """
 
     force: sympy.Expr | Callable[[], sympy.Expr]
@@ -51,6 +58,7 @@ class ExpressionLaw:
     passive: bool = False
     parameters: Callable[[Any], Mapping[str, float]] | None = None
     rates: Mapping[str, tuple[sympy.Expr | Callable[[], sympy.Expr], str]] = field(default_factory=dict)
+    valid_range: Ranges | Callable[[Any], Ranges] = field(default_factory=dict)
 
     @cached_property
     def states(self) -> tuple[LawState, ...]:
@@ -98,12 +106,15 @@ class FunctionLaw:
     parameters
         Function from an instance of the law's options to the array of parameters, of any length; by default, the
         parameters are the options in the order of their definition.
+    valid_range
+        Where the law holds, as in `ExpressionLaw`.
     """
 
     function: Callable[..., tuple[float, float, float, float]]
     potential: bool = False
     passive: bool = False
     parameters: Callable[[Any], Sequence[float]] | None = None
+    valid_range: Ranges | Callable[[Any], Ranges] = field(default_factory=dict)
     states: ClassVar[tuple[LawState, ...]] = ()
 
 

@@ -1,11 +1,13 @@
-"""The parameters of a force law: numbers computed from the options of an element of type ``law``."""
+"""The parameters and the range of a force law, computed from the options of an element of type ``law``."""
 
 from __future__ import annotations
 
-from math import isfinite
+from collections.abc import Mapping
+from math import inf, isfinite
 from typing import Any
 
 from mbdkit.base.errors import PluginError, blaming
+from mbdkit.base.text import listed
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, FunctionLaw
 
 
@@ -35,6 +37,39 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
     if not all(isfinite(value) for value in values):
         raise PluginError(f"force law {name} computed parameters that are not finite")
     return names, values
+
+
+def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest value of each argument for which a law holds; infinite where it has no bound.
+
+    Parameters
+    ----------
+    name
+        Name of the law for error messages.
+
+    Raises
+    ------
+    PluginError
+        If the law fails to compute its range, or if this is not one.
+    """
+    with blaming(f"force law {name} failed to compute its valid range"):
+        given: Any = law.valid_range(options) if callable(law.valid_range) else law.valid_range
+    found = dict.fromkeys(ARGUMENTS, (-inf, inf))
+    if not isinstance(given, Mapping) or not set(given) <= set(ARGUMENTS):
+        raise PluginError(
+            f"force law {name}: its valid range should be a mapping with keys of {listed(ARGUMENTS, 'and')}"
+        )
+    for argument, bounds in given.items():
+        try:
+            low, high = map(float, bounds)
+        except (TypeError, ValueError):
+            low, high = inf, -inf
+        if not low < high:
+            raise PluginError(
+                f"force law {name}: its valid range of {argument} should be two numbers, the lower one first"
+            )
+        found[argument] = low, high
+    return found
 
 
 def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[float]]:

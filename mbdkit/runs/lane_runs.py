@@ -29,6 +29,7 @@ from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.integrals import integrands_of
+from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
 from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.warnings import center_warnings, doubts, start_warnings
@@ -109,6 +110,8 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         return found
     if integrands_of(spec, measures):
         return "their measures contain integrals over time"
+    if has_ranges(spec.mechanism()) and not steps_are_rows(spec):
+        return "the ranges of their force laws are watched between the recorded states"
     method = make_method(spec)
     if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
@@ -330,7 +333,16 @@ class _Group:
                 continue
             own = {key: values[lane, : results.rows[lane]] for key, values in arrays.items()}
             own |= self._intervals(member.table, results, lane)
-            made = self._run(member, own, recorded[lane], reached[lane], results.evidence[lane])
+            ranges = LawRanges.of(member.spec, member.start.mechanism)
+            if ranges is not None:
+                rows = slice(results.rows[lane])
+                left = ranges.add(results.time[lane, rows], results.observed.forces[lane, rows])
+                if left is not None and ranges.stops:
+                    finished.append(None)
+                    continue
+            found = center_warnings(member.spec.mechanism(), reached[lane])
+            found = (*member.warnings, *found, *(() if ranges is None else ranges.warnings()))
+            made = self._run(member, own, recorded[lane], found, results.evidence[lane])
             counters = vars(results.counters[lane]).copy()
             counters["factorizations"] += int(
                 member.pivots is not None
@@ -421,15 +433,13 @@ class _Group:
         member: LaneMember,
         arrays: dict[str, np.ndarray],
         recorded: tuple[np.ndarray, _RecordedRun],
-        reached: np.ndarray,
+        warnings: tuple[str, ...],
         steps: StepEvidence,
     ) -> FinishedRun:
         """Compute the verdict on a run and return the run; its `stats` contain the time taken for that."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
-        mechanism = member.spec.mechanism()
-        warnings = (*member.warnings, *center_warnings(mechanism, reached))
         questions = doubts(member.spec, warnings)
         judgement = judge(evidence_of_run(extremes, steps, ending, worst, member.size, questions))
         if _LOG.isEnabledFor(logging.INFO):

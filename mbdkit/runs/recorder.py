@@ -18,6 +18,7 @@ from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.quantities.table import RECORDED
+from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
 from mbdkit.stepping.interface import Failure, Guards, Stretch
 from mbdkit.trust.energy_record import EnergyRecord
@@ -63,6 +64,8 @@ class Recorder:
         Takes the rows.
     guards
         Limits of the misalignment of a recorded state.
+    ranges
+        Watches force laws that hold in a range only, if there are any.
 
     Attributes
     ----------
@@ -78,7 +81,9 @@ class Recorder:
         If a list, recorded rows are also appended to it.
     """
 
-    def __init__(self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS):
+    def __init__(
+        self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS, ranges: LawRanges | None = None
+    ):
         # The number of steps between two calls depends on wall time. If pivots were shared with the stepper, the last
         # bits of both results would depend on it.
         self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards
@@ -92,6 +97,7 @@ class Recorder:
         self.energies = EnergyRecord()
         self.last_time = workspace.t0
         self.kept: list[ObservedRows] | None = None
+        self.ranges = ranges
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -150,7 +156,7 @@ class Recorder:
             count = int(np.argmin(finite))
             what = "the energy is not a finite number" if moving[count] else "accelerations are not finite numbers"
             failure = Failure("not-finite", f"{what} at {_at(stretch, count)}.")
-        for check in (self._contradiction, self._fallen_apart):
+        for check in (self._contradiction, self._fallen_apart, self._out_of_range):
             found = check(stretch.rows(slice(0, count)), observed.rows(slice(0, count)))
             if found is not None:
                 count, failure = found
@@ -218,6 +224,13 @@ class Recorder:
                 )
                 found = row, Failure("fell-apart", sentence)
         return found
+
+    def _out_of_range(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
+        """Return the row of the first state after a force law has left its range, and the failure, if that stops."""
+        left = None if self.ranges is None else self.ranges.add(stretch.time, observed.forces)
+        if self.ranges is None or left is None or not self.ranges.stops:
+            return None
+        return int(np.searchsorted(stretch.time, left)), self.ranges.failure()
 
     def _write_states(self, stretch: Stretch, observed: Observed, elapsed: np.ndarray) -> None:
         if self._start_energy is None:
@@ -287,6 +300,7 @@ class Recorder:
             "near": self._observer.kept,
             "solver": stored_solver(self.workspace.solver),
             "pivotings": self.workspace.pivotings,
+            "ranges": None if self.ranges is None else self.ranges.stored(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -301,6 +315,8 @@ class Recorder:
         fill(self._observer.kept, state["near"])
         self.workspace.use_solver(solver_of(self.workspace, state["solver"]))
         self.workspace.pivotings = int(state["pivotings"])
+        if self.ranges is not None:
+            self.ranges.restore(state["ranges"])
 
     def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
         """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].

@@ -33,6 +33,7 @@ from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals
+from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
 from mbdkit.runs.preparation import (
     guards,
     plugin_failure,
@@ -133,7 +134,8 @@ class SimulatedRun:
         self.integrals: RunIntegrals | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
-        self.recorder = Recorder(workspace, writer, self.guards)
+        ranges = LawRanges.of(spec, workspace.mechanism, None if steps_are_rows(spec) else workspace)
+        self.recorder = Recorder(workspace, writer, self.guards, ranges)
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.failure: Failure | None = None
@@ -204,11 +206,11 @@ class SimulatedRun:
     def start(self) -> None:
         """Create the stepper of the method."""
         final = self.choice.final if self.choice is not None else None
-        if final is not None and final.is_run and self.integrals is None:
+        if final is not None and final.is_run and not self.keeps_nodes:
             self.stepper = Replay(final)
             return
         try:
-            table = timetable(self.spec, self.guards, nodes=self.integrals is not None)
+            table = timetable(self.spec, self.guards, nodes=self.keeps_nodes)
             stepper = start_method(self.method, self.workspace, table)
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
@@ -217,6 +219,26 @@ class SimulatedRun:
         if self.spec.events:
             self.watch = _watch(self.spec, self.workspace, stepper)
         self.stepper = self.watch or stepper
+
+    @property
+    def keeps_nodes(self) -> bool:
+        """Whether states within the steps are needed."""
+        ranges = self.recorder.ranges
+        return self.integrals is not None or (ranges is not None and ranges.needs_nodes)
+
+    def take_nodes(self, stepper: Advancing) -> None:
+        """Pass on the states within the steps since the last call."""
+        if not self.keeps_nodes:
+            return
+        nodes = stepper.taken_nodes()
+        if self.integrals is not None:
+            self.integrals.add(nodes)
+        if self.recorder.ranges is not None:
+            compiled = stepper if self.watch is None else self.watch.stepper
+            # of the stages of explicit methods, only the first, at the start of the step, is a state of the motion
+            stages = compiled.method.stages if isinstance(compiled, CompiledStepper) else 1
+            every = stages if self.method.traits.is_explicit else 1
+            self.recorder.ranges.add_between(nodes.part(slice(None, None, every)))
 
     @contextmanager
     def _blaming_the_plugin(self) -> Iterator[None]:
@@ -272,11 +294,10 @@ class SimulatedRun:
             if self.failure is not None:
                 break
             now = time.perf_counter() - begin
+            self.take_nodes(stepper)
             self.failure = self.recorder.record(stretch, (elapsed, now))
             if self.watch is not None:
                 self.recorder.record_events(self.watch.taken())
-            if self.integrals is not None:
-                self.integrals.add(stepper.taken_nodes())
             if len(stretch.time):
                 recorded = float(stretch.time[-1])
             elapsed = now
@@ -335,7 +356,9 @@ class SimulatedRun:
         ending = status, reason
         steps = None if stepper is None else stepper.evidence
         mechanism = self.spec.mechanism()
-        self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached))
+        ranges = self.recorder.ranges
+        left = () if ranges is None or ranges.stops else ranges.warnings()  # if it stops, the failure says so
+        self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached), *left)
         questions = doubts(self.spec, self.warnings)
         evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
         errors = None

@@ -153,7 +153,7 @@ def named_events(events: dict[str, Event]) -> dict[str, Event]:
 class Limits(Section):
     """Limits that stop a run early."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("misalignment", "energy_jump")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("misalignment", "energy_jump", "law_range")
 
     wall_time: Positive | None = None
     """Largest elapsed real time of the run [s]; unlimited by default. The same limit applies to all comparison runs of
@@ -166,6 +166,9 @@ class Limits(Section):
     energy_jump: Positive | None = None
     """Largest change of the energy balance in one step, as a share of the largest kinetic energy so far; a run that
     exceeds it stops with the reason `energy-jump`. Unlimited by default."""
+    law_range: Literal["warn", "stop"] = "warn"
+    """Whether a run that leaves the range in which a force law holds continues with a warning and the verdict
+    `doubtful`, or stops with the reason `out-of-range`."""
 
 
 ALPHA = 5.0

@@ -81,7 +81,8 @@ integrator, only its step or tolerance is
   comparison runs as well.
 - **`limits`** stop a run: `limits.misalignment` (default 1) as a share of the mechanism's size, and of 1 rad for
   angles; `limits.energy_jump` (off by default), the change of the energy balance in one step as a share of the largest
-  kinetic energy so far; `limits.max_steps` and `limits.wall_time`.
+  kinetic energy so far; `limits.law_range: stop`, where a force law leaves the range in which it holds;
+  `limits.max_steps` and `limits.wall_time`.
 - **`stabilization: projection`** returns positions and velocities to the constraints after every step. Misalignments
 are then of the order of round-off, and adaptive methods stay on their branch in singular positions. It does not make
 the motion

@@ -64,6 +64,21 @@ NONE = np.zeros(0, np.int64)
 
 GAUSS = {"name": "gauss", "stages": 2}
 
+RANGES = {
+    "name": "mechanism",
+    "bodies": {"rod": {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0]}},
+    "joints": {"A": {"type": "revolute", "bodies": ["ground", "rod"], "at": [0, 0]}},
+    "forces": {
+        "stop": {
+            "type": "law",
+            "law": "table",
+            "table": [[-3.0, 0.0], [0.0, 0.0]],
+            "pathway": {"type": "relative-angle", "bodies": ["ground", "rod"]},
+        },
+    },
+}
+"""The angle of a pendulum leaves the range of a law, in which it swings from 0 to -pi, again and again."""
+
 SPECS = {
     "rk4": spec_of({"name": "rk4"}, {"steps": 40_000, "step": 1e-4}, output={"every": 20}),
     "rk4 through singular positions": spec_of({"name": "rk4"}, {"end": 10.0, "step": 1e-3}, WINDOWS),
@@ -79,6 +94,7 @@ SPECS = {
     "radau-iia, index-3": spec_of(
         {"name": "radau-iia", "stages": 2}, {"steps": 3000, "step": 1e-3}, formulation="index-3"
     ),
+    "rk4, laws out of range": spec_of({"name": "rk4"}, {"steps": 40_000, "step": 1e-4}, RANGES, output={"every": 900}),
     "rattle": spec_of({"name": "rattle"}, {"steps": 10_000, "step": 1e-4}, formulation="index-3"),
 }
 

@@ -1,0 +1,277 @@
+"""Watches whether the force laws of a run are used within the ranges that they declare.
+
+Known are length and rate of every pathway at the ends of all steps, recorded or not (implicit methods: at the stages,
+if not every step is recorded), and between them the cubic with these lengths and rates, whose extremes count. An
+excursion within one step is therefore seen if the step resolves the motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.stored_arrays import fill
+from mbdkit.mechanism.force_law import ARGUMENTS
+from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.law_parameters import law_range
+from mbdkit.stepping.interface import Failure, Nodes
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.spec import RunSpec
+
+ROUNDING = 1e-9
+"""Share of the largest bound by which an argument may pass it."""
+
+BULGE = 0.02
+"""An extreme of the cubic within a step counts if it passes the bound by more than this share of its distance to the
+nearer end of the step; the remainder is the error of the cubic, of order 4 in the step."""
+
+UNBOUNDED = ((-math.inf, math.inf),) * len(ARGUMENTS)
+"""The bounds of a law that holds everywhere."""
+
+
+def steps_are_rows(spec: RunSpec) -> bool:
+    """Return whether the end of every step of a run is recorded."""
+    return spec.output.interval is None and (spec.output.every or 1) == 1
+
+
+@dataclass(frozen=True)
+class WatchedLaw:
+    """A force element whose law holds in a part of the values of its arguments only.
+
+    Attributes
+    ----------
+    name, law
+        Name of the element, and long name of its law.
+    column
+        Its index among the force elements.
+    unit
+        Unit of its length.
+    bounds
+        Lowest and highest length, rate and time.
+    """
+
+    name: str
+    law: str
+    column: int
+    unit: str
+    bounds: tuple[tuple[float, float], ...]
+
+    def held(self, argument: int) -> str:
+        """Return for which values of an argument the law holds, as a clause."""
+        (low, high), unit = self.bounds[argument], self.units[argument]
+        if math.isinf(low):
+            return f"its law {self.law} holds, up to {high:.6g} {unit}"
+        end = "on" if math.isinf(high) else f"to {high:.6g} {unit}"
+        return f"its law {self.law} holds, from {low:.6g} {unit} {end}"
+
+    @property
+    def units(self) -> tuple[str, str, str]:
+        """Units of length, rate and time."""
+        return self.unit, f"{self.unit}/s", "s"
+
+
+def has_ranges(mechanism: Mechanism) -> bool:
+    """Return whether a force law of a mechanism declares a range. Raises the errors of `law_range`."""
+    return any(_bounds(force) != UNBOUNDED for force in mechanism.forces.values() if isinstance(force, Law))
+
+
+def _bounds(force: Law) -> tuple[tuple[float, float], ...]:
+    return tuple(law_range(force.force_law, force, force.law_id).values())
+
+
+class LawRanges:
+    """How far the arguments of K force laws have left their ranges, over the states of a run in order of time.
+
+    Parameters
+    ----------
+    laws
+        The force elements that are watched.
+    workspace
+        The mechanism, for states between those that are recorded; None if every step is recorded.
+    stops
+        Whether the run stops where a law leaves its range.
+    """
+
+    def __init__(self, laws: Sequence[WatchedLaw], workspace: Workspace | None = None, *, stops: bool = False):
+        self.laws, self.stops = laws, stops
+        self._columns = [one.column for one in laws]
+        self._observer = None if workspace is None else StateObserver(workspace.with_own_pivots())
+        self._between: list[np.ndarray] = []
+        bounds = np.array([one.bounds for one in laws])  # (K, 3, 2)
+        self._sides = np.array([-1.0, 1.0])
+        finite = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
+        self._limits = self._sides * bounds + ROUNDING * finite.max(axis=2, keepdims=True)
+        self._first = np.full(bounds.shape, np.inf)
+        self._worst = np.full(bounds.shape, -np.inf)
+        self._worst_time = np.full(bounds.shape, np.nan)
+        self._last = np.zeros((0, len(laws), 3))
+
+    @classmethod
+    def of(cls, spec: RunSpec, mechanism: CompiledMechanism, workspace: Workspace | None = None) -> LawRanges | None:
+        """Return what watches the laws of a run; None if none of them declares a range. Raises the errors of
+        `has_ranges`.
+        """
+        if not has_ranges(spec.mechanism()):
+            return None
+        columns = {one.name: column for column, one in enumerate(mechanism.forces)}
+        laws = [
+            WatchedLaw(name, force.law_id, columns[name], force.pathway.length_unit, bounds)
+            for name, force in spec.mechanism().forces.items()
+            if isinstance(force, Law) and (bounds := _bounds(force)) != UNBOUNDED
+        ]
+        return cls(laws, workspace, stops=spec.limits.law_range == "stop")
+
+    @property
+    def needs_nodes(self) -> bool:
+        """Whether states between the recorded ones are needed."""
+        return self._observer is not None
+
+    def add_between(self, nodes: Nodes) -> None:
+        """Keep states between recorded ones until the next recorded states are added."""
+        if self._observer is None or not len(nodes.time):
+            return
+        observed = self._observer.arrays(len(nodes.time))
+        z = np.tile(
+            self._observer.workspace.mechanism.initial_states, (len(nodes.time), 1)
+        )  # lengths do not depend on z
+        singular = self._observer.observe(
+            nodes.time, np.ascontiguousarray(nodes.q), np.ascontiguousarray(nodes.v), observed, z=z
+        )
+        known = slice(None if singular is None else singular.row)
+        self._between.append(self._arguments(nodes.time[known], observed.forces[known]))
+
+    def _arguments(self, time: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return the arguments of the laws (T, K, 3) at times (T,), from the values of all force elements (T, F, 5)."""
+        found = np.empty((len(time), len(self.laws), 3))
+        found[..., :2], found[..., 2] = forces[:, self._columns, :2], time[:, None]
+        return found
+
+    def add(self, time: np.ndarray, forces: np.ndarray) -> float | None:
+        """Add recorded states, and those between them.
+
+        Parameters
+        ----------
+        time
+            (T,) times [s], later than those before.
+        forces
+            (T, F, 5) values of all force elements, of which the first two are length and rate.
+
+        Returns
+        -------
+        float or None
+            Time [s] at which the first law leaves its range; None if all states so far are within the ranges.
+        """
+        states = np.concatenate([self._last, *self._between, self._arguments(time, forces)])
+        states, self._between = states[np.argsort(states[:, 0, 2], kind="stable")], []
+        states = states[np.diff(states[:, 0, 2], prepend=-np.inf) > 0.0]
+        self._last = states[-1:].copy()
+        cubics = _cubics(states)
+        values, times, margins = [states], [states[..., 2:]], [np.zeros_like(states)]
+        for share in _turning_points(cubics):
+            extremes = _values(cubics, share)
+            values.append(extremes)
+            times.append(states[:-1, :, 2:] + share * np.diff(states[..., 2:], axis=0))
+            margins.append(BULGE * np.minimum(np.abs(extremes - states[:-1]), np.abs(extremes - states[1:])))
+        every = np.concatenate(values)
+        self._note(every, np.concatenate(margins), np.concatenate([x + 0.0 * every[:1] for x in times]), cubics)
+        return None if np.all(np.isinf(self._first)) else float(self._first.min())
+
+    def _note(self, values: np.ndarray, margins: np.ndarray, times: np.ndarray, cubics: np.ndarray) -> None:
+        """Note the values (T, K, 3) that pass their bounds by more than margins, with their times."""
+        for side, sign in enumerate(self._sides):
+            outside = sign * values - margins > self._limits[..., side]
+            for k, argument in zip(*np.nonzero(outside.any(axis=0)), strict=True):
+                place, rows = (k, argument, side), np.flatnonzero(outside[:, k, argument])
+                worst = rows[np.argmax(sign * values[rows, k, argument])]
+                if sign * values[worst, k, argument] > self._worst[place]:
+                    self._worst[place], self._worst_time[place] = (
+                        sign * values[worst, k, argument],
+                        times[worst, k, argument],
+                    )
+                if np.isinf(self._first[place]):
+                    seen = float(times[rows, k, argument].min())
+                    bound = self.laws[k].bounds[argument][side]
+                    self._first[place] = _entry(cubics[:, :, k, 2], cubics[:, :, k, argument], bound, seen)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return a sentence for each bound that an argument of a law has passed."""
+        found = []
+        for k, argument, side in zip(*np.nonzero(np.isfinite(self._first)), strict=True):
+            place = k, argument, side
+            law, value = self.laws[k], self._sides[side] * self._worst[place]
+            found.append(
+                f"the {ARGUMENTS[argument]} of force '{law.name}' leaves the range in which {law.held(int(argument))}, "
+                f"at t = {self._first[place]:.6g} s, and reaches {value:.6g} {law.units[argument]} at "
+                f"t = {self._worst_time[place]:.6g} s"
+            )
+        return tuple(found)
+
+    def failure(self) -> Failure:
+        """Return the failure of a run that stops because it has left a range."""
+        k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
+        law, what = self.laws[int(k)], ARGUMENTS[argument]
+        leaves = f"the {what} of force '{law.name}' leaves the range in which {law.held(int(argument))}"
+        return Failure("out-of-range", f"at t = {self._first.min():.6g} s {leaves}.")
+
+    def stored(self) -> dict[str, Any]:
+        """Return the state as plain values, for a checkpoint."""
+        names = "first", "worst", "worst_time"
+        return {name: getattr(self, f"_{name}") for name in names} | {"last": self._last, "between": self._between}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
+        self._last = np.zeros((min(1, len(state["last"])), len(self.laws), 3))
+        for name in ("first", "worst", "worst_time", "last"):
+            fill(getattr(self, f"_{name}"), state[name])
+        self._between = [np.zeros((len(one), len(self.laws), 3)) for one in state["between"]]
+        for one, given in zip(self._between, state["between"], strict=True):
+            fill(one, given)
+
+
+def _cubics(states: np.ndarray) -> np.ndarray:
+    """Return (4, T - 1, K, 3) ascending coefficients, in the share of the step, of length, rate and time between states
+    (T, K, 3): the cubic with the lengths and rates at both ends, and its derivative.
+    """
+    (s0, v0, t0), (s1, v1, _) = np.moveaxis(states[:-1], -1, 0), np.moveaxis(states[1:], -1, 0)
+    h = states[1:, :, 2] - t0
+    gap, zero = s1 - s0, np.zeros_like(s0)
+    second, third = 3.0 * gap - h * (2.0 * v0 + v1), h * (v0 + v1) - 2.0 * gap
+    length = np.stack([s0, h * v0, second, third])
+    rate = np.stack([v0, 2.0 * second / h, 3.0 * third / h, zero])
+    return np.stack([length, rate, np.stack([t0, h, zero, zero])], axis=-1)
+
+
+def _values(cubics: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return the values of cubics (4, ...) at shares (...) of their steps."""
+    c0, c1, c2, c3 = cubics
+    return np.asarray(c0 + share * (c1 + share * (c2 + share * c3)))
+
+
+def _turning_points(cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the two shares of each step at which a cubic has an extreme; 0 where it has none within the step."""
+    _, c1, c2, c3 = cubics
+    with np.errstate(all="ignore"):
+        sum_ = -(c2 + np.copysign(np.sqrt(c2 * c2 - 3.0 * c3 * c1), c2))
+        found = sum_ / (3.0 * c3), c1 / sum_
+    first, second = (np.where((x > 0.0) & (x < 1.0), x, 0.0) for x in found)
+    return first, second
+
+
+def _entry(times: np.ndarray, cubics: np.ndarray, bound: float, seen: float) -> float:
+    """Return the time at which a value passes a bound, in the step (4, N) in which it is first seen beyond it."""
+    step = int(np.searchsorted(times[0], seen)) - 1
+    if step < 0:
+        return seen
+    start, h = times[:2, step]
+    roots = np.roots((cubics[:, step] - [bound, 0.0, 0.0, 0.0])[::-1])
+    shares = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real * h <= seen - start)]
+    return float(start + h * shares.min()) if len(shares) else seen

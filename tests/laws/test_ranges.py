@@ -1,0 +1,161 @@
+"""A run that uses a force law outside the range for which it is declared says so, or stops there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.mechanism.law_parameters import law_range
+from mbdkit.registry.manager import registry
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.runs.lane_runs import why_alone
+from mbdkit.spec import load_spec
+
+G = 9.81
+FREE = {"table": [[-3.0, 0.45], [0.0, 0.0]], "law": "table"}
+"""A law without force that holds up to 0.45 m."""
+GAUSS = {"name": "gauss", "stages": 2}
+
+
+def thrown(law: dict[str, Any] | None = None, speed: float = 3.0, **sections: Any) -> dict[str, Any]:
+    """Return the spec of a mass that is thrown upwards, whose height is the length of a law."""
+    pathway = {"type": "coordinate", "coordinate": "y", "bodies": ["ground", "mass"]}
+    model = {
+        "name": "mechanism",
+        "bodies": {"mass": {"mass": 1.0, "position": [0.0, 0.0], "velocity": [0.0, speed]}},
+        "forces": {"spring": {"type": "law", "pathway": pathway, **(law or FREE)}},
+    }
+    return {"mbdkit": 1, "model": model, "integrator": GAUSS, "time": {"end": 0.6, "step": 0.04}} | sections
+
+
+def settings(method: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections of a spec that belong to a method."""
+    time = {"end": 0.6} if method["name"].startswith("scipy") else {"end": 0.6, "step": 0.04}
+    formulation = "index-3" if method["name"] == "lobatto-pair" else "index-1"
+    return {"integrator": method, "time": time, "formulation": formulation}
+
+
+def passes(height: float, speed: float = 3.0) -> float:
+    """Return the time at which the mass passes a height on its way up [s]."""
+    return (speed - np.sqrt(speed**2 - 2 * G * height)) / G
+
+
+def numbers_in(sentence: str) -> list[float]:
+    return [float(word) for word in sentence.replace(",", "").split() if word.replace(".", "").isdigit()]
+
+
+OUTPUTS = [{"every": 1}, {"every": 100}, {"interval": 0.3}]
+METHODS = [
+    GAUSS,
+    {"name": "gauss", "stages": 1},
+    {"name": "rk4"},
+    {"name": "dopri5"},
+    {"name": "dop853"},
+    {"name": "lobatto-pair"},
+    {"name": "scipy-dop853", "rtol": 1e-9, "atol": 1e-9},
+]
+
+
+CASES = [
+    pytest.param(method, output, id="-".join(map(str, (*method.values(), *output.items()))))
+    for method in METHODS
+    for output in OUTPUTS
+    if "interval" not in output or method["name"] not in ("rk4", "lobatto-pair")  # they have no dense output
+]
+
+
+@pytest.mark.parametrize(("method", "output"), CASES)
+def test_an_excursion_between_recorded_states_is_told_with_time_and_value(
+    method: dict[str, Any], output: dict[str, Any]
+) -> None:
+    # expected: the parabola of the throw, whose apex v^2/2g = 0.4587 m is above 0.45 m for 0.084 s
+    run = mbdkit.run(thrown(**settings(method), output=output))
+    (told,) = run.warnings
+    assert told.startswith(
+        "the length of force 'spring' leaves the range in which its law mbdkit:table holds, from -3 m to 0.45 m"
+    )
+    first, value, at = numbers_in(told)[-3:]
+    # stages of these methods, which are used between recorded states, are less accurate: g h^2 / 8 = 2 mm
+    coarse = output != {"every": 1} and method in (METHODS[1], METHODS[5])
+    assert first == pytest.approx(passes(0.45), abs=0.006 if coarse else 1e-6)
+    assert value == pytest.approx(9.0 / (2 * G), rel=5e-3 if coarse else 1e-5)
+    assert at == pytest.approx(3.0 / G, abs=0.02 if coarse else 1e-3)
+    assert run.verdict == "doubtful"
+    assert run.verdict_reasons == [told]
+
+
+@pytest.mark.parametrize(("method", "output"), CASES)
+def test_a_motion_that_just_stays_within_the_range_is_not_told(method: dict[str, Any], output: dict[str, Any]) -> None:
+    law = FREE | {"table": [[0.0, 9.0 / (2 * G) * (1 + 1e-8)], [0.0, 0.0]]}
+    run = mbdkit.run(thrown(law, **settings(method), output=output))
+    assert run.verdict == "unknown"
+    assert not run.warnings
+
+
+@pytest.mark.parametrize("output", OUTPUTS, ids=str)
+def test_a_run_stops_where_a_law_leaves_its_range_if_that_is_wanted(output: dict[str, Any]) -> None:
+    run = mbdkit.run(thrown(output=output, limits={"law_range": "stop"}))
+    assert run.status == "failed"
+    assert run.status_reason.startswith(
+        f"out-of-range: at t = {passes(0.45):.6g} s the length of force 'spring' leaves"
+    )
+    assert run.time[-1] <= passes(0.45) + 1e-9
+    assert run.verdict == "bad"
+
+
+def test_a_start_outside_of_the_range_stops_the_run_before_its_first_step() -> None:
+    law = FREE | {"table": [[1.0, 2.0], [0.0, 0.0]]}
+    run = mbdkit.run(thrown(law, limits={"law_range": "stop"}))
+    assert run.status_reason.startswith("out-of-range: at t = 0 s")
+    assert len(run.time) == 0
+    run = mbdkit.run(thrown(law))
+    assert "at t = 0 s, and reaches" in run.warnings[0]
+
+
+def test_a_gas_spring_beyond_its_stroke_or_its_extended_length_is_doubtful() -> None:
+    strut = {"law": "gas-spring", "preload": 10.0, "progression": 1.3, "extended_length": 0.4, "stroke": 0.5}
+    told = mbdkit.run(thrown(strut)).warnings[0]
+    assert "mbdkit:gas-spring holds, from -0.1 m to 0.4 m" in told
+
+
+def test_lanes_tell_the_same_as_single_runs() -> None:
+    specs = [
+        thrown(speed=speed, output={"every": 1}, integrator={"name": "rk4"}) for speed in (2.5, 2.9, 3.0, 3.4, 3.8)
+    ]
+    alone = [mbdkit.run(spec) for spec in specs]
+    together = list(simulate_batch([load_spec(spec) for spec in specs]))
+    assert [list(one.warnings) for one in together] == [list(one.warnings) for one in alone]
+    assert not why_alone(load_spec(specs[0]))
+    assert why_alone(load_spec(thrown(output={"every": 2}))).startswith("the ranges of their force laws are watched")
+    assert [one.judgement.level for one in together] == ["unknown", "unknown", "doubtful", "doubtful", "doubtful"]
+
+
+def test_rate_and_time_have_ranges_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    law = registry().get("force-law", "mbdkit:table").plugin.law
+    bounds = {"rate": (-1.0, np.inf), "time": (-np.inf, 0.5)}
+    monkeypatch.setattr("mbdkit.runs.law_ranges.law_range", lambda *_: {"length": (-9.0, 9.0), **bounds})
+    rate, time = mbdkit.run(thrown()).warnings
+    # expected: v = 3 - g t
+    assert "holds, from -1 m/s on, at t = 0.407747 s, and reaches -2.886 m/s at t = 0.6 s" in rate
+    assert "holds, up to 0.5 s, at t = 0.5 s, and reaches 0.6 s at t = 0.6 s" in time
+    assert law_range(law, type("O", (), {"table": ((0.0, 1.0), (0.0, 0.0))}), "x")["rate"] == (-np.inf, np.inf)
+
+
+@pytest.mark.parametrize(
+    ("valid_range", "message"),
+    [
+        ({"lenght": (0.0, 1.0)}, "a mapping with keys of length, rate and time"),
+        ({"length": (1.0, 0.0)}, "valid range of length should be two numbers, the lower one first"),
+        ({"rate": (1.0, float("nan"))}, "valid range of rate should be two numbers"),
+        ({"time": 3.0}, "valid range of time should be two numbers"),
+        ([0.0, 1.0], "a mapping with keys of"),
+        (lambda options: options.nothing, "failed to compute its valid range"),
+    ],
+)
+def test_a_range_that_is_none_is_an_error_of_the_plugin(valid_range: Any, message: str) -> None:
+    law = mbdkit.FunctionLaw(lambda s, v, t, p: (0.0, 0.0, 0.0, 0.0), valid_range=valid_range)
+    with pytest.raises(mbdkit.PluginError, match=message):
+        law_range(law, object(), "acme:mine")
