@@ -8,13 +8,13 @@ from importlib import import_module
 from importlib.metadata import version
 
 from mbdkit.studies.pool import Pool
-from mbdkit.studies.tasks import Outcome, Work
+from mbdkit.studies.tasks import Outcome, Task
 
 
-class PoolInThisProcess(Pool[Work]):
+class PoolInThisProcess(Pool):
     """Carries out tasks in this process, one after the other, as a process of an executor does."""
 
-    def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
+    def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
         for task in tasks:
             message = json.loads(json.dumps(task.message()))
             (answer,) = import_module(self.program).compute([message], version("mbdkit"))

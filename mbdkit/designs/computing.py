@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -17,41 +16,10 @@ from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.runs.batch import CHUNK
 from mbdkit.spec import DesignSpec, InverseSpec
 from mbdkit.studies.executor_pool import Engine
-from mbdkit.studies.tasks import PASSING
-from mbdkit.studies.tasks import Outcome as TaskOutcome
+from mbdkit.studies.tasks import PASSING, Task
 
 PATIENCE = 5.0
 """Computing time in this process after which worker processes are started [s]; starting one takes about two seconds."""
-
-
-@dataclass(frozen=True)
-class JobTask:
-    """A task for a worker: some jobs of one scenario.
-
-    Parameters
-    ----------
-    scenario
-        Description of the scenario for the worker.
-    path
-        File in the folder of the design, which the workers of executors must see.
-    tried
-        Whether the first process that tried it died.
-    """
-
-    scenario: dict[str, Any]
-    jobs: tuple[Job, ...]
-    path: Path
-    tried: bool = False
-    writes = False
-
-    def message(self) -> dict[str, Any]:
-        """Return the message with which a worker can carry out the task."""
-        settings = [[[list(path), value] for path, value in job.settings] for job in self.jobs]
-        return {**self.scenario, "settings": settings, "path": str(self.path.absolute())}
-
-    def after_death(self, how: str) -> JobTask | None:
-        """Return the task to try after a process has died in this one; None if it is not tried again."""
-        return None if self.tried else replace(self, tried=True)
 
 
 class Computer:
@@ -115,28 +83,33 @@ class Computer:
     def _by_workers(self, pieces: Sequence[tuple[Job, ...]]) -> Iterator[tuple[Job, Outcome]]:
         if self._pool is None:
             self._pool = self._stack.enter_context(self._engine.pool(self._notify))
-        tasks = [JobTask(self._scenario(piece[0].scenario), piece, self._place) for piece in pieces]
+        tasks = [self._task(piece) for piece in pieces]
         while tasks:
-            again: list[JobTask] = []
+            again: list[Task] = []
             for task, outcome in self._pool.work(tasks):
+                is_death = outcome.reason.startswith("worker-died")
                 if outcome.status == "complete":
-                    yield from zip(task.jobs, map(told, outcome.results), strict=True)
-                elif (
-                    _is_death(outcome) and len(task.jobs) > 1
-                ):  # one by one, to one by one, to find the job that kills processes
-                    again += [replace(task, jobs=(job,), tried=False) for job in task.jobs]
-                elif _is_death(outcome):
+                    yield from zip(task.key, map(outcome_of, outcome.results), strict=True)
+                elif is_death and len(task.key) > 1:  # one by one, to find the job that kills processes
+                    again += [self._task((job,)) for job in task.key]
+                elif is_death:
                     count = len(self._spec.goals) + len(self._spec.subject_to)
-                    yield task.jobs[0], Outcome((math.nan,) * count, "failed", outcome.reason)
+                    yield task.key[0], Outcome((math.nan,) * count, "failed", outcome.reason)
                 else:
                     raise (ResourceError if outcome.status == "missing" else RunError)(outcome.reason)
             tasks = again
 
-    def _scenario(self, name: str) -> dict[str, Any]:
-        spec = self._spec.specs[name]
+    def _task(self, jobs: tuple[Job, ...]) -> Task:
+        """Return the task for a worker to compute some jobs of one scenario."""
+        spec = self._spec.specs[jobs[0].scenario]
         assert spec._document is not None
-        kind, folder = "inverse" if isinstance(spec, InverseSpec) else "run", spec._document.folder.absolute()
-        return {"spec": spec._document.data, "kind": kind, "folder": str(folder)}
+        content = {
+            "spec": spec._document.data,
+            "kind": "inverse" if isinstance(spec, InverseSpec) else "run",
+            "folder": str(spec._document.folder.absolute()),
+            "settings": [[[list(path), value] for path, value in job.settings] for job in jobs],
+        }
+        return Task(jobs, content, self._place, len(jobs), writes=False)
 
     def __enter__(self) -> Computer:
         return self
@@ -145,10 +118,6 @@ class Computer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stack.close()
-
-
-def _is_death(outcome: TaskOutcome) -> bool:
-    return outcome.reason.startswith("worker-died")
 
 
 def is_passing(outcome: Outcome) -> bool:
@@ -162,7 +131,7 @@ def plain_outcome(outcome: Outcome) -> dict[str, Any]:
     return {"values": values, "verdict": outcome.verdict, "reason": outcome.reason}
 
 
-def told(data: dict[str, Any]) -> Outcome:
+def outcome_of(data: dict[str, Any]) -> Outcome:
     """Return the outcome from plain data."""
     values = tuple(math.nan if value is None else float(value) for value in data["values"])
     return Outcome(values, str(data["verdict"]), str(data["reason"]))

@@ -11,7 +11,7 @@ from zlib import crc32
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import replacing
 from mbdkit.base.text import counted, shown
-from mbdkit.designs.computing import is_passing, plain_outcome, told
+from mbdkit.designs.computing import is_passing, outcome_of, plain_outcome
 from mbdkit.designs.evaluation import Job, Outcome
 from mbdkit.designs.point import Notify
 
@@ -86,12 +86,12 @@ class PointFile:
             raise SpecError(message, file=self.path)
         known = {line: point for line in lines if (point := self._parsed(line)) is not None}
         if damaged := len(lines) - len(known):
-            told = (
+            which = (
                 "is damaged and was removed; its run is"
                 if damaged == 1
                 else "are damaged and were removed; their runs are"
             )
-            self._notify(f"{counted(damaged, 'line')} of {shown(self.path)} {told} made again")
+            self._notify(f"{counted(damaged, 'line')} of {shown(self.path)} {which} made again")
         sound = b"".join(line + b"\n" for line in (first, *known))
         if sound != text:
             with replacing(self.path) as temporary:
@@ -100,9 +100,9 @@ class PointFile:
 
     def add(self, job: Job, outcome: Outcome) -> None:
         """Add a line; raise ResourceError if the system refuses it."""
-        told_of = plain_outcome(outcome)
-        told_of["values"] = dict(zip(self._names, told_of["values"], strict=True))
-        data = {"scenario": job.scenario, "settings": job.values, **told_of}
+        plain = plain_outcome(outcome)
+        plain["values"] = dict(zip(self._names, plain["values"], strict=True))
+        data = {"scenario": job.scenario, "settings": job.values, **plain}
         line = json.dumps(data | {SUM: crc32(json.dumps(data).encode())})
         try:
             with self.path.open("a", encoding="utf-8") as file:
@@ -117,7 +117,7 @@ class PointFile:
             if data.pop(SUM) != crc32(json.dumps(data).encode()):
                 return None
             values = [data["values"][name] for name in self._names]
-            return json.dumps([data["scenario"], data["settings"]]), told(data | {"values": values})
+            return json.dumps([data["scenario"], data["settings"]]), outcome_of(data | {"values": values})
         except (ValueError, KeyError, TypeError, AttributeError):
             return None
 
@@ -140,7 +140,7 @@ class KnownPoints:
     ):
         self._compute, self._file, self._progress = compute, file, progress
         self._known = {} if file is None else file.read()
-        self._failed = sum(one.verdict == "failed" for one in self._known.values())
+        self._failed = sum(outcome.verdict == "failed" for outcome in self._known.values())
 
     @property
     def count(self) -> int:

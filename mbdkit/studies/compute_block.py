@@ -34,6 +34,7 @@ from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints
 from mbdkit.studies.study_blocks import StudyBlocks, stored
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_plan import check_column_names, describe_measures
+from mbdkit.studies.tasks import mark_of
 
 MISALIGNMENT = "misalignment_max"
 """The measure that has a column of its own in blocks."""
@@ -178,7 +179,7 @@ def compute_block(
     """Compute the runs of a block and write its file.
 
     Everything else is read from the folder, so that any process that sees it can do this. While the block is computed,
-    a file beside it contains the number of the run in progress, see `StudyFolder.run_at_work`.
+    a file beside it contains the number of the run in progress, see `mbdkit.studies.tasks.run_at_work`.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ def compute_block(
     files = StudyFolder(Path(folder))
     plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
     skip = skip or {}
-    with _Mark(files, block) as mark, collecting_new_objects_only():
+    with _Mark(files.block(block)) as mark, collecting_new_objects_only():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
         runs = []
@@ -236,7 +237,7 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
         return _Member(point, base, values, Refused("left-out", reason))
     if point.number in skip:
         return _Member(point, base, values, Refused("failed", skip[point.number]))
-    mark.note(point.number)  # recorded first, because recorded first, because a model of a plugin may end the process
+    mark.note(point.number)  # recorded first, because a model of a plugin may end the process
     try:
         spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
         spec.mechanism()
@@ -310,8 +311,8 @@ class _Mark:
     wrongly considered lost.
     """
 
-    def __init__(self, folder: StudyFolder, block: int):
-        self.path, self.block = folder.mark(block), folder.block(block)
+    def __init__(self, block: Path):
+        self.path, self.block = mark_of(block), block
         self.number = 0
 
     def __enter__(self) -> _Mark:

@@ -100,13 +100,13 @@ class Execution:
         ended = 0  # runs of the rounds before
         for some in self.store.rounds():
             ended += some.planned
-            done = ended - sum(map(self.store.size, some.tasks))  # those that were dropped are done
+            done = ended - sum(task.runs for task in some.tasks)  # those that were dropped are done
             with (Engine() if some.one_by_one else engine).pool(self.options.notify) as pool:
                 for task, outcome in pool.work(some.tasks):
                     noted = self.store.note(task, outcome)
                     self.computed += noted.runs
                     self.failed += noted.failed
                     self.unfinished += noted.unfinished
-                    done += self.store.size(task)
+                    done += task.runs
                     if self.options.progress is not None:
                         self.options.progress(done, total, self.failed)

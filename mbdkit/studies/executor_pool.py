@@ -12,14 +12,14 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic
+from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import found
 from mbdkit.base.text import one_line
 from mbdkit.studies.executors import SubmititExecutor
 from mbdkit.studies.pool import PROGRAM, Pool
-from mbdkit.studies.tasks import Outcome, Work, died
+from mbdkit.studies.tasks import Outcome, Task, died
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Engine:
     executor: Executor | None = None
     program: str = PROGRAM
 
-    def pool(self, notify: Callable[[str], None]) -> Pool[Any] | ExecutorPool[Any]:
+    def pool(self, notify: Callable[[str], None]) -> Pool | ExecutorPool:
         """Return the pool that computes tasks, for use in a `with` block.
 
         Parameters
@@ -48,7 +48,7 @@ class Engine:
         notify
             Called once with each distinct message of the workers.
         """
-        local: Pool[Any] = Pool(self.workers, notify, self.program)
+        local: Pool = Pool(self.workers, notify, self.program)
         return local if self.executor is None else ExecutorPool(self.executor, local)
 
 
@@ -67,7 +67,7 @@ def checked_executor(executor: Any) -> Executor | None:
     raise SpecError(f"needs a concurrent.futures.Executor, or one of submitit, not {found(executor)}", key="executor")
 
 
-class ExecutorPool(Generic[Work]):
+class ExecutorPool:
     """Tasks that an executor computes, with the methods of `Pool`.
 
     Workers receive texts, numbers, and paths, which all of them must see. A worker writes the archive or the block of
@@ -80,14 +80,14 @@ class ExecutorPool(Generic[Work]):
         dies.
     """
 
-    def __init__(self, executor: Executor, local: Pool[Work]):
+    def __init__(self, executor: Executor, local: Pool):
         self.executor = executor
-        self.local: Pool[Work] = local
+        self.local: Pool = local
         self._compute: Callable[..., Any] = import_module(local.program).compute
-        self._begun: dict[Future[list[dict[str, Any]]], _Batch[Work]] = {}
+        self._begun: dict[Future[list[dict[str, Any]]], _Batch] = {}
         self._ended: queue.SimpleQueue[Future[list[dict[str, Any]]]] = queue.SimpleQueue()
 
-    def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
+    def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
         """Submit the tasks in order, and yield each with its outcome when it is finished."""
         batches = self._batches(tasks)
         while batches or self._begun:
@@ -121,13 +121,13 @@ class ExecutorPool(Generic[Work]):
                 for task, answer in zip(batch, answers, strict=True):
                     yield task, self._outcome(task, answer)
 
-    def _batches(self, tasks: Sequence[Work]) -> list[list[Work]]:
+    def _batches(self, tasks: Sequence[Task]) -> list[list[Task]]:
         """Return the tasks in lists that are submitted together: one by one, or for a limited number of jobs."""
         jobs = self.executor.jobs if isinstance(self.executor, SubmititExecutor) else len(tasks)
         size = math.ceil(len(tasks) / max(1, jobs))
         return [list(tasks[first : first + size]) for first in range(0, len(tasks), max(1, size))]
 
-    def _refused(self, batches: list[list[Work]]) -> list[Work]:
+    def _refused(self, batches: list[list[Task]]) -> list[Task]:
         """Submit batches, and return the tasks that the executor refuses."""
         messages = [[task.message() for task in batch] for batch in batches]
         submitted = 0
@@ -148,7 +148,7 @@ class ExecutorPool(Generic[Work]):
             self._refusal = f"the executor refuses tasks: {_told(error)}."
         return [task for batch in batches[submitted:] for task in batch]
 
-    def _without_executor(self, batches: list[list[Work]], error: BrokenExecutor) -> Iterator[tuple[Work, Outcome]]:
+    def _without_executor(self, batches: list[list[Task]], error: BrokenExecutor) -> Iterator[tuple[Task, Outcome]]:
         """Compute the remaining tasks of a broken executor by local processes."""
         self.executor.shutdown()  # wait until its last processes have ended
         self.local.say(f"the executor failed, and processes on this machine compute the rest ({_told(error)})")
@@ -158,7 +158,7 @@ class ExecutorPool(Generic[Work]):
         with self.local as pool:
             yield from pool.work(left)
 
-    def _outcome(self, task: Work, answer: dict[str, Any]) -> Outcome:
+    def _outcome(self, task: Task, answer: dict[str, Any]) -> Outcome:
         """Return the outcome reported by a worker, if this process can see its file as well."""
         for note in answer.pop("notes"):
             self.local.say(note)
@@ -171,7 +171,7 @@ class ExecutorPool(Generic[Work]):
         why = f"{answer['host']} has written {task.path.name}, which is not in the folder of the study here"
         return Outcome("missing", f"no-resources: {why}; the folder must be on a file system that all workers share.")
 
-    def __enter__(self) -> ExecutorPool[Work]:
+    def __enter__(self) -> ExecutorPool:
         return self
 
     def __exit__(
@@ -181,14 +181,14 @@ class ExecutorPool(Generic[Work]):
             future.cancel()  # has no effect on running tasks, which end by themselves
 
 
-class _Batch(Generic[Work]):
+class _Batch:
     """Tasks that one call of a worker computes, in order."""
 
-    def __init__(self, tasks: list[Work]):
-        self.tasks: list[Work] = tasks
+    def __init__(self, tasks: list[Task]):
+        self.tasks: list[Task] = tasks
         self._before = [_written(task.path) for task in tasks]
 
-    def divided(self) -> tuple[list[Work], list[Work]]:
+    def divided(self) -> tuple[list[Task], list[Task]]:
         """Return the tasks that may have killed a lost worker, and the others.
 
         Tasks are computed in order, so that the worker died during the first one whose file it has not written.

@@ -1,10 +1,15 @@
-"""State of the runs of a study, from the index of an earlier call, from their archives, and from the workers."""
+"""What is known of the files with the runs of a study: from the index of an earlier call, from the files, and from the
+workers.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import version
+from typing import Generic, TypeVar
 
 from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE
@@ -17,17 +22,77 @@ from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import study_index
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.study_index import Row
-from mbdkit.studies.tasks import PASSING, Outcome
-
-#: Reasons of failure after which a run is computed again, because a second attempt may succeed.
-TRIED_AGAIN = ("interrupted", "plugin-error", *PASSING)
+from mbdkit.studies.study_index import Index, Row
+from mbdkit.studies.tasks import Outcome
 
 MISSING = Outcome("missing", "")
 
+Key = TypeVar("Key", str, int)
 
-class KnownRuns:
-    """State of the runs in the folder of a study.
+
+class KnownFiles(ABC, Generic[Key]):
+    """Outcomes of the files with the runs of a study, which are read unless they are the ones that were indexed.
+
+    The key of a file is the run id in an archive, and the number of a block.
+    """
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder):
+        self.spec, self.folder = spec, folder
+        self._outcomes: dict[Key, Outcome] = {}
+        self._before: Index | None = None
+        with suppress(SpecError, ResourceError):  # without a valid index, the files are read instead
+            before = study_index.read(folder.index)
+            if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
+                self._before = before
+
+    def missing(self, keys: Iterable[Key]) -> list[Key]:
+        """Return the keys of the files that are to be computed.
+
+        They are looked at again for the index, because another shard, or a worker of an interrupted call, may still
+        write them.
+
+        Raises
+        ------
+        SpecError
+            If a file contains other runs.
+        """
+        missing = [key for key in keys if not self.outcome(key).is_final]
+        for key in missing:
+            self.forget(key)
+        return missing
+
+    def outcome(self, key: Key) -> Outcome:
+        """Return the outcome of a file; ``missing`` if it is not there, or has to be computed again.
+
+        Raises
+        ------
+        SpecError
+            If it contains other runs.
+        """
+        if key not in self._outcomes:
+            self._outcomes[key] = self.indexed(key) or self.read(key)
+        return self._outcomes[key]
+
+    def note(self, key: Key, outcome: Outcome) -> None:
+        """Record the outcome of a file that was computed just now."""
+        self.forget(key)
+        self._outcomes[key] = outcome if outcome.status in ("complete", "failed", "missing") else MISSING
+
+    def forget(self, key: Key) -> None:
+        """Discard what was read of a file."""
+        self._outcomes.pop(key, None)
+
+    @abstractmethod
+    def indexed(self, key: Key) -> Outcome | None:
+        """Return the outcome of a file that has not changed since it was indexed; None for others."""
+
+    @abstractmethod
+    def read(self, key: Key) -> Outcome:
+        """Return the outcome from a file; ``missing`` if it is damaged, or its runs have not ended."""
+
+
+class KnownRuns(KnownFiles[str]):
+    """Outcomes of the archives of a study.
 
     Parameters
     ----------
@@ -36,20 +101,14 @@ class KnownRuns:
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, runs: Mapping[str, RunSpec]):
-        self.folder, self.runs = folder, runs
+        super().__init__(spec, folder)
+        self.runs = runs
         self._measures = expressions_of(spec.defined_measures())
-        self._outcomes: dict[str, Outcome] = {}
         self._hashes: dict[str, str] = {}
         rows: list[Row] = []
-        try:
-            before = study_index.read(folder.index)
-        except (SpecError, ResourceError):
-            pass  # without a valid index, the archives are read instead
-        else:
-            if before.study_sha256 == spec.sha256() and before.version == version("mbdkit"):
-                count = len(before.references["status"])
-                rows = [before.row(index, of_references=True) for index in range(count)]
-                rows += [before.row(index) for index in range(len(before))]
+        if (before := self._before) is not None:
+            rows = [before.row(index, of_references=True) for index in range(len(before.references["status"]))]
+            rows += [before.row(index) for index in range(len(before))]
         self._by_run: Mapping[str, Row] = {row.run_id: row for row in rows}
         self._measured: Mapping[tuple[str, str], Row] = {(row.run_id, row.reference_id): row for row in rows}
 
@@ -85,57 +144,29 @@ class KnownRuns:
         unchanged = all(self.is_unchanged(name) for name in (run_id, reference_id) if name)
         return row if unchanged and row is not None and row.verdict else None
 
-    def is_done(self, run_id: str) -> bool:
-        """Return whether a run is complete, or has failed for a reason that would recur.
+    def forget(self, key: str) -> None:
+        """See `KnownFiles.forget`."""
+        super().forget(key)
+        self._hashes.pop(key, None)
 
-        Raises
-        ------
-        SpecError
-            If its archive contains another run.
-        """
-        outcome = self.outcome(run_id)
-        return outcome.status == "complete" or (
-            outcome.status == "failed" and not outcome.reason.startswith(TRIED_AGAIN)
-        )
+    def indexed(self, key: str) -> Outcome | None:
+        """See `KnownFiles.indexed`."""
+        row = self._by_run.get(key)
+        if row is None:
+            return None
+        is_refused = row.status_reason.startswith("wrong-input")  # invalid input leaves no archive
+        is_known = self.is_unchanged(key) or (is_refused and not self.folder.archive(key).exists())
+        return Outcome(row.status, row.status_reason) if is_known else None
 
-    def outcome(self, run_id: str) -> Outcome:
-        """Return the outcome of a run; ``missing`` if it has not ended.
-
-        Raises
-        ------
-        SpecError
-            If its archive contains another run.
-        """
-        if run_id not in self._outcomes:
-            self._outcomes[run_id] = self._found(run_id)
-        return self._outcomes[run_id]
-
-    def note(self, run_id: str, outcome: Outcome | None) -> None:
-        """Record the outcome of a run that was computed just now; None discards the recorded outcome."""
-        self._hashes.pop(run_id, None)
-        if outcome is None:
-            self._outcomes.pop(run_id, None)
-        else:
-            self._outcomes[run_id] = outcome if outcome.status in ("complete", "failed", "missing") else MISSING
-
-    def _found(self, run_id: str) -> Outcome:
-        row = self._by_run.get(run_id)
-        if self.folder.archive(run_id).exists():
-            if row is None or not self.is_unchanged(run_id):
-                return self._read(run_id)
-        elif row is None or not row.status_reason.startswith("wrong-input"):  # invalid input leaves no archive
-            return MISSING
-        return Outcome(row.status, row.status_reason)
-
-    def _read(self, run_id: str) -> Outcome:
-        """Return the outcome from an archive; ``missing`` if the file is damaged or the run was interrupted."""
-        path = self.folder.archive(run_id)
+    def read(self, key: str) -> Outcome:
+        """See `KnownFiles.read`."""
+        path = self.folder.archive(key)
         try:
             run = load(path)
         except (SpecError, ResourceError):
             return MISSING
         with run:
-            if run.run_id != run_id or run.spec_sha256 != self.runs[run_id].sha256():
+            if run.run_id != key or run.spec_sha256 != self.runs[key].sha256():
                 raise SpecError(
                     "this archive contains another run than its name says; move it to another folder", file=path
                 )
@@ -148,5 +179,5 @@ class KnownRuns:
 
     def _has_integrals(self, run: Run) -> bool:
         """Return whether a run has the time integrals that the measures of the study need."""
-        needed = {one.text for one in integrands_of(self.runs[run.run_id], self._measures)}
+        needed = {integrand.text for integrand in integrands_of(self.runs[run.run_id], self._measures)}
         return needed <= run.integrals.keys()

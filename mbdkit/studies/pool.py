@@ -1,8 +1,9 @@
 """A pool of worker processes; if a process dies, another one tries its task, once.
 
-`concurrent.futures.ProcessPoolExecutor` and loky lack what studies need: when a process dies they give up all pending
-tasks, and do not tell which task killed it, by which signal and with which last words. Workers of the former import the
-script of the user again, receive the Ctrl-C that is meant for the parent process, and may outlive a killed parent.
+`concurrent.futures.ProcessPoolExecutor` and loky lack what studies need: when a process dies, all pending tasks fail,
+and neither tells which of them killed it and what it printed last (loky names the signal). The workers of both outlive
+a parent process that is killed; those of the former import the script of the user again, and receive the Ctrl-C that is
+meant for the parent process.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
-from typing import Any, Generic
+from typing import Any
 
 from mbdkit.archive.part_file import part_path, remove_part
 from mbdkit.base.errors import ResourceError
-from mbdkit.studies.tasks import Outcome, Work, died
+from mbdkit.studies.tasks import Outcome, Task, died
 
 PROGRAM = "mbdkit.studies.worker"
 """Module that carries out the tasks of studies."""
@@ -33,7 +34,7 @@ PROGRAM = "mbdkit.studies.worker"
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
-class Pool(Generic[Work]):
+class Pool:
     """Worker processes with one linear algebra thread each, for use in a `with` block, which ends them.
 
     Parameters
@@ -50,11 +51,11 @@ class Pool(Generic[Work]):
         self.size = size
         self.notify = notify
         self.program = program
-        self._workers: list[_Worker[Work]] = []
-        self._lines: queue.SimpleQueue[tuple[_Worker[Work], str]] = queue.SimpleQueue()
+        self._workers: list[_Worker] = []
+        self._lines: queue.SimpleQueue[tuple[_Worker, str]] = queue.SimpleQueue()
         self._said: set[str] = set()
 
-    def work(self, tasks: Sequence[Work]) -> Iterator[tuple[Work, Outcome]]:
+    def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
         """Start the tasks in order, and yield each with its outcome when it is finished.
 
         Processes of earlier tasks are reused.
@@ -99,10 +100,10 @@ class Pool(Generic[Work]):
                 worker.give(waiting.popleft())
             yield task, outcome
 
-    def _started(self) -> _Worker[Work] | None:
+    def _started(self) -> _Worker | None:
         """Start another process; return None if the system refuses it, but others are running."""
         try:
-            worker: _Worker[Work] = _Worker(self._lines, self.program)
+            worker: _Worker = _Worker(self._lines, self.program)
         except OSError as error:
             message = f"a worker process cannot be started: {error.strerror or error}"
             if not self._workers:
@@ -118,7 +119,7 @@ class Pool(Generic[Work]):
             self._said.add(text)
             self.notify(text)
 
-    def __enter__(self) -> Pool[Work]:
+    def __enter__(self) -> Pool:
         return self
 
     def __exit__(
@@ -128,11 +129,11 @@ class Pool(Generic[Work]):
             worker.end()
 
 
-class _Worker(Generic[Work]):
+class _Worker:
     """One process, its task, and a thread that forwards its output."""
 
-    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]], program: str):
-        self.task: Work | None = None
+    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker, str]], program: str):
+        self.task: Task | None = None
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
@@ -153,14 +154,14 @@ class _Worker(Generic[Work]):
             raise
         threading.Thread(target=self._listen, args=(lines,), daemon=True).start()
 
-    def _listen(self, lines: queue.SimpleQueue[tuple[_Worker[Work], str]]) -> None:
+    def _listen(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> None:
         assert self.process.stdout is not None
         with self.process.stdout as output:  # closed here: closing it in another thread would wait for this one
             for line in output:
                 lines.put((self, line))
         lines.put((self, ""))
 
-    def give(self, task: Work) -> None:
+    def give(self, task: Task) -> None:
         """Send a task to the process; if the process is dead, the end of its output reports that."""
         self.task = task
         assert self.process.stdin is not None

@@ -1,4 +1,4 @@
-"""State of the blocks of a study, from the index of an earlier call and from their files."""
+"""The runs of a study that are in blocks of many."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +17,14 @@ from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.measures.take import Description
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.studies import study_index
 from mbdkit.studies.compute_block import MISALIGNMENT, plan_blocks
 from mbdkit.studies.folder_lock import Shard
+from mbdkit.studies.known_runs import MISSING, KnownFiles
 from mbdkit.studies.run_store import Noted, Round, RunStore
-from mbdkit.studies.study_blocks import StudyBlocks, is_passing
+from mbdkit.studies.study_blocks import AnotherStudyError, StudyBlocks
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index, describe_column
-from mbdkit.studies.tasks import BlockTask, Outcome
+from mbdkit.studies.tasks import Outcome, Task, forget_run_at_work
 
 OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", "worst_joint", "data_sha256")
 """Columns of texts and hashes in the index of a study in blocks."""
@@ -49,21 +48,21 @@ class RunBlocks(RunStore):
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         self.spec, self.folder, self.plan = spec, folder, plan_blocks(spec)
         self.count = len(self.plan.points)
-        self._reasons: dict[int, str] = {}  # why blocks could not be computed
 
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
         self._known = KnownBlocks(self.spec, self.folder, self.plan.blocks)
-        self._tasks = [
-            BlockTask(self.folder, block)
-            for block in range(self.plan.blocks.count)
-            if (shard is None or shard.has(block)) and not self._known.is_whole(block)
-        ]
+        own = [block for block in range(self.plan.blocks.count) if shard is None or shard.has(block)]
+        self._tasks = [self._task(block) for block in self._known.missing(own)]
         if self._tasks and (reason := self._why_alone()):
             notify(f"the runs are not vectorized but computed one after another, because {reason}")
         for task in self._tasks:
-            self.folder.forget_run_at_work(task.block)  # of a process that was killed in an earlier call
-        return sum(map(self.size, self._tasks))
+            forget_run_at_work(task.path)  # of a process that was killed in an earlier call
+        return sum(task.runs for task in self._tasks)
+
+    def _task(self, block: int) -> Task:
+        content = {"folder": str(self.folder.path.absolute()), "block": block}
+        return Task(block, content, self.folder.block(block), len(self.plan.blocks.places(block)))
 
     def _why_alone(self) -> str:
         """Return the reason why the sampled runs of the study, and so probably all, are not vectorized; empty if one of
@@ -77,21 +76,13 @@ class RunBlocks(RunStore):
 
     def rounds(self) -> Iterator[Round]:
         """Yield the missing blocks."""
-        yield Round(self._tasks, sum(map(self.size, self._tasks)))
+        yield Round(self._tasks, sum(task.runs for task in self._tasks))
 
-    def size(self, task: BlockTask) -> int:
-        """See `RunStore.size`."""
-        return len(self.plan.blocks.places(task.block))
-
-    def note(self, task: BlockTask, outcome: Outcome) -> Noted:
+    def note(self, task: Task, outcome: Outcome) -> Noted:
         """See `RunStore.note`."""
-        unfinished = list(task.skip.values())
-        if outcome.status == "complete":
-            self._known.note_computed(task.block)
-        else:
-            self._reasons[task.block] = outcome.reason
-            unfinished.append(outcome.reason)
-        return Noted(self.size(task), int(outcome.values.get("failed", 0)), unfinished)
+        self._known.note(task.key, outcome)
+        unfinished = [*task.skip.values(), *([] if outcome.status == "complete" else [outcome.reason])]
+        return Noted(task.runs, int(outcome.values.get("failed", 0)), unfinished)
 
     def index(self) -> Index:
         """Return the index of the blocks that are there; the runs of the others are missing."""
@@ -104,14 +95,14 @@ class RunBlocks(RunStore):
         for number in range(blocks.count):
             places = blocks.places(number)
             rows = slice(places.start, places.stop)
-            found = self._known.rows(number)
-            if found is None:
-                texts["status_reason"][rows] = self._reasons.get(number, "")
+            block = self._known.rows(number)
+            if block is None:
+                texts["status_reason"][rows] = self._known.why_missing(number)
                 continue
-            described = {**found.described, **described}
-            for name, column in found.texts.items():
+            described = {**block.described, **described}
+            for name, column in block.texts.items():
                 texts[name][rows] = column
-            for name, column in found.numbers.items():
+            for name, column in block.numbers.items():
                 numbers.setdefault(name, np.full(count, np.nan))[rows] = column
         last = (*COUNTERS, *TIMINGS)
         ordered = sorted(numbers, key=lambda name: last.index(name) if name in last else -1)
@@ -162,47 +153,54 @@ def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
     return np.array([known[text] for text in texts], object)
 
 
-class KnownBlocks:
-    """State of the blocks in the folder of a study.
+class KnownBlocks(KnownFiles[int]):
+    """Outcomes of the blocks of a study.
 
-    A block is read, and its hashes are computed, if its file has changed since it was indexed. The system records the
-    time of a change (ctime) of the content, the modification time or the name of a file; programs cannot set it.
+    A block is complete if its file is sound and no run in it failed for a reason outside the study. It is read, and its
+    hashes are computed, if its file has changed since it was indexed. The system records the time of a change (ctime)
+    of the content, the modification time or the name of a file; programs cannot set it.
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, blocks: StudyBlocks):
-        self.spec, self.folder, self.blocks = spec, folder, blocks
-        self._before: Index | None = None
-        try:
-            before = study_index.read(folder.index)
-        except (SpecError, ResourceError):
-            pass  # without a valid index, the blocks are read instead
-        else:
-            is_same = before.study_sha256 == spec.sha256() and before.version == version("mbdkit")
-            if is_same and before.states is not None and len(before.states) == blocks.count:
-                self._before = before
+        super().__init__(spec, folder)
+        self.blocks = blocks
+        before = self._before
+        if before is None or before.states is None or len(before.states) != blocks.count:
+            self._before = None
         self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
 
-    def is_whole(self, block: int) -> bool:
-        """Return whether the file of a block is sound, and no run in it failed for a reason outside the study.
+    def indexed(self, key: int) -> Outcome | None:
+        """See `KnownFiles.indexed`."""
+        rows = self._indexed(key)
+        return None if rows is None else _ended(rows.texts["status"], rows.texts["status_reason"])
 
-        Raises
-        ------
-        SpecError
-            If the file is a block of another study.
-        """
-        state = _state(self.folder.block(block))
-        rows = self._indexed(block)
-        if rows is None:
-            whole = self.blocks.is_whole(self.folder, self.spec, block)
-        else:
-            whole = not is_passing(rows.texts["status"], rows.texts["status_reason"])
-        if whole:
-            self._sound[block] = state
-        return whole
+    def read(self, key: int) -> Outcome:
+        """See `KnownFiles.read`."""
+        path = self.folder.block(key)
+        state = _state(path)
+        if state == UNKNOWN:
+            return MISSING
+        try:
+            with self.blocks.open(path, self.spec.sha256()) as block:
+                whole = block.numbers.tolist() == [place + 1 for place in self.blocks.places(key)]
+                if not (whole and block.is_sound()):
+                    return MISSING
+                self._sound[key] = state
+                return _ended(block.runs["status"], block.runs["status_reason"])
+        except AnotherStudyError:
+            raise
+        except (SpecError, ResourceError):
+            return MISSING
 
-    def note_computed(self, block: int) -> None:
-        """Record that a block was computed just now."""
-        self._sound[block] = _state(self.folder.block(block))
+    def note(self, key: int, outcome: Outcome) -> None:
+        """See `KnownFiles.note`."""
+        super().note(key, outcome)
+        if outcome.status == "complete":
+            self._sound[key] = _state(self.folder.block(key))
+
+    def why_missing(self, block: int) -> str:
+        """Return why a block could not be computed; empty if this was not tried."""
+        return self._outcomes.get(block, MISSING).reason
 
     def rows(self, block: int) -> BlockRows | None:
         """Return the rows of the index for the runs of a block; None if its file cannot be read."""
@@ -236,10 +234,16 @@ class KnownBlocks:
         return BlockRows(texts, numbers, self._before.described)
 
 
+def _ended(statuses: np.ndarray, reasons: np.ndarray) -> Outcome:
+    """Return the outcome of a block from those of its runs."""
+    runs = [Outcome(str(status), str(reason)) for status, reason in set(zip(statuses, reasons, strict=True))]
+    return Outcome("complete", "") if all(run.is_final for run in runs) else MISSING
+
+
 def _state(path: Path) -> tuple[int, ...]:
     """Return size, modification time, time of change and number of a file; zeros if it does not exist."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return UNKNOWN
-    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino & (2**63 - 1)
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino & (2**63 - 1)

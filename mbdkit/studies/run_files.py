@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from mbdkit.base.text import counted
 from mbdkit.spec.study_measures import expressions_of
@@ -28,7 +29,6 @@ class RunFiles(RunStore):
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         self.spec, self.folder, self.plan = spec, folder, plan_study(spec)
         self.count = len(self.plan.runs)
-        self._names = {folder.archive(run_id): run_id for run_id in self.plan.runs}
         self._timings: dict[str, tuple[float, ...]] = {}
         self._second: dict[str, Outcome] = {}
 
@@ -37,11 +37,9 @@ class RunFiles(RunStore):
         for name, count in Counter(point.lacking for point in self.plan.points if point.lacking).items():
             notify(f"{counted(count, 'run')} left out: the distribution {name} is not installed")
         self._known = KnownRuns(self.spec, self.folder, self.plan.runs)
-        self._missing: list[str] = []
-        for index, run_id in enumerate(self.plan.runs):
-            if not self._known.is_done(run_id):
-                self._known.note(run_id, None)  # another shard, or a worker of an interrupted call, may still write it
-                self._missing += [run_id] if shard is None or shard.has(index) else []
+        missing = set(self._known.missing(self.plan.runs))
+        own = [run_id for index, run_id in enumerate(self.plan.runs) if shard is None or shard.has(index)]
+        self._missing = [run_id for run_id in own if run_id in missing]
         self._again = self._to_run_again() if shard is None else []
         self._repeats = self._missing_repeats() if shard is None else {}
         return len(self._missing) + len(self._again) + len(self._repeats)
@@ -66,33 +64,30 @@ class RunFiles(RunStore):
         """Yield the missing runs, and then the second runs and the timings of complete ones."""
         measures = expressions_of(self.spec.defined_measures())
         yield Round([self._task(run_id, measures=measures) for run_id in self._missing], len(self._missing))
-        again = [self._task(one, second=self.spec.second_run_measures) for one in self._again if self._is_complete(one)]
+        second = self.spec.second_run_measures
+        again = [self._task(run_id, second=second) for run_id in self._again if self._is_complete(run_id)]
         yield Round(again, len(self._again))
-        timings = [self._task(one, repeats=count) for one, count in self._repeats.items() if self._is_complete(one)]
+        repeats = [(run_id, count) for run_id, count in self._repeats.items() if self._is_complete(run_id)]
+        timings = [self._task(run_id, repeats=count) for run_id, count in repeats]
         yield Round(timings, len(self._repeats), one_by_one=True)
 
-    def _task(
-        self, run_id: str, *, repeats: int = 0, second: tuple[str, ...] = (), measures: tuple[str, ...] = ()
-    ) -> Task:
-        spec, path = self.plan.runs[run_id], self.folder.archive(run_id)
-        return Task(spec, path, repeats=repeats, second=second, measures=measures)
+    def _task(self, run_id: str, **content: Any) -> Task:
+        """Return the task to compute a run for its archive, or, without writing it, for other results."""
+        spec = self.plan.runs[run_id].canonical_json()
+        return Task(run_id, {"spec": spec, **content}, self.folder.archive(run_id), writes="measures" in content)
 
     def _is_complete(self, run_id: str) -> bool:
         return self._known.outcome(run_id).status == "complete"
 
-    def size(self, task: Task) -> int:
-        """See `RunStore.size`."""
-        return 1
-
     def note(self, task: Task, outcome: Outcome) -> Noted:
         """See `RunStore.note`."""
-        run_id, unfinished = self._names[task.path], [outcome.reason] if outcome.is_passing else []
-        if task.second:
-            self._second[run_id] = outcome
-        elif task.repeats:
-            self._timings[run_id] = outcome.seconds
+        unfinished = [outcome.reason] if outcome.is_passing else []
+        if "second" in task.content:
+            self._second[task.key] = outcome
+        elif "repeats" in task.content:
+            self._timings[task.key] = outcome.seconds
         else:
-            self._known.note(run_id, outcome)
+            self._known.note(task.key, outcome)
             return Noted(1, int(outcome.status == "failed" or outcome.is_passing), unfinished)
         return Noted(unfinished=unfinished)
 

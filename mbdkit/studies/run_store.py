@@ -5,11 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.study_index import Index
-from mbdkit.studies.tasks import Outcome
+from mbdkit.studies.tasks import Outcome, Task
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class Round:
         Whether one process of this machine computes them, one after another.
     """
 
-    tasks: Sequence[Any]
+    tasks: Sequence[Task]
     planned: int
     one_by_one: bool = False
 
@@ -79,12 +78,8 @@ class RunStore(ABC):
         """Yield what is to be computed; the next round depends on the outcomes of the ones before."""
 
     @abstractmethod
-    def note(self, task: Any, outcome: Outcome) -> Noted:
+    def note(self, task: Task, outcome: Outcome) -> Noted:
         """Record the outcome of a task."""
-
-    @abstractmethod
-    def size(self, task: Any) -> int:
-        """Return the number of runs of a task."""
 
     @abstractmethod
     def index(self) -> Index:

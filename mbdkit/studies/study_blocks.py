@@ -6,19 +6,16 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from mbdkit.archive.block_writer import HISTORIES, Store
 from mbdkit.archive.blocks import Block
 from mbdkit.archive.disk_space import row_bytes
-from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.preparation import rows_expected
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
 from mbdkit.spec.study_spec import LARGEST_TABLE, StudySpec
-from mbdkit.studies.known_runs import TRIED_AGAIN
 from mbdkit.studies.planned_points import PlannedPoints, number_of_points
 from mbdkit.studies.study_folder import StudyFolder
 
@@ -105,26 +102,6 @@ class StudyBlocks:
         """Return the block of a run by its index."""
         return place // self.size
 
-    def is_whole(self, folder: StudyFolder, spec: StudySpec, block: int) -> bool:
-        """Return whether the file of a block is sound, and no run in it failed for a reason outside the study.
-
-        Raises
-        ------
-        SpecError
-            If the file is a block of another study.
-        """
-        path = folder.block(block)
-        if not path.exists():
-            return False
-        try:
-            with self.open(path, spec.sha256()) as found:
-                whole = found.numbers.tolist() == [place + 1 for place in self.places(block)]
-                return whole and found.is_sound() and not is_passing(found.runs["status"], found.runs["status_reason"])
-        except AnotherStudyError:
-            raise
-        except (SpecError, ResourceError):
-            return False
-
     def open(self, path: Path, study_sha256: str) -> Block:
         """Open a block of a study.
 
@@ -135,16 +112,11 @@ class StudyBlocks:
         SpecError
             If it is not a block that this version can read.
         """
-        found = Block(path)
-        if found.study_sha256 != study_sha256:
-            found.close()
+        block = Block(path)
+        if block.study_sha256 != study_sha256:
+            block.close()
             raise AnotherStudyError("this is a block of another study; move it to another folder", file=path)
-        return found
-
-
-def is_passing(statuses: np.ndarray, reasons: np.ndarray) -> bool:
-    """Return whether any of the runs failed for an external reason, so that a second attempt may succeed."""
-    return "missing" in statuses or any(str(reason).startswith(TRIED_AGAIN) for reason in set(reasons))
+        return block
 
 
 def stored(spec: StudySpec) -> Store:

@@ -42,24 +42,6 @@ class StudyFolder(OwnedFolder[StudySpec]):
         """Return the path of a block of runs, counted from 0, whether it exists or not."""
         return self.runs / f"block-{number:06d}.h5"
 
-    def mark(self, number: int) -> Path:
-        """Return the path of the file with the number of the run in progress in a block."""
-        return self.runs / f".block-{number:06d}.at"
-
-    def run_at_work(self, number: int) -> int | None:
-        """Return the number of the run that a process was computing when it died in a block; None if there is none."""
-        try:
-            return int(self.mark(number).read_bytes()[:8])
-        except (OSError, ValueError):
-            return None
-
-    def forget_run_at_work(self, number: int) -> None:
-        """Empty the file with the number of the run in progress in a block; it is kept, because a process may hold a
-        lock on it.
-        """
-        with contextlib.suppress(OSError):
-            os.truncate(self.mark(number), 0)
-
     def check(self, spec: StudySpec, *, overwrite: bool = False) -> None:
         """See `OwnedFolder.check`; also check that no file has the name of the subfolder for runs."""
         super().check(spec, overwrite=overwrite)

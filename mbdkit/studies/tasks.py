@@ -1,19 +1,23 @@
-"""Tasks of a study as plain data (a run, or a block of runs), and their outcomes."""
+"""A task for a worker as plain data (a run, a block of runs, points of a design), and its outcome."""
 
 from __future__ import annotations
 
-import json
+import contextlib
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, Self, TypeVar
-
-from mbdkit.spec import RunSpec
-from mbdkit.studies.study_folder import StudyFolder
+from typing import Any
 
 #: External reasons of failure: a resource that is not available, a process that died, a defect of mbdkit.
 PASSING = ("no-resources", "worker-died", "error")
+
+#: Reasons of failure after which a run is computed again, because a second attempt may succeed.
+TRIED_AGAIN = ("interrupted", "plugin-error", *PASSING)
+
+MOST_DEATHS = 20
+"""Number of processes that may die in one task before it is not tried again."""
 
 
 @dataclass(frozen=True)
@@ -22,84 +26,64 @@ class Task:
 
     Parameters
     ----------
-    repeats
-        If not 0, no archive is written, and the run is timed this many times in memory after one warm-up run.
-    second
-        If not empty, no archive is written, and these measures are taken from a second run in memory.
-    tried
-        Whether the first process that tried it died.
-    measures
-        Expressions of the measures of the study, see `mbdkit.runs.simulation.simulate`.
+    key
+        What the task computes, for the caller: a run id, the number of a block, jobs of a design.
+    content
+        The message with which a worker can carry it out, without what the other parameters say.
+    path
+        File that it writes, or a file in the folder that it belongs to, which the workers of executors must see.
+    runs
+        Number of runs.
+    writes
+        Whether it writes the file.
+    deaths
+        Numbers of processes that died at a run, by its number in a block; 0 for those that died at no run of a block.
+    skip
+        Reasons for which runs of a block are recorded as failed without being computed, by their number.
     """
 
-    spec: RunSpec
+    key: Any
+    content: Mapping[str, Any]
     path: Path
-    repeats: int = 0
-    second: tuple[str, ...] = ()
-    tried: bool = False
-    measures: tuple[str, ...] = ()
-
-    @property
-    def writes(self) -> bool:
-        """Whether the archive of the run is written."""
-        return not self.repeats and not self.second
+    runs: int = 1
+    writes: bool = True
+    deaths: Mapping[int, int] = field(default_factory=dict)
+    skip: Mapping[int, str] = field(default_factory=dict)
 
     def message(self) -> dict[str, Any]:
         """Return the message with which a worker can carry out the task."""
-        spec = json.loads(self.spec.canonical_json())
-        return {
-            "spec": spec,
-            "path": str(self.path.absolute()),
-            "repeats": self.repeats,
-            "second": self.second,
-            "measures": self.measures,
-        }
+        skip = {str(run): reason for run, reason in self.skip.items()}
+        return {**self.content, "path": str(self.path.absolute()), "skip": skip}
 
     def after_death(self, how: str) -> Task | None:
         """Return the task to try after a process died in this one, as described by `how`; None if it is not tried
-        again.
+        again. Of a block, a run in which two processes died is left out.
         """
-        return None if self.tried else replace(self, tried=True)
-
-
-@dataclass(frozen=True)
-class BlockTask:
-    """A task for a worker: a block of a study.
-
-    Parameters
-    ----------
-    deaths
-        Numbers of processes that died at a run, by its number; 0 for those that died between runs.
-    skip
-        Reasons for which runs are recorded as failed without being computed, by their number.
-    """
-
-    folder: StudyFolder
-    block: int
-    deaths: Mapping[int, int] = field(default_factory=dict)
-    skip: Mapping[int, str] = field(default_factory=dict)
-    writes = True
-
-    @property
-    def path(self) -> Path:
-        """File of the block."""
-        return self.folder.block(self.block)
-
-    def message(self) -> dict[str, Any]:
-        """Return the message with which a worker can carry out the task."""
-        place, skip = str(self.folder.path.absolute()), {str(run): reason for run, reason in self.skip.items()}
-        return {"folder": place, "block": self.block, "skip": skip, "path": str(self.path.absolute())}
-
-    def after_death(self, how: str) -> BlockTask | None:
-        """Return the task to try after a process died in this one; the second time, the run in progress is left out."""
-        run = self.folder.run_at_work(self.block) or 0
+        run = run_at_work(self.path) or 0
         deaths = {**self.deaths, run: self.deaths.get(run, 0) + 1}
         if sum(deaths.values()) > MOST_DEATHS or deaths.get(0, 0) > 1:
             return None
-        skip = dict(self.skip)
-        if run and deaths[run] > 1:
-            skip[run] = died(how)
+        skip = {**self.skip, run: died(how)} if run and deaths[run] > 1 else self.skip
         return replace(self, deaths=deaths, skip=skip)
+
+
+def mark_of(block: Path) -> Path:
+    """Return the path of the file that contains the number of the run in progress while a block is computed."""
+    return block.with_name(f".{block.stem}.at")
+
+
+def run_at_work(block: Path) -> int | None:
+    """Return the number of the run that a process was computing when it died in a block; None if there is none."""
+    try:
+        return int(mark_of(block).read_bytes()[:8])
+    except (OSError, ValueError):
+        return None
+
+
+def forget_run_at_work(block: Path) -> None:
+    """Empty the file with the number of the run in progress; it is kept, because a process may hold a lock on it."""
+    with contextlib.suppress(OSError):
+        os.truncate(mark_of(block), 0)
 
 
 @dataclass(frozen=True)
@@ -118,7 +102,7 @@ class Outcome:
     @classmethod
     def of(cls, answer: Mapping[str, Any]) -> Outcome:
         """Return the outcome from the answer of a worker."""
-        values = {name: math.nan if found is None else found for name, found in answer.get("values", {}).items()}
+        values = {name: math.nan if value is None else value for name, value in answer.get("values", {}).items()}
         results = tuple(answer.get("results", ()))
         return cls(answer["status"], answer["reason"], tuple(answer.get("seconds", ())), values, results)
 
@@ -127,31 +111,12 @@ class Outcome:
         """Whether the cause of a failure is external, so that the next call tries again."""
         return self.reason.startswith(PASSING)
 
-
-class AnyTask(Protocol):
-    """The interface of tasks for a pool."""
-
     @property
-    def path(self) -> Path:
-        """File that it writes, or a file in the folder that it belongs to."""
-
-    @property
-    def writes(self) -> bool:
-        """Whether it writes this file."""
-
-    def message(self) -> dict[str, Any]:
-        """Return the message with which a worker can carry it out."""
-
-    def after_death(self, how: str) -> Self | None:
-        """Return the task to try after a process died in this one, as described by `how`; None if it is not tried
-        again.
-        """
-
-
-Work = TypeVar("Work", bound=AnyTask)
-
-MOST_DEATHS = 20
-"""Number of processes that may die in one block before it is not tried again."""
+    def is_final(self) -> bool:
+        """Whether a second attempt would have the same result."""
+        return self.status in ("complete", "left-out") or (
+            self.status == "failed" and not self.reason.startswith(TRIED_AGAIN)
+        )
 
 
 def died(how: str) -> str:

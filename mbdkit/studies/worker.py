@@ -112,22 +112,21 @@ def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]
         skip = {int(run): reason for run, reason in task["skip"].items()}
         failed = compute_block(task["folder"], task["block"], skip=skip, notify=notify)
         return {"status": "complete", "reason": "", "values": {"failed": failed}}
-    spec = RunSpec(**task["spec"])
-    if task["second"]:
+    spec = RunSpec(**json.loads(task["spec"]))
+    if "second" in task:
         from mbdkit.studies.second_run_measures import second_run
 
         values, note = second_run(spec, task["second"], notify)
         told = {name: value if math.isfinite(value) else None for name, value in values.items()}
         return {"status": "complete", "reason": note, "values": told}
-    if task["repeats"] == 0:
-        path, measures = Path(task["path"]), task["measures"]
-        with simulate(spec, path=path, overwrite=True, notify=notify, measures=measures) as run:
-            return {"status": run.status, "reason": run.status_reason}
-    seconds = []
-    for _ in range(task["repeats"] + 1):
-        with simulate(spec, notify=notify) as run:
-            seconds.append(float(run.stats["wall_s"]))
-    return {"status": "complete", "reason": "", "seconds": seconds[1:]}  # without the warm-up run
+    if "repeats" in task:
+        seconds = []
+        for _ in range(task["repeats"] + 1):
+            with simulate(spec, notify=notify) as run:
+                seconds.append(float(run.stats["wall_s"]))
+        return {"status": "complete", "reason": "", "seconds": seconds[1:]}  # without the warm-up run
+    with simulate(spec, path=Path(task["path"]), overwrite=True, notify=notify, measures=task["measures"]) as run:
+        return {"status": run.status, "reason": run.status_reason}
 
 
 if __name__ == "__main__":

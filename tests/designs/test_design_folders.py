@@ -144,7 +144,7 @@ def test_a_point_that_kills_its_process_twice_fails_alone(tmp_path: Path, monkey
     path = ("model", "forces", "spring", "stiffness")
 
     def deadly(worker: Any, task: Any) -> None:
-        if any(dict(job.settings)[path] == 3.0 for job in task.jobs):
+        if any(dict(job.settings)[path] == 3.0 for job in task.key):
             worker.process.kill()
             worker.process.wait()
         give(worker, task)

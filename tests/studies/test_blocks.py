@@ -32,6 +32,7 @@ from mbdkit.studies.compute_block import compute_block
 from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.runs_table import export_runs
 from mbdkit.studies.study_folder import StudyFolder
+from mbdkit.studies.tasks import mark_of, run_at_work
 
 BASE: dict[str, Any] = {
     "mbdkit": 1,
@@ -304,7 +305,7 @@ def test_a_block_that_another_process_computes_is_left_to_it(tmp_path: Path, mon
     folder = StudyFolder(tmp_path / "s")
     folder.block(1).unlink()
     monkeypatch.setattr(compute_block_module, "PATIENCE", 0.1)
-    with folder.mark(1).open("w") as handle:
+    with mark_of(folder.block(1)).open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
         study = pendulums(store="summary", out=tmp_path / "s", block=3)
     assert study.statuses().count("missing") == 3
@@ -319,7 +320,7 @@ def test_a_process_that_dies_in_a_run_is_known_to_have_died_in_that_run(
     alone, at_work = batch.simulate_arrays, []
 
     def noting(spec: RunSpec, **rest: Any) -> Any:
-        at_work.append((StudyFolder(tmp_path / "s").run_at_work(0), spec.run_id()))
+        at_work.append((run_at_work(StudyFolder(tmp_path / "s").block(0)), spec.run_id()))
         return alone(spec, **rest)
 
     monkeypatch.setattr(batch, "simulate_arrays", noting)
@@ -336,9 +337,9 @@ def test_a_run_that_kills_its_process_twice_fails_without_the_others(
     deaths: list[int] = []
 
     def deadly(worker: Any, task: Any) -> None:
-        if task.block == 1 and 5 not in task.skip:
-            task.folder.mark(1).write_text(f"{5:8d}")
-            deaths.append(task.block)
+        if task.key == 1 and 5 not in task.skip:
+            mark_of(task.path).write_text(f"{5:8d}")
+            deaths.append(task.key)
             worker.process.kill()
             worker.process.wait()
         give(worker, task)

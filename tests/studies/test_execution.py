@@ -212,7 +212,7 @@ def test_the_death_of_a_worker_is_the_failure_of_its_run_alone_and_the_run_is_tr
     give = pool._Worker.give
 
     def deadly(worker, task):
-        if task.spec.run_id() == victim:
+        if task.key == victim:
             worker.process.kill()
             worker.process.wait()
         give(worker, task)
@@ -237,7 +237,7 @@ def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call(finished, s
     deaths = []
 
     def deadly(worker, task):
-        if task.spec.run_id() == victim and not deaths:
+        if task.key == victim and not deaths:
             deaths.append(worker)
             worker.process.kill()
             worker.process.wait()

@@ -90,7 +90,7 @@ def test_a_second_run_without_resources_is_made_by_the_next_call(small, tmp_path
 
     def without_memory(self, tasks):
         for task, outcome in work(self, tasks):
-            yield task, Outcome("missing", "no-resources: no memory.") if task.second else outcome
+            yield task, Outcome("missing", "no-resources: no memory.") if "second" in task.content else outcome
 
     monkeypatch.setattr(pool.Pool, "work", without_memory)
     first = mbdkit.study(study, out=tmp_path / "out")
