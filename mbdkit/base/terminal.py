@@ -10,13 +10,15 @@ import functools
 import os
 import sys
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout, suppress
+from pathlib import PurePath
 from typing import Any, TextIO
 
 import typer
 from typer.core import TyperGroup
 
+from mbdkit.base.command_words import executing
 from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
 from mbdkit.base.interrupts import INTERRUPTED as INTERRUPTED
 from mbdkit.base.text import one_line, shown
@@ -72,7 +74,7 @@ class Commands(TyperGroup):
         """Return a command whose function, unlike its help, prints to stdout through `show` only."""
         command = super().get_command(ctx, cmd_name)
         if command is not None:
-            _guard(command)
+            _guard(command, ("mbdkit", cmd_name))
         return command
 
     def invoke(self, ctx: Any) -> Any:
@@ -128,21 +130,44 @@ def _results_apart() -> Iterator[_Results]:
         _results = before
 
 
-def _guard(command: Any) -> None:
-    """Redirect stdout to stderr while the functions of a command and of its subcommands run."""
-    for subcommand in getattr(command, "commands", {}).values():
-        _guard(subcommand)
+def _guard(command: Any, words: tuple[str, ...]) -> None:
+    """Redirect stdout to stderr, and record the command for archives, while functions of a command and of its
+    subcommands run.
+
+    Parameters
+    ----------
+    words
+        The names by which the command is called.
+    """
+    for name, subcommand in getattr(command, "commands", {}).items():
+        _guard(subcommand, (*words, name))
     function = command.callback
     if function is None or hasattr(function, "_is_guarded"):
         return
 
     @functools.wraps(function)
     def guarded(*arguments: Any, **options: Any) -> Any:
-        with redirect_stdout(sys.stderr):
+        with redirect_stdout(sys.stderr), executing([*words, *_files(command, options)]):
             return function(*arguments, **options)
 
     guarded._is_guarded = True  # type: ignore[attr-defined]
     command.callback = guarded
+
+
+_OF_FILES = ("output", "resume")
+"""Options that name files."""
+
+
+def _files(command: Any, options: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the names, without folders, of the files that a command was given."""
+    for parameter in command.params:
+        value = options.get(parameter.name)
+        if value is None or (parameter.param_type_name != "argument" and parameter.name not in _OF_FILES):
+            continue
+        if parameter.param_type_name != "argument":
+            yield parameter.opts[-1]
+        for one in [value] if isinstance(value, str | os.PathLike) else value:
+            yield PurePath(one).name or str(one)
 
 
 def show(result: Any) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
-import shlex
-import sys
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 
+from mbdkit.base.command_words import command_line
 from mbdkit.registry.catalogue import Registered
 from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
@@ -18,6 +19,28 @@ from mbdkit.spec.model_spec import ModelSpec
 def _versions() -> dict[str, str]:
     packages = ("mbdkit", "numpy", "scipy", "numba", "llvmlite", "h5py", "pydantic", "pluggy")
     return {name: version(name) for name in packages}
+
+
+_EMULATING = ("NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")
+"""Environment variables that let libraries behave as on another processor."""
+
+
+@cache
+def _processor() -> str:
+    """Return what the last bits of results depend on: instruction set and model of the processor, and its extensions.
+
+    Libraries of linear algebra and compilers select their code by these.
+    """
+    told = {}
+    with suppress(OSError):  # elsewhere than on Linux, the name alone
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0].splitlines()
+        told = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    flags = told.get("flags", "").split()
+    extensions = [name for name in ("fma", "avx2", "avx512f") if name in flags]
+    model = told.get("model name") or platform.processor()
+    numbers = [f"{key} {told[key]}" for key in ("cpu family", "model") if key in told]
+    emulated = [f"{name}={os.environ[name]}" for name in _EMULATING if os.environ.get(name)]
+    return ", ".join(filter(None, (platform.machine(), model, *numbers, *extensions, *emulated)))
 
 
 def provenance(spec: RunSpec) -> dict[str, str | int | float]:
@@ -31,9 +54,9 @@ def surroundings() -> dict[str, str | int | float]:
         **_versions(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "processor": platform.machine(),
+        "processor": _processor(),
         "cpu_count": os.cpu_count() or 0,
-        "command": shlex.join(sys.argv),
+        "command": command_line(),
     }
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -26,6 +25,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.untrusted_file import check_regular
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
 from mbdkit.base.progress_bars import in_notebook, progress_bar
@@ -198,7 +198,8 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any])
     other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
     if other:
         told = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
-        raise _refused(part, f"it began with {listed(told, 'and')}", hint=f"install the same, or {_ANEW}")
+        same = "use such a processor" if [key for key, *_ in other] == ["processor"] else "install the same"
+        raise _refused(part, f"it began with {listed(told, 'and')}", hint=f"{same}, or {_ANEW}")
     if spec.run_id() != run_id:
         raise _refused(part, "this version reads its spec in another way")
     return spec
@@ -253,7 +254,7 @@ class _Unfinished:
         writer = ArchiveWriter(
             self.path,
             archive_names(workspace.mechanism),
-            Origin.of(spec, {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": shlex.join(sys.argv)}),
+            Origin.of(spec, {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": command_line()}),
             arrays=recorded_arrays(spec, method, workspace.mechanism),
             overwrite=self.overwrite,
             part=_replacement(self.part),

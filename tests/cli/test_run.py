@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mbdkit import load
+from mbdkit import run as from_python
 from tests.spec_texts import mechanism
 
 
@@ -22,6 +23,27 @@ def test_a_run_leaves_one_complete_archive_and_a_summary(mbdkit, small, in_tmp_p
         assert run.status == "complete"
         assert len(run.time) == 101
         assert run.summary() in result.stdout
+
+
+def test_the_archive_tells_the_command_without_what_nobody_else_should_read(mbdkit, small, in_tmp_path, monkeypatch):
+    (in_tmp_path / "home").mkdir()
+    (in_tmp_path / "home" / "my spec.yaml").write_text(small)
+    monkeypatch.setattr("sys.argv", ["train.py", "--token", "secret-token"])  # of the program that calls mbdkit
+    arguments = [
+        "run",
+        "home/my spec.yaml",
+        "-o",
+        f"{in_tmp_path}/home/out.h5",
+        "--set",
+        "title=secret-title",
+        "--json",
+    ]
+    assert mbdkit(*arguments).exit_code == 0
+    with load("home/out.h5") as run:
+        assert run.provenance["command"] == "mbdkit run 'my spec.yaml' --output out.h5"
+    with from_python("home/my spec.yaml", archive="python.h5") as run:
+        assert run.provenance["command"] == ""
+    assert b"secret-token" not in (in_tmp_path / "python.h5").read_bytes()
 
 
 def test_json_prints_one_object_with_the_keys_of_the_contract(mbdkit, small, in_tmp_path):

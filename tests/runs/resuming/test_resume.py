@@ -23,6 +23,7 @@ from mbdkit.archive.checkpoint import Checkpoint, StoredRows
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.cli import app
+from mbdkit.runs import provenance
 from mbdkit.runs.run_checkpoint import Parts
 from mbdkit.stepping import interface
 
@@ -216,6 +217,19 @@ def test_another_version_is_named_and_refused(part: Path) -> None:
 def test_another_version_of_a_plugin_is_named_and_refused(part: Path) -> None:
     change_provenance(part, integrator_version="9.9")
     assert "it began with mbdkit:rk4 version 9.9, now " in refusal(part)
+
+
+def test_another_processor_of_the_same_instruction_set_is_named_and_refused(
+    part: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")  # linear algebra as on such a processor, with other last bits
+    provenance._processor.cache_clear()
+    try:
+        told = refusal(part)
+    finally:
+        provenance._processor.cache_clear()
+    assert "it began with processor " in told
+    assert "OPENBLAS_CORETYPE=Prescott; use such a processor, or run it anew" in told
 
 
 def test_file_of_a_living_run_is_refused(part: Path) -> None:

@@ -1,0 +1,29 @@
+"""The command that this process executes, as archives record it: subcommands and names of files, nothing else.
+
+Command lines may contain what nobody else should read, such as tokens, or paths in a user's home; so the options of a
+command, the folders of its files, and the whole command line of a Python program are left out.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+_words: Sequence[str] = ()
+
+
+def command_line() -> str:
+    """Return the command that is executed, such as ``mbdkit run knee.yaml``; empty outside of commands."""
+    return shlex.join(_words)
+
+
+@contextmanager
+def executing(words: Sequence[str]) -> Iterator[None]:
+    """Let `command_line` return these words in a block."""
+    global _words
+    before, _words = _words, words
+    try:
+        yield
+    finally:
+        _words = before
