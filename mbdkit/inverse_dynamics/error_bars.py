@@ -1,16 +1,20 @@
-"""Error bars of the results of inverse dynamics: from the noise of the data, and from the choice of the cutoff.
+"""Error bars of the results of inverse dynamics: from noise of the data, and the choice of cutoff and coordinates.
 
 Noise is Gaussian and independent from sample to sample. Samples of it, passed through the linearised fit and the
 smoothing, give the covariance of coordinates, rates and accelerations in each frame; derivatives of the dynamics by
 central differences give the covariance of the forces. Loads are not smoothed, so that their noise is added to this
 covariance unchanged. The effect of the cutoff is added by root sum of squares: the mean of the squared changes of the
-result with a lower and a higher cutoff, minus the mean square change caused by noise alone.
+result with a lower and a higher cutoff, minus the mean square change caused by noise alone. So is that of the choice of
+independent coordinates, unless these are the measured quantities: the squared change of the result where others are
+smoothed, minus its mean square due to noise.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.stats import chi2
@@ -20,10 +24,10 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
-from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series
-from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
+from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
+from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed, smoothed_each, with_cutoff
 from mbdkit.spec.inverse_sections import ErrorBars as Asked
-from mbdkit.spec.inverse_sections import Smoothing
+from mbdkit.spec.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
 LEVEL = 0.95
 """Probability that an error stays below its bar."""
@@ -114,17 +118,20 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     if np.any(np.isnan(deviation)):
         return None
     response = _Response(result, independent)
-    cutoffs = _other_cutoffs(response, coordinates, how)
-    covariance, *of_changes = _covariances(path, deviation, asked, [how, *(cutoff.how for cutoff in cutoffs)], random)
+    groups = [_other_cutoffs(response, path, coordinates, how), _other_coordinates(response)]
+    covariance, *of_others = _covariances(path, deviation, asked, [*groups[0], *groups[1]], random)
     sensitivity = _sensitivity(response, smoothed_each(times, coordinates, how), covariance)
     squares = [bound**2 for bound in _bounds(*_with_loads(result, sensitivity, covariance))]
-    beyond = [np.zeros_like(square) for square in squares]
-    for one, own in zip(cutoffs, of_changes, strict=True):
-        for index, (change, noise) in enumerate(zip(one.change, _squares(sensitivity, own), strict=True)):
-            beyond[index] += (change**2 - noise) / len(cutoffs)
-    bounds = [np.sqrt(one + np.maximum(0.0, more)) for one, more in zip(squares, beyond, strict=True)]
-    method = _method(result, deviation, [cutoff.factor for cutoff in cutoffs])
-    actuators, force, torque, position, velocity = bounds
+    for group in groups:
+        beyond = [np.zeros_like(square) for square in squares]
+        for one in group:
+            for index, (change, noise) in enumerate(
+                zip(one.change, _squares(sensitivity, of_others.pop(0)), strict=True)
+            ):
+                beyond[index] += (change**2 - noise) / len(group)
+        squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
+    method = _method(result, deviation, *([one.name for one in group] for group in groups))
+    actuators, force, torque, position, velocity = (np.sqrt(square) for square in squares)
     return ErrorBars(
         deviation,
         actuators,
@@ -135,18 +142,16 @@ def error_bars(result: Inverse) -> ErrorBars | None:
 
 
 def _covariances(
-    path: NoisePath, deviation: np.ndarray, asked: Asked, how: list[list[Smoothing]], random: np.random.Generator
+    path: NoisePath, deviation: np.ndarray, asked: Asked, others: Sequence[_Other], random: np.random.Generator
 ) -> list[np.ndarray]:
     """Return covariances (T, 3 U, 3 U), due to noise, of the coordinates, their rates and accelerations in each frame.
 
-    The first is that of the first smoothing; the others are those of the differences from it.
+    The first is that of the result; the others are those of the differences from it.
     """
-    totals: list[np.ndarray | float] = [0.0] * len(how)
+    totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
     for noise in path.samples(deviation, asked.samples, random):
-        smooth = [path.smoothed(noise, one) for one in how]
-        every = [np.concatenate([one.value, one.rate, one.acceleration], axis=1) for one in smooth]
-        for index, one in enumerate(every):
-            change = one - every[0] if index else one
+        own = path.smoothed(noise).every
+        for index, change in enumerate([own, *(one.noise(noise).every - own for one in others)]):
             totals[index] = totals[index] + change @ np.swapaxes(change, 1, 2)
     return [np.asarray(total / asked.samples) for total in totals]
 
@@ -231,15 +236,32 @@ def _norm_bound(xx: np.ndarray, yy: np.ndarray, xy: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _OtherCutoff:
-    """The smoothing with another cutoff, and the changes of the outcome, in the order of `_bounds`."""
+class _Other:
+    """Another way to smooth the data.
 
-    factor: float
-    how: list[Smoothing]
+    Attributes
+    ----------
+    name
+        What is different, for the description.
+    noise
+        Function from noise (T, K, S) of the data to the changes (T, U, S) of the coordinates of the result.
+    change
+        Changes of the outcome, in the order of `_bounds`.
+    """
+
+    name: str
+    noise: Callable[[np.ndarray], Smoothed]
     change: list[np.ndarray]
 
+    @classmethod
+    def of(cls, name: str, noise: Callable[[np.ndarray], Smoothed], outcome: _Outcome, base: _Outcome) -> _Other:
+        """Return the other way of this outcome."""
+        one = outcome.minus(base)
+        force, torque = np.linalg.norm(one.reactions[..., :2], axis=2), one.reactions[..., 2]
+        return cls(name, noise, [one.actuators, force, torque, one.position, one.velocity])
 
-def _other_cutoffs(response: _Response, coordinates: np.ndarray, how: list[Smoothing]) -> list[_OtherCutoff]:
+
+def _other_cutoffs(response: _Response, path: NoisePath, coordinates: np.ndarray, how: list[Smoothing]) -> list[_Other]:
     """Return the other cutoffs that the sampling rate allows."""
     times, base = response.result.motion.time, _outcome(response.result)
     found = []
@@ -251,13 +273,37 @@ def _other_cutoffs(response: _Response, coordinates: np.ndarray, how: list[Smoot
             series = smoothed_each(times, coordinates, moved)
         except SpecError:  # the cutoff is too high for the sampling rate
             continue
-        one = response(series).minus(base)
-        force, torque = np.linalg.norm(one.reactions[..., :2], axis=2), one.reactions[..., 2]
-        found.append(_OtherCutoff(factor, moved, [one.actuators, force, torque, one.position, one.velocity]))
+        found.append(_Other.of(f"{factor:g}", partial(path.smoothed, how=moved), response(series), base))
     return found
 
 
-def _method(result: Inverse, deviation: np.ndarray, factors: list[float]) -> str:
+def _other_coordinates(response: _Response) -> list[_Other]:
+    """Return the smoothing of other quantities, if the measured ones are not those of the result.
+
+    The coordinates of the result follow from the poses that fit the smoothed quantities best, and are differentiated.
+    """
+    result, quantities = response.result, response.independent.quantities
+    problem, fitted = result.problem, result.fitted
+    names = problem.names.candidates()
+    other = other_coordinates(problem.fitter, fitted.measured, fitted.q, names, response.independent)
+    if other is None:
+        return []
+    times, values = fitted.measured.time, other.quantities.values(fitted.q)
+    how = fixed(times, values, problem.spec.motion.smooth)
+    if all(isinstance(one, NoSmoothing | QuinticSpline) for one in how):
+        return []  # nothing is smoothed
+    series = smoothed_each(times, values, how)
+    q = motion_of_series(problem.fitter, other, times, result.motion.q, series).q
+    outcome = response(smoothed(times, quantities.values(q), QuinticSpline()))
+    noise = partial(NoisePath(result, other, how).smoothed_as, quantities)
+    return [_Other.of(_some(other.names), noise, outcome, _outcome(result))]
+
+
+def _some(names: Sequence[str]) -> str:
+    return listed(names[:6], "" if len(names) > 6 else "and") + (f" and {len(names) - 6} more" if names[6:] else "")
+
+
+def _method(result: Inverse, deviation: np.ndarray, factors: list[str], coordinates: list[str]) -> str:
     measured = result.fitted.measured
     stated = ~np.isnan(measured.deviation)
     told = [
@@ -266,22 +312,20 @@ def _method(result: Inverse, deviation: np.ndarray, factors: list[float]) -> str
             measured.names, deviation, measured.quantities.quantities, stated, strict=True
         )
     ]
-    shown = listed(told[:6], "" if len(told) > 6 else "and") + (f" and {len(told) - 6} more" if told[6:] else "")
     loads = [
         f"{name}.{array}{'' if axis is None else '.' + 'xy'[axis]} {value:.3g} {LOAD_UNITS[array]}"
         for name, series in result.problem.loads.items()
         for (array, axis), value in series.deviation.items()
     ]
     of_loads = f"; noise of loads with the standard deviations {listed(loads, 'and')}" if loads else ""
-    cutoff = (
-        f", and the mean square change of the result with {listed([f'{factor:g}' for factor in factors], 'and')} "
-        f"times the "
-        f"cutoff, minus that caused by noise, by root sum of squares"
-        if factors
-        else "; no cutoff was varied"
-    )
+    changed = [f"{listed(factors, 'and')} times the cutoff"] if factors else []
+    changed += [f"smoothing of {coordinates[0]}"] if coordinates else []
+    effects = [
+        f", and the mean square change of the result with {change}, minus that caused by noise," for change in changed
+    ]
     return (
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
-        f"to sample, with the standard deviations {shown}, passed through the linearised fit, smoothing and dynamics"
-        f"{of_loads}{cutoff}."
+        f"to sample, with the standard deviations {_some(told)}, passed through the linearised fit, smoothing and "
+        f"dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
+        f"{'' if factors else '; no cutoff was varied'}."
     )

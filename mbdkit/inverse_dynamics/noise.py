@@ -12,7 +12,8 @@ import numpy as np
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.manifold import Directions
 from mbdkit.inverse_dynamics.reduced_motion import Independent
-from mbdkit.inverse_dynamics.smoothing import Smoothed, smoothed_each
+from mbdkit.inverse_dynamics.smoothing import FEWEST, Smoothed, local_derivatives, smoothed_each
+from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.spec.inverse_sections import Smoothing
 
 DRAWS = 20
@@ -48,12 +49,13 @@ class NoisePath:
         observed, coordinates = target.quantities.jacobian(q), independent.quantities.jacobian(q)
         moved = _solved(directions, observed * target.root_weight[:, None], np.diag(target.root_weight))
         self._fitted = coordinates @ moved  # (T, U, K)
-        self._seen = np.zeros((len(q), len(target.quantities), len(independent.names)))
+        self._q, self._intervals = q, independent.intervals
+        self._follow = np.zeros((len(q), manifold.n, len(independent.names)))
         for begin, end, places in independent.intervals:
             rows, columns = slice(begin, end), list(places)
             own = Directions(*(part if part.ndim == 1 else part[rows] for part in _parts(directions)))
-            follow = _solved(own, coordinates[rows][:, columns], np.eye(len(columns)))
-            self._seen[rows][:, :, columns] = observed[rows] @ follow
+            self._follow[rows][:, :, columns] = _solved(own, coordinates[rows][:, columns], np.eye(len(columns)))
+        self._seen = observed @ self._follow
 
     @property
     def columns(self) -> int:
@@ -74,6 +76,20 @@ class NoisePath:
         """Return the changes (T, K, S) of the differences between data and smoothed motion."""
         left: np.ndarray = noise - self._seen @ self.smoothed(noise).value
         return left
+
+    def smoothed_as(self, quantities: Quantities, noise: np.ndarray) -> Smoothed:
+        """Return the changes (T, Q, S) of other quantities and their derivatives due to noise (T, K, S) of the data."""
+        x, by = self.smoothed(noise), quantities.jacobian(self._q) @ self._follow
+        rate, bend = np.zeros((2, *by.shape))
+        for begin, end, _ in self._intervals:
+            if end - begin >= FEWEST:
+                own = by[begin:end]
+                rate[begin:end], bend[begin:end] = (
+                    part.reshape(own.shape)
+                    for part in local_derivatives(self._time[begin:end], own.reshape(len(own), -1))
+                )
+        speed = by @ x.rate + rate @ x.value
+        return Smoothed(by @ x.value, speed, by @ x.acceleration + 2 * rate @ x.rate + bend @ x.value)
 
     def samples(self, deviation: np.ndarray, count: int, random: np.random.Generator) -> Iterator[np.ndarray]:
         """Yield blocks (T, K, S) of Gaussian noise, independent at each time, with `count` samples in total.

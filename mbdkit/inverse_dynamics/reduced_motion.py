@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.inverse_dynamics.fit import Fitter, Target
-from mbdkit.inverse_dynamics.manifold import Directions, Manifold
+from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.inverse_dynamics.measured import Measured
 from mbdkit.inverse_dynamics.smoothing import Smoothed
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
@@ -103,10 +103,60 @@ def independent_coordinates(
     named = {name: observed[name] for name in preferred} | {
         name: one for name, one in candidates.items() if one not in [observed[name] for name in preferred]
     }
+    rows = _rates(fitter.manifold, measured.time, q, Quantities(list(named.values())))
+    if len(preferred) >= rows.shape[2]:
+        places, independence = _greedy(rows[:, : len(preferred)], len(preferred))
+        if _determine(independence):
+            return _independent(named, [(0, places)], len(q))
+    return _independent(named, _chosen(rows, len(preferred)), len(q))
+
+
+def other_coordinates(
+    fitter: Fitter, measured: Measured, q: np.ndarray, candidates: Mapping[str, Quantity], chosen: Independent
+) -> Independent | None:
+    """Return other quantities whose smoothing gives the motion as well, with which a choice can be compared.
+
+    These are all observed quantities, whose smoothed values the motion then fits best, if they determine it well, and
+    otherwise coordinates other than the chosen ones.
+
+    Returns
+    -------
+    Independent or None
+        None if the observed quantities were chosen, or if nothing else determines the motion well.
+    """
+    observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
+    rows = _rates(fitter.manifold, measured.time, q, measured.quantities)
+    if _determine(_greedy(rows, len(observed))[1]):
+        return (
+            None if set(observed) == set(chosen.names) else _independent(observed, [(0, range(len(observed)))], len(q))
+        )
+    others = {name: one for name, one in candidates.items() if one not in chosen.quantities.quantities}
+    rows = _rates(fitter.manifold, measured.time, q, Quantities(list(others.values())))
+    if len(others) < rows.shape[2] or np.min(np.linalg.svd(rows, compute_uv=False), initial=np.inf) < ENOUGH:
+        return None
+    return _independent(others, _chosen(rows, 0), len(q))
+
+
+def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quantities) -> np.ndarray:
+    """Return the rates (T, K, f) of quantities along the free directions, as shares of their size."""
+    directions = manifold.directions(manifold.frames(time, q).jacobian)
+    size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
+    rows: np.ndarray = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
+    return rows
+
+
+def _determine(independence: np.ndarray) -> bool:
+    """Return whether observed quantities of this independence (T,) determine the motion in all frames."""
+    return bool(np.min(independence, initial=np.inf) >= max(LEAST, FOLD * np.max(independence, initial=0.0)))
+
+
+def _independent(
+    named: Mapping[str, Quantity], chosen: Sequence[tuple[int, Sequence[int]]], frames: int
+) -> Independent:
+    """Return coordinates among named quantities, from the first frame and the indices of each interval."""
     names, quantities = list(named), Quantities(list(named.values()))
-    chosen = _chosen(fitter.manifold, measured.time, q, quantities, len(preferred))
     used = sorted({place for _, places in chosen for place in places})
-    ends = [*(begin for begin, _ in chosen[1:]), len(q)]
+    ends = [*(begin for begin, _ in chosen[1:]), frames]
     intervals = tuple(
         (begin, end, tuple(used.index(place) for place in places))
         for (begin, places), end in zip(chosen, ends, strict=True)
@@ -158,27 +208,24 @@ def _derived(manifold: Manifold, target: Target, q: np.ndarray, rate: np.ndarray
     return Motion(target.time, q, v, a)
 
 
-def _chosen(
-    manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quantities, preferred: int
-) -> Sequence[tuple[int, list[int]]]:
-    """Return the first frame and the indices of the independent coordinates of each interval of the motion."""
-    directions: Directions = manifold.directions(manifold.frames(time, q).jacobian)
-    size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
-    rows = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
-    if preferred >= rows.shape[2]:
-        places, independence = _greedy(rows[:, :preferred], preferred)
-        if np.min(independence, initial=np.inf) >= max(LEAST, FOLD * np.max(independence, initial=0.0)):
-            return [(0, places)]
+def _chosen(rows: np.ndarray, preferred: int) -> Sequence[tuple[int, list[int]]]:
+    """Return the first frame and the indices of the independent coordinates of each interval of the motion.
+
+    Parameters
+    ----------
+    rows, preferred
+        As for `_greedy`.
+    """
     places, independence = _greedy(rows, preferred)
     if np.min(independence, initial=np.inf) >= ENOUGH:
         return [(0, places)]
     found: list[tuple[int, list[int]]] = []
     begin = 0
-    while begin < len(time):
+    while begin < len(rows):
         places, _ = _greedy(rows[begin : begin + 1], 0)
         low = np.flatnonzero(_independence(rows[begin:, places]) < ENOUGH)
         found.append((begin, places))
-        begin += max(1, int(low[0])) if low.size else len(time)
+        begin += max(1, int(low[0])) if low.size else len(rows)
     return found
 
 
@@ -189,7 +236,7 @@ def _greedy(rows: np.ndarray, preferred: int) -> tuple[list[int], np.ndarray]:
     Parameters
     ----------
     rows
-        (T, K, f) rates of the quantities along the free directions.
+        (T, K, f) rates of the quantities along the free directions, see `_rates`.
     preferred
         The first `preferred` quantities are preferred to others if they are independent enough.
     """

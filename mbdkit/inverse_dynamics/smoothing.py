@@ -37,6 +37,11 @@ class Smoothed:
     rate: np.ndarray
     acceleration: np.ndarray
 
+    @property
+    def every(self) -> np.ndarray:
+        """(T, 3 K, ...) the series, then their rates, then their accelerations."""
+        return np.concatenate([self.value, self.rate, self.acceleration], axis=1)
+
 
 def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
     """Smooth series and differentiate them.

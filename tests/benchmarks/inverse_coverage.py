@@ -1,27 +1,49 @@
-"""Share of true torques and joint forces that the error bars of inverse dynamics cover, for three closed loops.
+"""Share of true torques and joint forces that the error bars of inverse dynamics cover.
 
-``python -m tests.benchmarks.inverse_coverage [SAMPLES]``
+``python -m tests.benchmarks.inverse_coverage [--mechanisms N] [--noises N] [--workers N]`` draws random mechanisms,
+chains and closed loops with as many or more columns than degrees of freedom, and compares them with forward runs whose
+drivers prescribe the motion: once with the coordinates that mbdkit chooses, and once with random ones. Three packaged
+closed loops follow.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from tests.inverse_dynamics.drawn_coverage import coverage
 from tests.inverse_dynamics.noisy import CUTOFF, Truth, covered
 from tests.inverse_dynamics.test_closed_loops import moved
 
 
-def main(samples: int) -> None:
-    """Print the shares for each actuator and the range of those of the joints."""
+def main() -> None:
+    """Print the shares of each mechanism and their means."""
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.inverse_coverage")
+    parser.add_argument("--mechanisms", type=int, default=48)
+    parser.add_argument("--noises", type=int, default=20, help="samples of the noise for each mechanism")
+    parser.add_argument("--workers", type=int, default=2)
+    asked = parser.parse_args()
+    with ProcessPoolExecutor(asked.workers) as pool:
+        for random_coordinates in (False, True):
+            print("random coordinates" if random_coordinates else "coordinates as chosen")
+            one = partial(coverage, noises=asked.noises, random_coordinates=random_coordinates)
+            found = list(pool.map(one, range(asked.mechanisms)))
+            for number, each in enumerate(found):
+                print(f"  {number:3} {each.label}: {np.mean(each.torques):.1%}, {np.mean(each.forces):.1%}")
+            torques, forces = (np.concatenate([getattr(one, name) for one in found]) for name in ("torques", "forces"))
+            print(f"mean of {torques.size} actuators {torques.mean():.1%}, of {forces.size} joints {forces.mean():.1%}")
     for example, cutoff in CUTOFF.items():
         with tempfile.TemporaryDirectory() as folder:
             run, spec = moved(example, Path(folder) / "run.h5")
-            torques, forces = covered(Truth.of(example, run, spec["actuators"]), spec, cutoff, samples)
-        told = ", ".join(f"{name} {share:.1%}" for name, share in zip(spec["actuators"], torques, strict=True))
-        print(f"{example}, {cutoff:g} Hz: {told}; joint forces {forces.min():.1%} to {forces.max():.1%}")
+            of_torques, of_forces = covered(Truth.of(example, run, spec["actuators"]), spec, cutoff, asked.noises)
+        told = ", ".join(f"{name} {share:.1%}" for name, share in zip(spec["actuators"], of_torques, strict=True))
+        print(f"{example}, {cutoff:g} Hz: {told}; joint forces {of_forces.min():.1%} to {of_forces.max():.1%}")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
+    main()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import butter, filtfilt
 from scipy.stats import chi2
 
 import mbdkit
@@ -16,6 +17,7 @@ from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.error_bars import _norm_bound
 from mbdkit.report.run_report import run_report
 from mbdkit.spec import load_inverse_spec, load_spec
+from tests.inverse_dynamics.drawn_coverage import coverage
 from tests.inverse_dynamics.noisy import CUTOFF, DEVIATION, Truth, covered
 from tests.inverse_dynamics.test_closed_loops import TORQUES, moved
 
@@ -241,3 +243,48 @@ def test_without_noise_the_bar_is_the_change_with_the_cutoff() -> None:
     band = chart.lines[0].band
     assert band is not None
     assert band[-1, 1] - band[0, 1] == pytest.approx(2 * run.actuators["hip"].value_error[0])
+
+
+@pytest.mark.parametrize("random_coordinates", [False, True])
+def test_bars_cover_the_truth_of_random_mechanisms_whatever_is_smoothed(random_coordinates: bool) -> None:
+    # a reduced size of `python -m tests.benchmarks.inverse_coverage`, with 48 mechanisms and 20 noises
+    numbers = (3, 6, 13, 18, 22) if not random_coordinates else (13, 18, 22)
+    found = [coverage(number, 2, random_coordinates=random_coordinates) for number in numbers]
+    for shares in ([one.torques for one in found], [one.forces for one in found]):
+        assert 0.9 <= np.mean(np.concatenate(shares)) <= 0.99
+
+
+def test_what_is_smoothed_instead_of_the_measured_columns_is_part_of_the_bar() -> None:
+    # two markers with four columns for two degrees of freedom, without noise: angles are smoothed. Expected: the mean
+    # square change with the cutoff, and the square of the change if SciPy filters the columns of the markers instead
+    m = mbdkit.Mechanism()
+    m.body("upper", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.body("lower", mass=1.0, inertia=0.1, position=(1.0, 0.5), angle=np.pi / 2)
+    m.revolute("hip", m.ground, "upper", at=(0, 0))
+    m.revolute("knee", "upper", "lower", at=(1, 0))
+    m.marker("knee", "upper", at=(1.0, 0.0))
+    m.marker("toe", "lower", at=(1.0, 1.0))
+    hip, knee = 0.6 * np.sin(9 * T), np.pi / 2 + 0.8 * np.cos(10 * T)
+    first = np.exp(1j * hip)
+    second = first + np.exp(1j * (hip + knee))
+    data = {"knee.x": first.real, "knee.y": first.imag, "toe.x": second.real, "toe.y": second.imag}
+
+    def at(cutoff: float | None, columns: dict[str, np.ndarray]) -> mbdkit.Run:
+        smooth = "quintic" if cutoff is None else {"name": "butterworth", "cutoff": cutoff}
+        named = {f"markers.{name}": {"column": name, "deviation": 1e-9} for name in columns}
+        motion = {"data": {"time": T, **columns}, "columns": named, "smooth": smooth}
+        actuators = {"hip": {"joint": "hip"}, "knee": {"joint": "knee"}}
+        return mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion, "actuators": actuators})
+
+    b, a = butter(2, 6.0 / (2**0.5 - 1) ** 0.25, fs=100.0)
+    filtered = {name: filtfilt(b, a, values, padtype="odd", padlen=34) for name, values in data.items()}
+    run = at(6.0, data)
+    for name in ("hip", "knee"):
+        own, low, high, other = (
+            one.actuators[name].value for one in (run, at(4.8, data), at(7.5, data), at(None, filtered))
+        )
+        expected = np.sqrt(((low - own) ** 2 + (high - own) ** 2) / 2 + (other - own) ** 2)
+        assert np.max(np.abs(run.actuators[name].value_error - expected)) < 1e-3 * np.max(expected)
+        assert np.max(np.abs(other - own)) > 0.1 * np.max(expected)
+    assert run.accuracy is not None
+    assert "smoothing of markers.knee.x, markers.knee.y, markers.toe.x and markers.toe.y" in run.accuracy.method
