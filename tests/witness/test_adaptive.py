@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
+from scipy.stats import linregress
 
 import mbdkit
 from mbdkit.spec import load_spec
@@ -24,8 +25,10 @@ PROBLEMS: dict[str, tuple[str, dict[str, Any], float]] = {
     "knee with a stiff spring": ("knee", STIFF_KNEE, 0.5),
 }
 TOLERANCES = [10.0 ** -(k / 2) for k in range(10, 25)]
-FLOOR = 2e-12
-"""Errors below this are rounding."""
+FLOOR = {"pendulum": 2e-12, "car axis": 2e-12, "knee with a stiff spring": 1e-10}
+"""Errors below this are rounding. The stiff spring amplifies it: with the eigenvectors of Radau IIA from LAPACK for
+AVX2 and for AVX-512, which differ in their last bits, errors differ by 1.3e-11.
+"""
 
 
 @cache
@@ -60,13 +63,13 @@ def measured(problem: str, integrator: dict[str, Any]) -> tuple[float, int]:
 
 @cache
 def series(problem: str, name: str, stages: int) -> np.ndarray:
-    """Return (K, 3) tolerances, errors and steps above the floor of rounding."""
+    """Return (K, 3) tolerances, errors and steps, where errors are above the floor of rounding."""
     method: dict[str, Any] = {"name": name}
     if stages:
         method["stages"] = stages
     own = {} if name.startswith("scipy") else {"adaptive": True}
     found = [(tol, *measured(problem, method | own | {"rtol": tol, "atol": tol})) for tol in TOLERANCES]
-    return np.array([row for row in found if row[1] > FLOOR])
+    return np.array([row for row in found if row[1] > FLOOR[problem]])
 
 
 IMPLICIT = [("radau-iia", 3), ("gauss", 2), ("gauss", 4)]
@@ -76,12 +79,13 @@ EXPLICIT = [("dopri5", 0)]
 @pytest.mark.parametrize("problem", PROBLEMS)
 @pytest.mark.parametrize(("name", "stages"), IMPLICIT + EXPLICIT)
 def test_errors_follow_the_tolerance(problem: str, name: str, stages: int) -> None:
-    # expected: slope 1 within 0.1, all points within a factor of 30 of each other about it
+    # expected: errors are the tolerance times a factor that changes by less than 30 over six decades, and on average
+    # with no power of the tolerance: slope 1 within 0.1, as far as the scatter of the points determines it
     tolerance, error = np.log10(series(problem, name, stages)[:, :2]).T
-    assert len(tolerance) >= 8
-    slope, offset = np.polyfit(tolerance, error, 1)
-    assert slope == pytest.approx(1.0, abs=0.1)
-    assert 10 ** np.ptp(error - (slope * tolerance + offset)) < 30
+    assert len(tolerance) >= 12
+    assert 10 ** np.ptp(error - tolerance) < 30
+    line = linregress(tolerance, error)
+    assert line.slope == pytest.approx(1.0, abs=0.1 + 2 * line.stderr)
 
 
 @pytest.mark.slow
