@@ -49,7 +49,8 @@ ROOT_ATTRIBUTES = (
 MEASURES = "measures"
 """Root attribute with the values and units of the measures of a run, in JSON; absent without measures."""
 INTEGRALS = "integrals"
-"""Root attribute with the time integrals that measures of the run need, by their integrands, in JSON and SI units."""
+"""Root attribute with the integrals over time and extrema that measures need, by their expressions, in JSON and SI
+units."""
 GRADIENTS = "gradients"
 """Root attribute with the derivatives of the measures by parameters, in JSON; absent without `gradients`."""
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")

@@ -1,4 +1,4 @@
-"""Values of the measures of a run, and time integrals that they need: attributes of an archive."""
+"""Values of the measures of a run, and integrals and extrema that they need: attributes of an archive."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import Mapping
 
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 
-Integrals = Mapping[str, float | tuple[float, float]]
-"""Time integrals of numbers and vectors by their integrands, in SI units; nan where one is undefined."""
+Integrals = Mapping[str, float | tuple[float, ...]]
+"""Integrals over time of numbers and vectors, and extrema, by their expressions, in SI units; nan where undefined."""
 
 
 def integrals_json(integrals: Integrals) -> str:

@@ -250,9 +250,9 @@ class Run(HtmlView):
 
     @cached_property
     def integrals(self) -> Integrals:
-        """Time integrals that the measures of the run need, by their integrands, in SI units.
+        """Integrals over time and extrema that the measures of the run need, by their expressions, in SI units.
 
-        They were integrated with the run by the weights of its method.
+        See `mbdkit.runs.integrals`.
         """
         return self._contents.integrals()
 

@@ -103,7 +103,7 @@ class RunContents(ABC):
 
     @abstractmethod
     def integrals(self) -> Integrals:
-        """Return the time integrals by their integrands."""
+        """Return the integrals over time and extrema by their expressions."""
 
     @abstractmethod
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
@@ -228,7 +228,7 @@ class ArchiveContents(RunContents):
             return MeasuredValues.from_json(str(self.file.attrs.get(layout.MEASURES, "{}")))
 
     def integrals(self) -> Integrals:
-        """Return the time integrals by their integrands."""
+        """Return the integrals over time and extrema by their expressions."""
         with reading("the integrals", self.path):
             return integrals_from_json(str(self.file.attrs.get(layout.INTEGRALS, "{}")))
 
@@ -361,7 +361,7 @@ class ArrayContents(RunContents):
         return self._measured
 
     def integrals(self) -> Integrals:
-        """Return the time integrals by their integrands."""
+        """Return the integrals over time and extrema by their expressions."""
         return self._finished.integrals
 
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:

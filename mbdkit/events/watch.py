@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -75,7 +75,7 @@ def _prepared(
 
 
 class Watch:
-    """Wraps a stepper to detect events and to end the run at an event with the action ``stop``.
+    """Wraps a stepper to detect events, to end the run at an event with the action ``stop``, and to keep all steps.
 
     Parameters
     ----------
@@ -95,6 +95,7 @@ class Watch:
         self._recorded = workspace.t0
         self._found: list[Found] = []
         self._nodes: list[Nodes] = []
+        self._steps: list[StepTaken] = []
         self._raised: Exception | None = None
         self._failure: Failure | None = None
         self._values: list[float] | None = None
@@ -150,7 +151,10 @@ class Watch:
         while True:
             self._worst_before[:] = self.stepper.worst_pairs
             try:
-                part = self._look(self.stepper.advance())
+                stretch = self.stepper.advance()
+                if self.stepper.last_step is not None:
+                    self._steps.append(self.stepper.last_step)
+                part = self._look(stretch)
             except Exception as error:
                 if not parts:
                     raise
@@ -173,6 +177,11 @@ class Watch:
         """Return the quadrature nodes of the steps since the last call; excludes the part of a step after a stop."""
         taken, self._nodes = self._nodes, []
         return Nodes.joined([*taken, self.stepper.taken_nodes()])
+
+    def taken_steps(self) -> list[StepTaken]:
+        """Return the steps since the last call; the last one ends at the event that stops the run."""
+        steps, self._steps = self._steps, []
+        return steps
 
     def stored(self) -> dict[str, Any]:
         """Return the state that is kept between steps, as plain values for a checkpoint; all crossings must have been
@@ -201,7 +210,7 @@ class Watch:
     def _look(self, stretch: Stretch) -> Stretch:
         """Find the events of the last step; return its rows, truncated at an event that stops the run."""
         step = self.stepper.last_step
-        if step is None:
+        if step is None or not self.events:
             return stretch
         found: list[tuple[Crossing, Watched]] = []
         for number, (event, shown) in enumerate(zip(self.events, self._shown(step), strict=True)):
@@ -254,7 +263,9 @@ class Watch:
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
         """End the run at `theta`; return the rows before it and the final row, unless that is recorded already."""
-        end = self.stepper.cut(theta)
+        step, end = self._steps.pop(), self.stepper.cut(theta)
+        if theta > 0.0:
+            self._steps.append(replace(step, t1=float(end.time[0]), q1=end.q[0], v1=end.v[0]))
         kept = stretch.rows(stretch.time < end.time[0])
         if end.time[0] <= max([self._recorded, *kept.time]):
             return kept

@@ -46,10 +46,22 @@ def of_operands(operation: str, number: float, *operands: Value) -> Value:
         return Value(x.value[index, columns], x.slope[:, index, columns])
     rule = OPERATIONS[operation].rule
     if others:
-        value, slope, _ = rule(x.value, x.slope, 0.0, others[0].value, others[0].slope, 0.0)
+        x, other = _aligned(x, others[0])
+        value, slope, _ = rule(x.value, x.slope, 0.0, other.value, other.slope, 0.0)
         return Value(value, slope)
     value, slope, _ = rule(x.value, number) if operation == "powi" else rule(x.value)
     return Value(value, slope * x.slope)
+
+
+def _aligned(x: Value, y: Value) -> tuple[Value, Value]:
+    """Return two values with equal numbers of axes: a number at each time applies to all components of a vector."""
+    axes = max(x.value.ndim, y.value.ndim)
+
+    def widened(one: Value) -> Value:
+        more = (None,) * (axes - one.value.ndim)
+        return Value(one.value[more], one.slope[(slice(None), *more)])
+
+    return widened(x), widened(y)
 
 
 def _norm(x: Value) -> Value:

@@ -16,6 +16,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.gradients.differentiated_expressions import of_event, slopes_of
+from mbdkit.gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
 from mbdkit.gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit.gradients.law_corners import with_sides, with_unknown_corners
@@ -49,6 +50,20 @@ class Crossing:
 
 
 @dataclass(frozen=True)
+class Needs:
+    """What measures need beside the recorded states of a run.
+
+    Attributes
+    ----------
+    nodes, ends
+        Whether the stages of the steps are kept as nodes of integrals, and the ends of all steps.
+    """
+
+    nodes: bool = False
+    ends: bool = False
+
+
+@dataclass(frozen=True)
 class DifferentiatedRun:
     """The states of a run with derivatives.
 
@@ -64,6 +79,8 @@ class DifferentiatedRun:
         Events in order of time.
     sizes
         Sizes of the steps [s]; None of fixed steps.
+    motions
+        The motion between the ends of the steps, for up to `DIRECTIONS` parameters each; empty if it is not needed.
     is_split
         Whether steps end at discontinuities of force laws, unlike those of the run.
     doubts
@@ -75,12 +92,13 @@ class DifferentiatedRun:
     end: np.ndarray
     crossings: tuple[Crossing, ...]
     sizes: Sequence[float] | None
+    motions: tuple[DifferentiatedMotion, ...] = ()
     is_split: bool = False
     doubts: tuple[str, ...] = ()
 
 
 def differentiated_run(
-    spec: RunSpec, seeds: Seeds, *, with_nodes: bool, sizes: Sequence[float] | None = None
+    spec: RunSpec, seeds: Seeds, needs: Needs, *, sizes: Sequence[float] | None = None
 ) -> DifferentiatedRun:
     """Run a spec, and differentiate it by parameters.
 
@@ -88,8 +106,8 @@ def differentiated_run(
     ----------
     seeds
         Derivatives of the prepared run by the parameters.
-    with_nodes
-        Whether the stages of the steps are kept as nodes of integrals.
+    needs
+        What its measures need beside the recorded states.
     sizes
         Sizes of steps [s], in place of those that step-size control would choose.
 
@@ -102,7 +120,7 @@ def differentiated_run(
     """
     refuse(spec, make_method(spec))
     firsts = range(0, max(seeds.count, 1), DIRECTIONS)
-    parts = [_pass(spec, seeds.only(slice(first, first + DIRECTIONS)), with_nodes, sizes) for first in firsts]
+    parts = [_pass(spec, seeds.only(slice(first, first + DIRECTIONS)), needs, sizes) for first in firsts]
     if len(parts) == 1:
         return parts[0]
     crossings = (
@@ -115,6 +133,7 @@ def differentiated_run(
         np.concatenate([part.end for part in parts]),
         tuple(crossings),
         parts[0].sizes,
+        tuple(motion for part in parts for motion in part.motions),
         parts[0].is_split,
         parts[0].doubts,
     )
@@ -166,18 +185,18 @@ def refuse(spec: RunSpec, method: Method) -> None:
         )
 
 
-def _pass(spec: RunSpec, seeds: Seeds, with_nodes: bool, sizes: Sequence[float] | None) -> DifferentiatedRun:
+def _pass(spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None) -> DifferentiatedRun:
     """Run a spec with the derivatives by up to `DIRECTIONS` parameters."""
     events = events_of(spec, sizes) if spec.events else []
-    stepper = _stepper(spec, seeds, with_nodes, sizes)
+    stepper = _stepper(spec, seeds, needs, sizes)
     try:
-        return _Pass(spec, stepper, seeds).run(events)
+        return _Pass(spec, stepper, seeds, needs).run(events)
     except StepError as error:
         raise RunError(str(error)) from None
 
 
 def _stepper(
-    spec: RunSpec, seeds: Seeds, with_nodes: bool, sizes: Sequence[float] | None
+    spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None
 ) -> DifferentiatedStepper | SidedStepper:
     """Return a run at its start.
 
@@ -187,6 +206,7 @@ def _stepper(
     workspace, _ = build(spec)
     workspace.mechanism.refuse_states("the gradient of a run")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
+    table = replace(table, single=table.single or needs.ends)
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
     require_derivatives(method, workspace.stabilization)
@@ -195,10 +215,12 @@ def _stepper(
     try:
         if sided is None or method.traits.tolerances is not None:
             compiled, control = compiled_method(method, workspace)
-            return DifferentiatedStepper(compiled, workspace, table, control, seeds, with_nodes=with_nodes, sizes=sizes)
+            return DifferentiatedStepper(
+                compiled, workspace, table, control, seeds, with_nodes=needs.nodes, sizes=sizes
+            )
         own = replace(workspace, mechanism=sided.mechanism)
         compiled, _ = compiled_method(method, own)
-        return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, with_nodes=with_nodes)
+        return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, with_nodes=needs.nodes)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
@@ -222,12 +244,16 @@ class _Pass:
         The run at its start.
     """
 
-    def __init__(self, spec: RunSpec, stepper: DifferentiatedStepper, seeds: Seeds):
+    def __init__(self, spec: RunSpec, stepper: DifferentiatedStepper, seeds: Seeds, needs: Needs):
         assert stepper.steps is not None
         self.spec, self.stepper, self.seeds, self.width = spec, stepper, seeds, 1 + seeds.count
         self.workspace, self.steps = stepper.workspace, stepper.steps
         self._sided = stepper if isinstance(stepper, SidedStepper) else None
         self._evaluator = StateEvaluator(self.steps, seeds.count)
+        self.motion: DifferentiatedMotion | None = None
+        if needs.ends:
+            stiff = make_method(spec).traits.suits_stiff
+            self.motion = DifferentiatedMotion(stepper, self._evaluator, uses_accelerations=not stiff)
 
     def run(self, events: Sequence[Event]) -> DifferentiatedRun:
         """Take all steps, and return the states with their derivatives."""
@@ -250,6 +276,10 @@ class _Pass:
                     at_events.append(_AtEvent(*stepper.derivatives_within(theta), sides))
                     self._use(now)
             times.append(stretch.time if last is None else stretch.time[stretch.time < last[0]])
+            if self.motion is not None and last is None:
+                self.motion.add()
+            elif self.motion is not None and last is not None:
+                self.motion.end_at(*last[:3])
         if stepper.failure:
             text = f"{stepper.failure.code}: {stepper.failure.sentence}"
             raise RunError(f"a run that stops early has no gradient: {text}")
@@ -289,8 +319,9 @@ class _Pass:
         rows = self._evaluated([(one.rows + 1, one.sides) for one in history], time, q, v, None, energy)
         nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
         sizes = self.stepper.sizes_taken if self.stepper.controlled else None
+        motions = () if self.motion is None else (self.motion,)
         return DifferentiatedRun(
-            rows, nodes, moved, tuple(crossings), sizes, is_split=self._sided is not None, doubts=self._doubts(rows)
+            rows, nodes, moved, tuple(crossings), sizes, motions, self._sided is not None, self._doubts(rows)
         )
 
     def _doubts(self, rows: DifferentiatedStates) -> tuple[str, ...]:
@@ -382,7 +413,7 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
     if sizes is None and with_sides(workspace.mechanism) is None:
         stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
     else:
-        stepper = _stepper(spec, NO_SEEDS, False, sizes)
+        stepper = _stepper(spec, NO_SEEDS, Needs(), sizes)
         workspace = stepper.workspace
     watched = [
         Watched(name, expression, spec.events[name].direction, spec.events[name].action)

@@ -34,7 +34,7 @@ class StateEvaluator:
     """
 
     def __init__(self, steps: DifferentiatedSteps, count: int):
-        self.steps, self.workspace, self._some = steps, steps.workspace, slice(1 + count)
+        self.steps, self.workspace, self.width = steps, steps.workspace, 1 + count
 
     def states(
         self,
@@ -67,7 +67,7 @@ class StateEvaluator:
             if status != OK:
                 self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
                 renewed = done
-        some = self._some
+        some = slice(self.width)
         observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
         energy = None if energy is None else np.asarray(energy[..., some])
         q, v, power = (np.asarray(x[..., some]) for x in (q, v, states.power))

@@ -21,11 +21,11 @@ from mbdkit.gradients.differentiated_expressions import (
     of_measure,
     slopes_of,
 )
-from mbdkit.gradients.differentiated_run import DifferentiatedRun, differentiated_run, plain_run, refuse
+from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
 from mbdkit.gradients.differentiated_states import require_derivative
 from mbdkit.gradients.gradient_check import Direction, GradientCheck, Measured, Settings, check_gradient
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
-from mbdkit.gradients.measured_derivatives import MeasureOfRun, uses_nodes
+from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
@@ -213,14 +213,15 @@ def gradient_of_run_spec(
     """Return the gradient of measures of a run; see `gradient`."""
     prepared = prepared_derivatives(spec, parameters, definitions)
     expressions = expressions_of(spec, definitions)
-    with_nodes = any(map(uses_nodes, expressions.values()))
-    run = differentiated_run(spec, prepared.seeds, with_nodes=with_nodes)
+    every = [needs_of(one) for one in expressions.values()]
+    needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
+    run = differentiated_run(spec, prepared.seeds, needs)
     specs = VariedSpecs(spec.canonical_json())
 
     def again(varied: RunSpec) -> DifferentiatedRun:
-        if with_nodes or spec.events or run.is_split or run.sizes is not None:
+        if needs != Needs() or spec.events or run.is_split or run.sizes is not None:
             # step sizes that depend on the parameters would add a multiple of the tolerance to the differences
-            return differentiated_run(varied, NO_SEEDS, with_nodes=with_nodes, sizes=run.sizes)
+            return differentiated_run(varied, NO_SEEDS, needs, sizes=run.sizes)
         return plain_run(varied)
 
     def measured(settings: Settings) -> list[float]:

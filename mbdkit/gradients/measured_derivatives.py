@@ -1,4 +1,10 @@
-"""Measures of a run with their derivatives by parameters: the expressions are evaluated on values with derivatives."""
+"""Measures of a run with their derivatives by parameters: the expressions are evaluated on values with derivatives.
+
+Reductions over time are evaluated on the recorded rows, on the stages of the steps, or on the continuous motion, as in
+runs. The points at which an integrand changes its form, and the time of an extremum, depend on the parameters. The
+contributions of the former cancel where the integrand is continuous, and the latter is stationary at a smooth extremum.
+At other extrema, its derivative is ``-g_p / g_t`` for the scalar g that changes sign there.
+"""
 
 from __future__ import annotations
 
@@ -7,38 +13,46 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.expressions.operations import REDUCE
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.expressions.operations import OF_PARTS, OPERATIONS, REDUCE, arity_of
 from mbdkit.expressions.program import execute
 from mbdkit.gradients.derived_values import Value, of_operands
-from mbdkit.gradients.differentiated_run import DifferentiatedRun
-from mbdkit.gradients.differentiated_states import quantity_of
+from mbdkit.gradients.differentiated_motion import DifferentiatedMotion, states_of
+from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs
+from mbdkit.gradients.differentiated_states import (
+    DifferentiatedStates,
+    joined_states,
+    one_after_another,
+    quantity_of,
+)
+from mbdkit.gradients.sided_stepper import Corner
 from mbdkit.measures.measure_expression import ALONG, MeasureExpression
-from mbdkit.measures.reductions import OF_INTEGRAL
+from mbdkit.measures.reductions import Functional
 from mbdkit.quantities.quantity import Quantity
+from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 
-UNIQUE = 1e-9
-"""Two extrema that differ by less than this share of the range of a quantity count as equal."""
+AT_ZERO = 1e-9
+"""An operand below this share of the quantities it was computed from counts as zero."""
+BESIDE = 0.05
+"""Share of a step within which the limits on one side of a point are extrapolated."""
+LIMIT_POINTS = 8
+"""Number of points for this: the error of rates is below 1e-9 of that of a motion with eight steps in a period."""
+
+
+def needs_of(expression: MeasureExpression) -> Needs:
+    """Return what a measure needs beside the recorded states."""
+    found = expression.functionals
+    return Needs(any(one.is_of_stages for one in found), any(not one.is_of_stages for one in found))
 
 
 @dataclass(frozen=True)
-class _Operand:
-    """An operand of an expression on the recorded rows, and on the nodes of integrals.
+class _Limit:
+    """A quantity and the scalar that changes sign at a point, on one side of it, with their rates."""
 
-    It is None on the nodes if the integrals of runs use the recorded rows as well (see `mbdkit.runs.integrals`), so
-    that a run and its gradient give the same values.
-    """
-
-    rows: Value
-    nodes: Value | None
-
-
-def _same(one: Value) -> _Operand:
-    return _Operand(one, one)
-
-
-def uses_nodes(expression: MeasureExpression) -> bool:
-    """Return whether a measure is, or contains, an integral over time."""
-    return any(operation.removeprefix(REDUCE) in OF_INTEGRAL for operation, _ in expression.program)
+    value: Value
+    rate: float
+    switch: Value | None
+    switch_rate: float
 
 
 class MeasureOfRun:
@@ -52,7 +66,7 @@ class MeasureOfRun:
     Attributes
     ----------
     doubts
-        Warnings about extrema that are not unique, for the measure evaluated last.
+        Warnings about derivatives that do not exist, for the measure evaluated last.
     size
         Largest absolute value that the functions over time of this measure were applied to, in its unit.
     """
@@ -71,59 +85,255 @@ class MeasureOfRun:
         constants
             (I, K) derivatives of the numbers of its I instructions; None: zero.
         """
-        self.doubts, self.size = [], 0.0
-        slopes = iter(np.zeros((len(expression.program), self.count)) if constants is None else constants)
-
-        def step(operation: str, number: float, *operands: _Operand) -> _Operand:
-            slope = next(slopes)
-            if operation == "const":
-                return _same(Value.number(number, slope))
-            return self._applied(operation, number, operands, expression)
-
-        with np.errstate(all="ignore"):
-            found = execute(expression.program, step).rows
+        self.size = 0.0
+        slopes = np.zeros((len(expression.program), self.count)) if constants is None else constants
+        one = _Evaluation(self.run, expression, slopes)
+        found = one.result()
+        self.doubts, self.size = list(dict.fromkeys(one.doubts)), one.size / expression.unit.factor
         return float(found.value.reshape(-1)[0]) / expression.unit.factor, (
             found.slope.reshape(self.count, found.value.size)[:, 0] / expression.unit.factor
         )
 
-    def _applied(
-        self, operation: str, number: float, operands: Sequence[_Operand], expression: MeasureExpression
-    ) -> _Operand:
-        """Return the value of an instruction; see `MeasureExpression`."""
-        if operation == "t":
-            rows = Value.constant(self.run.rows.time, self.count)
-            rows.slope[:, -1] = self.run.end
-            nodes = self.run.nodes
-            return _Operand(rows, None if nodes is None else Value.constant(nodes.time, self.count))
-        if operation == "get":
-            quantity = expression.quantities[int(number)]
-            if quantity.kind == "events":
-                return _Operand(self._of_event(quantity), None)
-            rows, nodes = quantity_of(self.run.rows, quantity), self.run.nodes
-            known = nodes is not None and not quantity.recorded.array.accumulates
-            return _Operand(rows, quantity_of(nodes, quantity) if known else None)  # type: ignore[arg-type]
-        if operation == REDUCE + "at":
-            return _Operand(self._at(operands[1].rows, operands[0].rows), None)
-        if operation.startswith(REDUCE):
-            name = operation.removeprefix(REDUCE)
-            reduced = self._reduced(name, operands[0], expression)
-            return _Operand(reduced, reduced if name in OF_INTEGRAL and operands[0].nodes is not None else None)
-        if operation in ALONG.values():
-            self._note_equal_elements(operation, operands[0].rows, expression)
-        on_nodes = [operand.nodes for operand in operands if operand.nodes is not None]
-        inner = of_operands(operation, number, *on_nodes) if len(on_nodes) == len(operands) else None
-        return _Operand(of_operands(operation, number, *(operand.rows for operand in operands)), inner)
 
-    def _of_event(self, quantity: Quantity) -> Value:
-        """Return a quantity of an event: the time of its first or last crossing, or their number."""
-        found = [crossing for crossing in self.run.crossings if crossing.name == quantity.name]
-        if quantity.attribute == "count":
-            return Value.constant(np.array([float(len(found))]), self.count)
-        if not found:
-            self.doubts.append(f"the event '{quantity.name}' does not happen, so that its time has no derivative")
-            return Value.number(np.nan, np.full(self.count, np.nan))
-        one = found[0 if quantity.attribute == "time" else -1]
-        return Value.number(one.time, one.slope)
+class _Evaluation:
+    """The evaluation of one measure.
+
+    Parameters
+    ----------
+    slopes
+        (I, K) derivatives of the numbers of its I instructions.
+    """
+
+    def __init__(self, run: DifferentiatedRun, expression: MeasureExpression, slopes: np.ndarray):
+        self.run, self.expression, self.slopes = run, expression, slopes
+        self.count = slopes.shape[1]
+        self.doubts: list[str] = []
+        self.size = 0.0
+        self._begins = _begins(expression)
+        self._reduced: dict[int, Value] = {}  # by index of the instruction
+        self._functionals: dict[str, Value] = {}  # by text
+        self._largest_term = 0.0  # of the derivative of an extremum
+        self._duration = run.rows.time[-1] - run.rows.time[0]
+
+    def result(self) -> Value:
+        """Return the value of the measure."""
+        with np.errstate(all="ignore"):
+            return self._series(0, len(self.expression.program), self.run.rows)
+
+    def _series(self, begin: int, end: int, states: DifferentiatedStates, switches: list[Value] | None = None) -> Value:
+        """Return the value of some instructions in T states: (T,), (2, T) or, without quantities over time, (1,).
+
+        Parameters
+        ----------
+        switches
+            Receives the scalars at whose sign changes operations change their form, in the order of
+            `Functional.values_and_switches`.
+        """
+        place = iter(range(begin, end))
+        are_rows = states is self.run.rows
+
+        def step(operation: str, number: float, *operands: Value) -> Value:
+            index = next(place)
+            if operation == "const":
+                return Value.number(number, self.slopes[index])
+            if operation == "t":
+                time = Value.constant(states.time, self.count)
+                if are_rows:
+                    time.slope[:, -1] = self.run.end
+                return time
+            if operation == "get":
+                quantity = self.expression.quantities[int(number)]
+                return self._of_event(quantity) if quantity.kind == "events" else quantity_of(states, quantity)
+            if operation.startswith(REDUCE):
+                if index not in self._reduced:
+                    self._reduced[index] = self._reduction(index, operation.removeprefix(REDUCE), int(number), operands)
+                return self._reduced[index]
+            if are_rows:
+                self._note_corner(operation, operands)
+            found = None if switches is None else _switch_of(operation, operands)
+            if switches is not None and found is not None and found.value.shape[-1] == len(states.time):
+                switches.append(found)
+            return of_operands(operation, number, *operands)
+
+        return execute(self.expression.program[begin:end], step)
+
+    def _reduction(self, index: int, name: str, number: int, operands: Sequence[Value]) -> Value:
+        """Return a reduction over time, the instruction of this index, of its operands on the rows."""
+        rows = operands[0]
+        if name == "at":
+            return self._at(operands[1], rows)
+        self.size = max(self.size, float(np.max(np.abs(rows.value))))
+        if name == "final":
+            return rows[-1:]
+        functional = self.expression.functionals[number - 1] if number else None
+        if functional is not None and functional.is_of_stages and self.run.nodes is None:
+            functional = None  # inverse dynamics has rows only
+        if functional is not None and not functional.is_of_stages and not self.run.motions:
+            functional = None
+        if name in ("max", "min"):
+            if functional is None:
+                return self._extremum(name, rows)
+            found = self._peak(functional, index)
+            self._functionals[functional.text] = found
+            return found
+        total = self._integral(functional, index, rows, square=name == "rms")
+        if functional is not None:
+            self._functionals[functional.text] = total
+        if name == "integral":
+            return total
+        mean = of_operands("div", 0.0, total, Value(np.array([self._duration]), self.run.end[:, None]))
+        return of_operands("sqrt", 0.0, mean) if name == "rms" else mean
+
+    def _of_operand(
+        self, index: int, states: DifferentiatedStates, *, square: bool = False, switches: list[Value] | None = None
+    ) -> Value:
+        """Return the operand of a reduction in T states, (T,) or (2, T)."""
+        found = self._series(self._begins[index], index, states, switches)
+        found = of_operands("mul", 0.0, found, found) if square else found
+        shape = (*found.value.shape[:-1], len(states.time))
+        return Value(np.broadcast_to(found.value, shape), np.broadcast_to(found.slope, (self.count, *shape)))
+
+    # --- integrals
+
+    def _integral(self, functional: Functional | None, index: int, rows: Value, *, square: bool) -> Value:
+        """Return an integral over time, (1,), or (2, 1) of a vector."""
+        rows = of_operands("mul", 0.0, rows, rows) if square else rows
+        if functional is None:
+            time = self.run.rows.time
+            total = Value(
+                np.trapezoid(rows.value, time, axis=-1)[..., None], np.trapezoid(rows.slope, time, axis=-1)[..., None]
+            )
+            last = 0.5 * (rows.value[..., -2:-1] + rows.value[..., -1:])
+        else:
+            total = (
+                self._of_stages(index, square) if functional.is_of_stages else self._split(functional, index, square)
+            )
+            last = rows.value[..., -1:]
+        return Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
+
+    def _of_stages(self, index: int, square: bool) -> Value:
+        """Return an integral by the weights of the method."""
+        nodes = self.run.nodes
+        assert nodes is not None
+        assert nodes.weight is not None
+        return _weighted(self._of_operand(index, nodes, square=square), nodes.weight)
+
+    def _split(self, functional: Functional, index: int, square: bool) -> Value:
+        """Return an integral over the continuous motion, split where its integrand changes its form."""
+        total: Value | None = None
+        for number, part in enumerate(self.run.motions[0].parts):
+            found = self._sampled(functional, number)
+            nodes = found.quadrature(found.steps)
+            states = states_of(self.run.motions, number, nodes.time)
+            switches: list[Value] = []
+            values = self._of_operand(index, states, square=square, switches=switches)
+            self._note_rest(switches, nodes.time)
+            weights = np.column_stack([nodes.weight, np.zeros((len(nodes.weight), self.count))])
+            piece = _weighted(values, weights)
+            if part.corner is not None:  # the integrand may jump there, at a time that depends on the parameters
+                moved = np.concatenate([_corner_of(motion, number).slope for motion in self.run.motions])
+                sides = self._of_operand(index, self._at_corner(number), square=square).value
+                piece = Value(piece.value, piece.slope + np.multiply.outer(moved, sides[..., :1] - sides[..., 1:]))
+            total = piece if total is None else Value(total.value + piece.value, total.slope + piece.slope)
+        assert total is not None
+        return total
+
+    def _at_corner(self, number: int) -> DifferentiatedStates:
+        """Return the states before and after the discontinuity at which a part begins."""
+        parts, first = self.run.motions, []
+        for motion in parts:
+            corner = _corner_of(motion, number)
+            first.append(one_after_another([corner.before, corner.after]))
+        return joined_states(first)
+
+    def _sampled(self, functional: Functional, number: int) -> Sampled:
+        """Return the samples of a functional over a part of the motion."""
+        known: Integrals = {
+            text: tuple(x.value[:, 0].tolist()) if x.value.ndim > 1 else float(x.value[0])
+            for text, x in self._functionals.items()
+        }
+        return sampled(self.run.motions[0].parts[number].plain, functional, known, self._duration)
+
+    # --- extrema
+
+    def _peak(self, functional: Functional, index: int) -> Value:
+        """Return an extremum of the continuous motion; add a warning if it is not unique."""
+        sign = -1.0 if functional.reduction == "min" else 1.0
+        found: list[tuple[int, Peak]] = []
+        lowest, highest = np.inf, -np.inf
+        for number in range(len(self.run.motions[0].parts)):
+            samples = self._sampled(functional, number)
+            if np.isnan(samples.values).any():
+                return Value.number(np.nan, np.full(self.count, np.nan))
+            lowest, highest = min(lowest, np.min(samples.values)), max(highest, np.max(samples.values))
+            found += [(number, one) for one in samples.peaks()]
+        best = max(sign * one.value for _, one in found)
+        near = [(number, one) for number, one in found if sign * one.value >= best - EQUAL * (highest - lowest)]
+        near.sort(key=lambda item: -sign * item[1].value)
+        first = self._at_peak(*near[0], index)
+        slopes = {near[0][1].time: first.slope}
+        step = float(np.max(self.run.motions[0].parts[near[0][0]].plain.size))
+        for number, one in near[1:]:
+            if min(abs(one.time - time) for time in slopes) > 1e-6 * step:
+                slopes[one.time] = self._at_peak(number, one, index).slope
+        rounding = 1e-9 * self._largest_term
+        same = all(np.allclose(slope, first.slope, rtol=1e-6, atol=rounding) for slope in slopes.values())
+        if not same:
+            self._note_several(functional.reduction, list(slopes))
+        return first
+
+    def _at_peak(self, number: int, peak: Peak, index: int) -> Value:
+        """Return the value with derivatives at an extremum."""
+        part, time = self.run.motions[0].parts[number], np.array([peak.time])
+        switches: list[Value] = []
+        here = self._of_operand(index, states_of(self.run.motions, number, time), switches=switches)
+        self._largest_term = max(self._largest_term, float(np.max(np.abs(here.slope), initial=0.0)))
+        for place, one in enumerate(switches):
+            if place != peak.switch and one.slope.any() and np.abs(one.value) <= AT_ZERO * np.abs(here.value):
+                self._note_sides("the operand of 'abs' is zero, or those of 'min' or 'max' are equal, at an extremum")
+        begin, end = part.span
+        is_last = number == len(self.run.motions[0].parts) - 1
+        moved = np.zeros(self.count)
+        side = -1.0
+        if peak.switch >= 0:
+            limit = self._limit(number, peak, index, side)
+            assert limit.switch is not None
+            moved = -limit.switch.slope[:, 0] / limit.switch_rate
+            return Value(here.value, (limit.value.slope[:, 0] + limit.rate * moved)[:, None])
+        if peak.time == end and is_last:
+            moved = self.run.end
+        elif peak.time == end and self.run.motions[0].parts[number + 1].corner is not None:
+            moved = np.concatenate([_corner_of(motion, number + 1).slope for motion in self.run.motions])
+        elif peak.time == begin and part.corner is not None:
+            moved, side = np.concatenate([_corner_of(motion, number).slope for motion in self.run.motions]), 1.0
+        if not moved.any():
+            return here
+        limit = self._limit(number, peak, index, side)
+        return Value(here.value, (limit.value.slope[:, 0] + limit.rate * moved)[:, None])
+
+    def _limit(self, number: int, peak: Peak, index: int, side: float) -> _Limit:
+        """Return the limits at an extremum from one side, by extrapolation of a polynomial in time."""
+        part = self.run.motions[0].parts[number]
+        size = part.plain.size
+        step = int(np.searchsorted(part.plain.ends.time, peak.time))
+        width = BESIDE * float(size[min(step, len(size)) - 1])
+        places = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LIMIT_POINTS) + 0.5) / LIMIT_POINTS)
+        time = np.clip(peak.time + side * width * places, *part.span)
+        powers = np.vander(side * places, increasing=True)
+        to_limit = np.linalg.inv(powers)[:2]
+        switches: list[Value] = []
+        values = self._of_operand(index, states_of(self.run.motions, number, time), switches=switches)
+
+        def extrapolated(x: Value) -> tuple[Value, float]:
+            value, rate = to_limit @ x.value
+            return Value(np.array([value]), (x.slope @ to_limit[0])[:, None]), float(rate) / width
+
+        value, rate = extrapolated(values)
+        if peak.switch < 0:
+            return _Limit(value, rate, None, 0.0)
+        return _Limit(value, rate, *extrapolated(switches[peak.switch]))
+
+    # --- rows
 
     def _at(self, time: Value, operand: Value) -> Value:
         """Return an operand at a time, interpolated linearly between the rows around it."""
@@ -141,66 +351,127 @@ class MeasureOfRun:
         slope = slope + np.multiply.outer(moved, rate)
         return Value(value[..., None], slope[..., None])
 
-    def _reduced(self, name: str, operand: _Operand, expression: MeasureExpression) -> Value:
-        """Return an operand reduced over time."""
-        rows = operand.rows
-        self.size = max(self.size, float(np.max(np.abs(rows.value))) / expression.unit.factor)
-        if name == "final":
-            return rows[-1:]
-        if name in ("max", "min"):
-            return self._extremum(name, rows, expression)
-        square = name == "rms"
-        weight = None if self.run.nodes is None else self.run.nodes.weight
-        if operand.nodes is not None and weight is not None:
-            values = of_operands("mul", 0.0, operand.nodes, operand.nodes) if square else operand.nodes
-            moved = np.moveaxis(values.value @ weight[:, 1:], -1, 0)
-            total = Value((values.value @ weight[:, 0])[..., None], (values.slope @ weight[:, 0] + moved)[..., None])
-            last = of_operands("mul", 0.0, rows, rows)[-1:].value if square else rows[-1:].value
-            total = Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
-        else:
-            values = of_operands("mul", 0.0, rows, rows) if square else rows
-            time = self.run.rows.time
-            total = Value(
-                np.trapezoid(values.value, time, axis=-1)[..., None],
-                np.trapezoid(values.slope, time, axis=-1)[..., None],
-            )
-            last = 0.5 * (values.value[..., -2:-1] + values.value[..., -1:])
-            total = Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
-        if name == "integral":
-            return total
-        duration = self.run.rows.time[-1] - self.run.rows.time[0]
-        mean = of_operands("div", 0.0, total, Value(np.array([duration]), self.run.end[:, None]))
-        return of_operands("sqrt", 0.0, mean) if square else mean
+    def _of_event(self, quantity: Quantity) -> Value:
+        """Return a quantity of an event: the time of its first or last crossing, or their number."""
+        found = [crossing for crossing in self.run.crossings if crossing.name == quantity.name]
+        if quantity.attribute == "count":
+            return Value.constant(np.array([float(len(found))]), self.count)
+        if not found:
+            self.doubts.append(f"the event '{quantity.name}' does not happen, so that its time has no derivative")
+            return Value.number(np.nan, np.full(self.count, np.nan))
+        one = found[0 if quantity.attribute == "time" else -1]
+        return Value.number(one.time, one.slope)
 
-    def _note_equal_elements(self, operation: str, rows: Value, expression: MeasureExpression) -> None:
+    def _extremum(self, name: str, rows: Value) -> Value:
+        """Return the largest or smallest value; add a warning if it is not unique."""
+        values = rows.value if name == "max" else -rows.value
+        index = int(np.argmax(values))
+        spread = float(np.max(values) - np.min(values))
+        near = np.flatnonzero(values >= values[index] - EQUAL * spread) if np.isfinite(spread) else np.array([index])
+        apart = near[np.abs(near - index) > 1]
+        same = np.isclose(rows.slope[:, apart], rows.slope[:, [index]], rtol=1e-6, atol=0.0).all(axis=0)
+        if not np.all(same):
+            times = self.run.rows.time
+            self._note_several(name, [float(times[index]), float(times[apart[~same][0]])])
+        return rows[index : index + 1]
+
+    # --- warnings
+
+    def _note_several(self, name: str, times: Sequence[float]) -> None:
+        self.doubts.append(
+            f"the {'largest' if name == 'max' else 'smallest'} value in '{self.expression.text}' is attained at "
+            f"several times, such as t = {times[0]:.6g} s and {times[1]:.6g} s, so that it has no derivative; a p-norm "
+            "is a smooth maximum: mean(x**8)**(1/8)"
+        )
+
+    def _note_corner(self, operation: str, operands: Sequence[Value]) -> None:
+        """Add a warning if an operation on results of functions over time is at a point without derivative."""
+        if operation in ALONG.values():
+            self._note_equal_elements(operation, operands[0])
+            return
+        argument = _switch_of(operation, operands)
+        if argument is None or argument.value.shape[-1] != 1 or not argument.slope.any():
+            return
+        size = max(float(np.max(np.abs(one.value))) for one in operands)
+        size = max(size, self.size) if operation in ("abs", "norm") else size
+        if np.max(np.abs(argument.value)) <= AT_ZERO * size:
+            is_size = operation in ("abs", "norm")
+            self._note_sides("the operand of 'abs' is zero" if is_size else f"the operands of '{operation}' are equal")
+
+    def _note_sides(self, what: str) -> None:
+        self.doubts.append(
+            f"{what} in '{self.expression.text}', so that it has different derivatives on both sides and none there"
+        )
+
+    def _note_rest(self, switches: Sequence[Value], time: np.ndarray) -> None:
+        """Add a warning if an integrand stays where it changes its form, while parameters move it away from there."""
+        for one in switches:
+            size = float(np.max(np.abs(one.value), initial=0.0))
+            rests = (np.abs(one.value) <= 1e-14 * size) & (
+                np.abs(one.slope) > 1e-9 * np.max(np.abs(one.slope), initial=0.0)
+            ).any(0)
+            if np.sum(rests) > len(time) // 100 + LIMIT_POINTS:
+                self.doubts.append(
+                    f"an operand in '{self.expression.text}' is zero over some time, from t = "
+                    f"{time[np.argmax(rests)]:.6g} s, where 'abs', 'min' or 'max' has no derivative"
+                )
+                return
+
+    def _note_equal_elements(self, operation: str, rows: Value) -> None:
         """Add a warning if elements with different derivatives share the extreme value along a beam, over time or at
         the end.
         """
         values = rows.value if operation == "along_max" else -rows.value
         for row in {int(np.argmax(np.max(values, axis=0))), values.shape[1] - 1}:
-            near = np.flatnonzero(values[:, row] >= np.max(values[:, row]) - UNIQUE * np.max(np.abs(values)))
+            near = np.flatnonzero(values[:, row] >= np.max(values[:, row]) - EQUAL * np.max(np.abs(values)))
             slopes = rows.slope[:, near, row]
             if not np.allclose(slopes, slopes[:, :1], rtol=1e-6, atol=0.0):
                 self.doubts.append(
                     f"the elements {near[0]} and {near[-1]} share the extreme value along the beam in "
-                    f"'{expression.text}' at t = {self.run.rows.time[row]:.6g} s, so that it has no derivative; name "
-                    "an element, as in beams.NAME.moment[0]"
+                    f"'{self.expression.text}' at t = {self.run.rows.time[row]:.6g} s, so that it has no derivative; "
+                    "name an element, as in beams.NAME.moment[0]"
                 )
 
-    def _extremum(self, name: str, rows: Value, expression: MeasureExpression) -> Value:
-        """Return the largest or smallest value; add a warning if it is not unique."""
-        values = rows.value if name == "max" else -rows.value
-        index = int(np.argmax(values))
-        spread = float(np.max(values) - np.min(values))
-        near = np.flatnonzero(values >= values[index] - UNIQUE * spread) if np.isfinite(spread) else np.array([index])
-        apart = near[np.abs(near - index) > 1]
-        same = np.isclose(rows.slope[:, apart], rows.slope[:, [index]], rtol=1e-6, atol=0.0).all(axis=0)
-        if not np.all(same):
-            times, apart = self.run.rows.time, apart[~same]
-            self.doubts.append(
-                f"the {'largest' if name == 'max' else 'smallest'} value in '{expression.text}' is attained at "
-                f"several times, such as t = {times[index]:.6g} s and {times[apart[0]]:.6g} s, so that it has no "
-                f"derivative; "
-                "a p-norm is a smooth maximum: mean(x**8)**(1/8)"
-            )
-        return rows[index : index + 1]
+
+def _begins(expression: MeasureExpression) -> list[int]:
+    """Return, for each instruction, the index at which the program of its first operand begins."""
+    begins: list[int] = []
+    stack: list[int] = []
+    for index, (operation, _) in enumerate(expression.program):
+        first = len(stack) - arity_of(operation)
+        begin = stack[first] if first < len(stack) else index
+        begins.append(begin)
+        stack[first:] = [begin]
+    return begins
+
+
+def _weighted(values: Value, weights: np.ndarray) -> Value:
+    """Return the sum of values (..., T) by weights (T, 1 + K) with derivatives, (..., 1)."""
+    moved = np.moveaxis(values.value @ weights[:, 1:], -1, 0)
+    return Value((values.value @ weights[:, 0])[..., None], (values.slope @ weights[:, 0] + moved)[..., None])
+
+
+def _corner_of(motion: DifferentiatedMotion, number: int) -> Corner:
+    corner = motion.parts[number].corner
+    assert corner is not None
+    return corner
+
+
+def _switch_of(operation: str, operands: Sequence[Value]) -> Value | None:
+    """Return the scalar at whose sign changes an operation changes its form; None if it does not.
+
+    See `mbdkit.measures.reductions.Functional.values_and_switches`; a vector is compared with its value at the first
+    time.
+    """
+    kind = OPERATIONS[operation].switch if operation in OPERATIONS else ""
+    if kind:
+        return operands[0] if kind == "first" else of_operands("sub", 0.0, *operands)
+    if operation not in OF_PARTS:
+        return None
+    x = operands[0]
+    if operation == "norm":
+        first = x.value[:, :1]
+        return Value(np.sum(x.value * first, axis=0), np.sum(x.slope * first, axis=1))
+    values = x.value if operation == "along_max" else -x.value
+    one, other = np.argsort(values[:, -1])[:-3:-1] if len(values) > 1 else (0, 0)
+    return Value(x.value[one] - x.value[other], x.slope[:, one] - x.slope[:, other])

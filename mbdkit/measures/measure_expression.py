@@ -29,12 +29,13 @@ from mbdkit.expressions.parser import Code
 from mbdkit.expressions.program import Program, execute
 from mbdkit.measures.measured_quantities import ATTRIBUTES, recorded, unit_of
 from mbdkit.measures.reductions import (
-    OF_INTEGRAL,
+    EXTREMA,
+    OF_FUNCTIONAL,
     REDUCTIONS,
-    Integrand,
+    Functional,
     Series,
     applied,
-    from_integral,
+    from_functional,
     interpolated,
 )
 from mbdkit.quantities.quantity import Quantity
@@ -106,16 +107,16 @@ class MeasureExpression:
         Quantities in the expression, except time.
     unit
         Unit of the value.
-    integrands
-        Expressions that are integrated with the run. Reductions of a program refer to their integrand by its index,
-        from 1; 0 if the integrand is not known before the end of the run.
+    functionals
+        Integrals and extrema that are computed with the run. Reductions of a program refer to theirs by its index,
+        from 1; 0 if their quantity is known at the recorded times only.
     """
 
     text: str
     program: Program
     quantities: tuple[Quantity, ...]
     unit: Unit
-    integrands: tuple[Integrand, ...] = ()
+    functionals: tuple[Functional, ...] = ()
 
     @staticmethod
     def parse(text: str, spec: ModelSpec, unit: str = "") -> MeasureExpression:
@@ -147,14 +148,14 @@ class MeasureExpression:
             wanted = value.unit
         elif value.unit is not None and not value.unit.is_like(wanted):
             raise SpecError(f"the expression has the unit {value.unit}, which cannot be given in {wanted}", key="unit")
-        return MeasureExpression(text, program, tuple(compiler.quantities), wanted, compiler.integrands())
+        return MeasureExpression(text, program, tuple(compiler.quantities), wanted, compiler.functionals())
 
     @staticmethod
-    def integrands_of(text: str, spec: ModelSpec) -> tuple[Integrand, ...]:
-        """Return the integrands of an expression; raise SpecError like `parse`, except about the unit."""
+    def functionals_of(text: str, spec: ModelSpec) -> tuple[Functional, ...]:
+        """Return the functionals of an expression; raise SpecError like `parse`, except about the unit."""
         compiler = _MeasureCompiler(text, spec)
         compiler.measure()
-        return compiler.integrands()
+        return compiler.functionals()
 
     def of(self, run: Run) -> float:
         """Return the value for a run, in `unit`; nan where it is undefined or a quantity was not recorded."""
@@ -176,11 +177,11 @@ class MeasureExpression:
             name, values = operation.removeprefix(REDUCE), operands[0]
             if name == "at":
                 return interpolated(float(operands[1][0]), run.time, values)
-            integral = run.integrals.get(self.integrands[int(number) - 1].text) if number else None
+            found = run.integrals.get(self.functionals[int(number) - 1].text) if number else None
             duration = run.time[-1] - run.time[0]
-            if integral is None or not duration > 0.0:
+            if found is None or not duration > 0.0:
                 return np.asarray(REDUCTIONS[name](run.time, values)[..., None])
-            return from_integral(name, integral, duration, values)
+            return from_functional(name, found, duration, values)
 
         with np.errstate(all="ignore"):
             return execute(self.program, step)
@@ -231,7 +232,7 @@ class _MeasureCompiler(RunCompiler):
         self.spec = spec
         super().__init__(text, spec.mechanism(), spec.numbers if parameters is None else parameters)
         self.known |= {"events": list(spec.event_names), "actuators": list(spec.actuator_units)}
-        self._integrated: list[tuple[str, Program]] = []
+        self._functionals: list[tuple[str, str, Program]] = []
 
     def measure(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number; raise SpecError otherwise."""
@@ -250,11 +251,11 @@ class _MeasureCompiler(RunCompiler):
             self.refuse("the expression contains no quantity of the run", tree)
         return tuple(program), value
 
-    def integrands(self) -> tuple[Integrand, ...]:
-        """Return the integrands of the expression, except those that are known only at the end of a run."""
-        found: tuple[Integrand, ...] = ()
-        for text, program in self._integrated:
-            found += (Integrand(text, program, tuple(self.quantities), found),)
+    def functionals(self) -> tuple[Functional, ...]:
+        """Return the integrals and extrema of the expression, except those of the recorded times."""
+        found: tuple[Functional, ...] = ()
+        for text, reduction, program in self._functionals:
+            found += (Functional(text, reduction, program, tuple(self.quantities), found),)
         return found
 
     def series(self) -> tuple[Program, _Value]:
@@ -352,20 +353,27 @@ class _MeasureCompiler(RunCompiler):
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
-        place = self._place_of_integrand(program, node.args[0], squared=name == "rms") if name in OF_INTEGRAL else 0
+        place = self._place_of_functional(name, program, node.args[0]) if name in OF_FUNCTIONAL else 0
         return _Code([*program, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
 
-    def _place_of_integrand(self, program: Code, node: ast.expr, *, squared: bool) -> int:
-        """Return the index of a quantity among the integrands, from 1; 0 if it is not known before the end of a run."""
+    def _place_of_functional(self, name: str, program: Code, node: ast.expr) -> int:
+        """Return the index of a reduction among the functionals, from 1; 0 for those of the recorded times."""
         read = [self.quantities[int(number)] for operation, number in program if operation == "get"]
         of_rows = any(operation.startswith(REDUCE) and not place for operation, place in program)
         if of_rows or any(not one.is_over_time or one.recorded.array.accumulates for one in read):
             return 0
-        text = ast.unparse(node)
-        entry = (f"({text})**2", (*program, ("powi", 2.0))) if squared else (text, tuple(program))
-        if entry not in self._integrated:
-            self._integrated.append(entry)
-        return 1 + self._integrated.index(entry)
+        if name in EXTREMA and any(one.recorded.array.no_derivative for one in read):
+            return 0  # a misalignment is that of computed states, not of a motion between them
+        text, whole = ast.unparse(node), tuple(program)
+        if name in EXTREMA:
+            entry = f"{name}({text})", name, whole
+        elif name == "rms":
+            entry = f"({text})**2", "integral", (*whole, ("powi", 2.0))
+        else:
+            entry = text, "integral", whole
+        if entry not in self._functionals:
+            self._functionals.append(entry)
+        return 1 + self._functionals.index(entry)
 
     def apply(self, operation: str, operands: list[Code], node: ast.expr) -> Code:
         """Append an operation to the programs of its operands."""

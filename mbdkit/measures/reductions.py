@@ -1,4 +1,4 @@
-"""Functions over time in expressions of measures, and their integrands."""
+"""Functions over time in expressions of measures, and the integrals and extrema that they need."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mbdkit.quantities.quantity import Quantity
 
 @dataclass(frozen=True)
 class Series:
-    """Quantities of a run over time: at the recorded times, or at the quadrature nodes of integrals.
+    """Quantities of a run over time: at the recorded times, or at others of its motion.
 
     Parameters
     ----------
@@ -47,69 +47,133 @@ REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 """Functions of times (T,) and values (..., T) that return a value for all rows together, (...).
 
 ``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. In measures of a run, their integrals
-are computed with the run instead, by the weights of its method; see `Integrand`.
+are computed with the run instead, as are the extrema of its continuous motion; see `Functional`.
 """
-OF_INTEGRAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
+OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "mean": lambda integral, duration: integral / duration,
     "rms": lambda integral, duration: np.sqrt(integral / duration),
     "integral": lambda integral, duration: integral,
+    "max": lambda extremum, duration: extremum,
+    "min": lambda extremum, duration: extremum,
 }
-"""Reductions as functions of an integral over time, of the square for ``rms``, and of the duration [s]."""
+"""Reductions as functions of a `Functional` and of the duration [s]; that of ``rms`` is the integral of the square."""
+EXTREMA = ("max", "min")
 
 
-def from_integral(name: str, integral: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
-    """Return ``mean``, ``rms`` or ``integral`` of values (..., T) from the integral that was computed with the run."""
-    return OF_INTEGRAL[name](np.atleast_1d(integral), duration).reshape(*values.shape[:-1], 1)
+def from_functional(name: str, found: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
+    """Return a reduction of values (..., T) from the functional that was computed with the run."""
+    return OF_FUNCTIONAL[name](np.atleast_1d(found), duration).reshape(*values.shape[:-1], 1)
 
 
 @dataclass(frozen=True)
-class Integrand:
-    """A quantity over time whose integral a measure needs.
+class Functional:
+    """An integral over time, or an extremum, that a measure needs.
 
     Attributes
     ----------
     text
-        The quantity as an expression.
+        Its key: the integrand as an expression, or ``max(...)`` or ``min(...)`` of one.
+    reduction
+        ``integral``, ``max`` or ``min``.
     program, quantities
-        See `mbdkit.measures.measure_expression.MeasureExpression`.
+        The quantity over time; see `mbdkit.measures.measure_expression.MeasureExpression`.
     inner
-        Inner integrands, as in ``x - mean(x)``, to which reductions of the program refer by their index, from 1.
+        Inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from 1.
     """
 
     text: str
+    reduction: str
     program: Program
     quantities: tuple[Quantity, ...]
-    inner: tuple[Integrand, ...] = ()
+    inner: tuple[Functional, ...] = ()
+
+    @property
+    def is_extremum(self) -> bool:
+        """Whether it is an extremum."""
+        return self.reduction in EXTREMA
 
     @cached_property
     def is_nested(self) -> bool:
-        """Whether it contains other integrals, so that its values are known only at the end of a run."""
+        """Whether it contains other functionals, so that its values are known only at the end of a run."""
         return any(operation.startswith(REDUCE) for operation, _ in self.program)
+
+    @cached_property
+    def has_switches(self) -> bool:
+        """Whether an operation changes its form inside steps, so that the quantity or its derivative may jump there."""
+        return not any(one.recorded.array.no_derivative for one in self.read) and any(
+            operation in OF_PARTS or (operation in OPERATIONS and OPERATIONS[operation].switch != "")
+            for operation, _ in self.program
+        )
+
+    @property
+    def is_of_stages(self) -> bool:
+        """Whether it is summed over the stages of the steps, whose weights assume a smooth integrand."""
+        return not self.is_extremum and not self.has_switches
 
     @property
     def read(self) -> list[Quantity]:
         """The quantities that it reads."""
         return [self.quantities[int(number)] for operation, number in self.program if operation == "get"]
 
-    def values(self, series: Series, integrals: Integrals, duration: float) -> np.ndarray:
+    def values(self, series: Series, known: Integrals, duration: float) -> np.ndarray:
         """Return the values at T times: (T,), or (2, T) for a vector.
 
         Parameters
         ----------
-        integrals
-            The integrals of `inner`, by their texts.
+        known
+            The values of `inner`, by their texts.
         duration
             Duration of the run [s].
         """
+        return self.values_and_switches(series, known, duration, 1)[0]
+
+    def values_and_switches(
+        self, series: Series, known: Integrals, duration: float, groups: int
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return the values at T times, and the scalars at whose sign changes the operations change their form.
+
+        Parameters
+        ----------
+        groups
+            Number G of groups of P = T / G times. The sign changes are those within a group: a vector reverses where
+            its product with the first one of the group changes sign.
+
+        Returns
+        -------
+        values, switches
+            (T,) or (2, T), and one array (G, P) for each operation with a switch.
+        """
+        switches: list[np.ndarray] = []
+        count = len(series.time)
 
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
             if operation.startswith(REDUCE):
-                integral = integrals[self.inner[int(number) - 1].text]
-                return from_integral(operation.removeprefix(REDUCE), integral, duration, *operands)
+                found = known[self.inner[int(number) - 1].text]
+                return from_functional(operation.removeprefix(REDUCE), found, duration, *operands)
+            argument = _switch_of(operation, operands, groups)
+            if argument is not None and argument.shape[-1] * groups == count:
+                switches.append(np.broadcast_to(argument, (groups, count // groups)))
             return applied(operation, number, operands, self.quantities, series)
 
         with np.errstate(all="ignore"):
-            return execute(self.program, step)
+            return execute(self.program, step), switches
+
+
+def _switch_of(operation: str, operands: Sequence[np.ndarray], groups: int) -> np.ndarray | None:
+    """Return the scalar (G, P) at whose sign changes an operation changes its form; None if it does not."""
+    kind = OPERATIONS[operation].switch if operation in OPERATIONS else ""
+    if kind:
+        x = operands[0] if kind == "first" else operands[0] - operands[1]
+        return x.reshape(groups, -1) if x.ndim == 1 and x.size % groups == 0 else None
+    if operation not in OF_PARTS or operands[0].shape[-1] % groups:
+        return None
+    x = operands[0].reshape(len(operands[0]), groups, -1)
+    if operation == "norm":
+        return np.asarray(np.sum(x * x[:, :, :1], axis=0))
+    x = x if operation == "along_max" else -x
+    best = np.argmax(x[:, :, 0], axis=0)[None, :, None]
+    others = np.where(np.arange(len(x))[:, None, None] == best, -np.inf, x)
+    return np.asarray(np.take_along_axis(x, best, axis=0)[0] - np.max(others, axis=0))
 
 
 def applied(

@@ -1,10 +1,12 @@
-"""Time integrals for measures, computed during the run with the weights of its method.
+"""Time integrals and extrema for measures, computed during the run.
 
-The weighted sum of the values at the stages is the result of the method for an additional equation ``z' = f(t, q, v)``,
-so that an integral has the order of the method for any number of recorded states.
+The weighted sum of the values of a smooth integrand at the stages is the result of the method for an additional
+equation ``z' = f(t, q, v)``, so that an integral has the order of the method for any number of recorded states.
+Integrands with `abs`, `min` or `max`, and extrema, are those of the motion between the ends of the steps; see
+`mbdkit.runs.continuous_motion`.
 
-The values of an integrand that contains other integrals, as in ``rms(x - mean(x))``, are known at the end of the run
-only. The quantities that it reads are kept at all nodes until then.
+The values of a quantity that contains other integrals, as in ``rms(x - mean(x))``, are known only at the end of the
+run. Until then, the quantities that it reads at all nodes are kept, or the ends of all steps.
 """
 
 from __future__ import annotations
@@ -17,11 +19,12 @@ import numpy as np
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.reductions import Integrand, Series
+from mbdkit.measures.reductions import Functional, Series
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
-from mbdkit.stepping.interface import Nodes
+from mbdkit.runs.continuous_functionals import ContinuousFunctionals
+from mbdkit.stepping.interface import Nodes, Timetable
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -32,8 +35,8 @@ BLOCK = 1024
 time, but the last bits of the integrals must not."""
 
 
-def integrands_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Integrand, ...]:
-    """Return the integrands of the measures of a run.
+def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:
+    """Return the integrals and extrema that the measures of a run need.
 
     Parameters
     ----------
@@ -46,36 +49,51 @@ def integrands_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Integ
         If an expression is not valid for the spec.
     """
     texts = [*(measure.expression for measure in spec.defined_measures() if measure.item is None), *expressions]
-    found = [one for text in texts for one in MeasureExpression.integrands_of(text, spec)]
+    found = [one for text in texts for one in MeasureExpression.functionals_of(text, spec)]
     return tuple({one.text: one for one in found}.values())
 
 
 class RunIntegrals:
-    """Integrals over time of quantities of one run.
+    """Integrals over time and extrema of quantities of one run.
 
     Parameters
     ----------
-    spec
-        The spec of the run.
     workspace
         The mechanism at its start. Accelerations and reactions are computed with pivots of their own.
-    integrands
-        The integrands.
+    functionals
+        The integrals and extrema.
+    timetable
+        The times of the run.
+    suits_stiff
+        Whether the method is chosen for stiff mechanisms.
     """
 
-    def __init__(self, spec: RunSpec, workspace: Workspace, integrands: Sequence[Integrand]):
-        self.spec, self.integrands = spec, integrands
+    def __init__(
+        self, workspace: Workspace, functionals: Sequence[Functional], timetable: Timetable, *, suits_stiff: bool
+    ):
+        self.functionals = functionals
         self._workspace = workspace.with_own_pivots()
+        others = [one for one in functionals if not one.is_of_stages]
+        #: Integrals and extrema of the motion between the ends of steps; None if there are none.
+        self.continuous: ContinuousFunctionals | None = None
+        if others:
+            self.continuous = ContinuousFunctionals(workspace, others, timetable, uses_accelerations=not suits_stiff)
         self._observer = StateObserver(self._workspace)
         mechanism = workspace.mechanism
         self._names = archive_names(mechanism)
         self._waiting = [Nodes.none(mechanism.size)]
-        self._direct = [integrand for integrand in integrands if not integrand.is_nested]
-        self._nested = [integrand for integrand in integrands if integrand.is_nested]
+        of_stages = [one for one in functionals if one.is_of_stages]
+        self._direct = [one for one in of_stages if not one.is_nested]
+        self._nested = [one for one in of_stages if one.is_nested]
         self._sums: list[np.ndarray] | None = None
         self._low: list[np.ndarray] = []
         self._read = tuple(dict.fromkeys(quantity for one in self._nested for quantity in one.read))
         self._kept: list[list[np.ndarray]] = []
+
+    @property
+    def needs_nodes(self) -> bool:
+        """Whether it needs the stages of the steps."""
+        return bool(self._direct or self._nested)
 
     def add(self, nodes: Nodes) -> None:
         """Add the nodes of further steps."""
@@ -84,34 +102,39 @@ class RunIntegrals:
             self._take(whole=True)
 
     def totals(self) -> Integrals:
-        """Return the integrals of all nodes by the texts of the integrands, in SI units; nan where undefined."""
+        """Return all values by the texts of the functionals, in SI units; nan where undefined."""
         self._take(whole=False)
-        found: dict[str, float | tuple[float, float]] = {}
+        found: dict[str, float | tuple[float, ...]] = {}
         for one, total in zip(self._direct, self._sums or [np.zeros(1)] * len(self._direct), strict=True):
             found[one.text] = _plain(total)
-        if self._nested:
-            time, weight, *values = self._joined_kept()
-            series, duration = Series(time, dict(zip(self._read, values, strict=True)).__getitem__), float(weight.sum())
-            for one in self._nested:
+        if self.continuous is not None:
+            found |= {text: _plain(total) for text, total in self.continuous.totals().items()}
+        time, weight, *values = self._joined_kept()
+        series, duration = Series(time, dict(zip(self._read, values, strict=True)).__getitem__), float(weight.sum())
+        for one in self.functionals:  # inner ones come first
+            if one in self._nested:
                 at_nodes = one.values(series, found, duration)
                 found[one.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
-        return found
+            elif one.is_nested and self.continuous is not None:
+                found[one.text] = _plain(self.continuous.nested(one, found))
+        return {one.text: found[one.text] for one in self.functionals}
 
     def stored(self) -> dict[str, Any]:
         """Return the sums and the waiting nodes as plain values, for a checkpoint."""
         waiting = Nodes.joined(self._waiting)
         return {
-            "texts": [integrand.text for integrand in self.integrands],
+            "texts": [one.text for one in self.functionals],
             "sums": self._sums,
             "low": self._low,
             "waiting": [waiting.time, waiting.weight, waiting.q, waiting.v],
             "kept": self._joined_kept(),
+            "continuous": None if self.continuous is None else self.continuous.stored(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
         sums, low, size = state["sums"], state["low"], self._workspace.mechanism.size
-        if state["texts"] != [integrand.text for integrand in self.integrands]:
+        if state["texts"] != [one.text for one in self.functionals]:
             raise ValueError("it has other integrals")
         waiting = Nodes(*state["waiting"])
         count = len(waiting.time)
@@ -124,6 +147,8 @@ class RunIntegrals:
         if [x.shape[:-1] for x in kept] != [x.shape[:-1] for x in empty] or len({x.shape[-1] for x in kept}) > 1:
             raise ValueError("its nodes have other shapes")
         self._waiting, self._sums, self._low, self._kept = [waiting], sums, list(low), [kept]
+        if self.continuous is not None:
+            self.continuous.restore(state["continuous"])
 
     def _take(self, *, whole: bool) -> None:
         """Add up the waiting nodes in blocks; if `whole`, nodes that do not fill a block remain waiting."""
@@ -179,5 +204,5 @@ class RunIntegrals:
         return States(self._workspace.mechanism, nodes.time, q, v, lambda: observed)
 
 
-def _plain(total: np.ndarray) -> float | tuple[float, float]:
-    return (float(total[0]), float(total[1])) if len(total) > 1 else float(total[0])
+def _plain(total: np.ndarray) -> float | tuple[float, ...]:
+    return tuple(total.tolist()) if len(total) > 1 else float(total[0])

@@ -28,7 +28,7 @@ from mbdkit.quantities.states import States
 from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.evidence import evidence_of_run
-from mbdkit.runs.integrals import integrands_of
+from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
 from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
@@ -108,10 +108,13 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     )
     if found := next((clause for holds, clause in reasons if holds), ""):
         return found
-    if integrands_of(spec, measures):
+    functionals = functionals_of(spec, measures)
+    if not all(one.is_extremum and not one.is_nested for one in functionals):
         return "their measures contain integrals over time"
     if has_ranges(spec.mechanism()) and not steps_are_rows(spec):
         return "the ranges of their force laws are watched between the recorded states"
+    if functionals and not steps_are_rows(spec):
+        return "their measures contain extrema, and they do not record every step"
     method = make_method(spec)
     if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
@@ -235,7 +238,7 @@ class LaneRuns:
             for first in range(0, len(places), WIDTH):
                 some = places[first : first + WIDTH]
                 for place, run in zip(some, group.finished([members[place] for place in some]), strict=True):
-                    results[place] = run
+                    results[place] = None if run is None else _with_extrema(run, members[place], self._measures)
         return results
 
     def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
@@ -244,6 +247,24 @@ class LaneRuns:
         if len(self._groups) > MOST_GROUPS:
             self._groups.pop(next(iter(self._groups)))
         return group
+
+
+def _with_extrema(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
+    """Return a run with the extrema that measures need, from its rows, which are the ends of all steps."""
+    start, functionals = member.start, functionals_of(member.spec, measures)
+    if not functionals or start.mechanism.states:
+        return run
+    time = run.arrays["trajectory/time"] if "trajectory/time" in run.arrays else run.arrays["time"]
+    q, v = np.tile(start.q0, (len(time), 1)), np.tile(start.v0, (len(time), 1))
+    q[:, :-3], v[:, :-3] = (
+        run.arrays[f"trajectory/{name}"].reshape(len(time), -1) for name in ("position", "velocity")
+    )
+    workspace = Workspace(start.mechanism, member.table.start, start.q0, start.v0)
+    stiff = member.method.traits.suits_stiff
+    integrals = RunIntegrals(workspace, functionals, member.table, suits_stiff=stiff)
+    assert integrals.continuous is not None
+    integrals.continuous.add_ends(time, q, v)
+    return replace(run, integrals=integrals.totals())
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
@@ -175,10 +176,15 @@ def guards(spec: RunSpec, size: float) -> Guards:
     )
 
 
-def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False, nodes: bool = False) -> Timetable:
-    """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits."""
+def timetable(
+    spec: RunSpec, guards: Guards, *, all_knots: bool = False, nodes: bool = False, ends: bool = False
+) -> Timetable:
+    """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits.
+
+    If the `ends` of all steps are needed, the run advances by single steps unless it records all of them.
+    """
     stops = stops_of(spec, all_knots=all_knots)
-    return Timetable(
+    table = Timetable(
         start=spec.time.start,
         end=spec.time.final,
         step=spec.time.step,
@@ -193,6 +199,12 @@ def timetable(spec: RunSpec, guards: Guards, *, all_knots: bool = False, nodes: 
         stop_margins=stops.margins,
         impacts=stops.impacts,
     )
+    return replace(table, single=table.single or not rows_are_ends(table)) if ends else table
+
+
+def rows_are_ends(table: Timetable) -> bool:
+    """Return whether a run records the end of every step."""
+    return table.every == 1 and table.interval is None and not table.stops
 
 
 def plugin_failure(spec: RunSpec, error: BaseException) -> Failure:

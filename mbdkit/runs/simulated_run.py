@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from mbdkit.base.text import shown
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
+from mbdkit.measures.reductions import Functional
 from mbdkit.measures.take import take_all
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
@@ -114,6 +115,8 @@ class SimulatedRun:
         Warnings so far.
     choice
         The method and step chosen for the requested accuracy, if any.
+    functionals
+        Integrals over time and extrema that measures need.
     """
 
     def __init__(
@@ -125,17 +128,23 @@ class SimulatedRun:
         begin: float,
         warnings: tuple[str, ...],
         choice: Choice | None,
+        functionals: Sequence[Functional] = (),
     ):
         self.spec, self.workspace, self.method, self.writer, self.begin = spec, workspace, method, writer, begin
         self.warnings, self.choice = warnings, choice
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
         self.file: h5py.File | None = None
-        self.integrals: RunIntegrals | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
         ranges = LawRanges.of(spec, workspace.mechanism, None if steps_are_rows(spec) else workspace)
         self.recorder = Recorder(workspace, writer, self.guards, ranges)
+        self.table = timetable(spec, self.guards)
+        self.integrals: RunIntegrals | None = None
+        if functionals:
+            self.integrals = RunIntegrals(workspace, functionals, self.table, suits_stiff=method.traits.suits_stiff)
+        ends = self.integrals is not None and self.integrals.continuous is not None
+        self.table = timetable(spec, self.guards, nodes=self.keeps_nodes, ends=ends)
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.failure: Failure | None = None
@@ -206,17 +215,16 @@ class SimulatedRun:
     def start(self) -> None:
         """Create the stepper of the method."""
         final = self.choice.final if self.choice is not None else None
-        if final is not None and final.is_run and not self.keeps_nodes:
+        if final is not None and final.is_run and not (self.table.nodes or self.table.single):
             self.stepper = Replay(final)
             return
         try:
-            table = timetable(self.spec, self.guards, nodes=self.keeps_nodes)
-            stepper = start_method(self.method, self.workspace, table)
+            stepper = start_method(self.method, self.workspace, self.table)
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
             return
-        if self.spec.events:
+        if self.table.single:
             self.watch = _watch(self.spec, self.workspace, stepper)
         self.stepper = self.watch or stepper
 
@@ -224,14 +232,21 @@ class SimulatedRun:
     def keeps_nodes(self) -> bool:
         """Whether states within the steps are needed."""
         ranges = self.recorder.ranges
-        return self.integrals is not None or (ranges is not None and ranges.needs_nodes)
+        integrals = self.integrals is not None and self.integrals.needs_nodes
+        return integrals or (ranges is not None and ranges.needs_nodes)
 
-    def take_nodes(self, stepper: Advancing) -> None:
-        """Pass on the states within the steps since the last call."""
+    def take_steps(self, stepper: Advancing, stretch: Stretch) -> None:
+        """Pass on the states at the ends of the steps since the last call, and within them."""
+        steps = [] if self.watch is None else self.watch.taken_steps()
+        continuous = None if self.integrals is None else self.integrals.continuous
+        if continuous is not None and self.watch is not None:
+            continuous.add_steps(steps)
+        elif continuous is not None:
+            continuous.add_ends(stretch.time, stretch.q, stretch.v)
         if not self.keeps_nodes:
             return
         nodes = stepper.taken_nodes()
-        if self.integrals is not None:
+        if self.integrals is not None and self.integrals.needs_nodes:
             self.integrals.add(nodes)
         if self.recorder.ranges is not None:
             compiled = stepper if self.watch is None else self.watch.stepper
@@ -294,7 +309,7 @@ class SimulatedRun:
             if self.failure is not None:
                 break
             now = time.perf_counter() - begin
-            self.take_nodes(stepper)
+            self.take_steps(stepper, stretch)
             self.failure = self.recorder.record(stretch, (elapsed, now))
             if self.watch is not None:
                 self.recorder.record_events(self.watch.taken())

@@ -30,7 +30,7 @@ from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
-from mbdkit.runs.integrals import RunIntegrals, integrands_of
+from mbdkit.runs.integrals import functionals_of
 from mbdkit.runs.preparation import (
     build,
     caution,
@@ -129,8 +129,8 @@ def simulate(
     notify
         Called with a message before long operations, such as the first compilation after installation.
     measures
-        Expressions that will be evaluated for the run, beside the measures of the spec. Their time integrals are
-        computed with the run, see `mbdkit.runs.integrals`.
+        Expressions that will be evaluated for the run, beside the measures of the spec. Their integrals over time and
+        extrema are computed with the run, see `mbdkit.runs.integrals`.
     """
     begin = time.perf_counter()
     if path is not None:
@@ -305,20 +305,20 @@ def _prepared(
     if _LOG.isEnabledFor(logging.DEBUG):
         _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
-    integrands = integrands_of(spec, measures)
-    require_states(workspace.mechanism, spec, has_integrals=bool(integrands))
+    functionals = functionals_of(spec, measures)
+    require_states(workspace.mechanism, spec, has_integrals=any(not one.is_extremum for one in functionals))
+    if workspace.mechanism.states:
+        functionals = ()  # the extrema are those of the recorded times
     noted: list[bool] = []
     noting = interrupts_noted if begun is not _begun_arrays else _not_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed
         writer = begun(spec, method, (workspace, start))
         try:
-            simulation = SimulatedRun(spec, workspace, method, writer, begin, (*cautions, *moves), choice)
+            simulation = SimulatedRun(spec, workspace, method, writer, begin, (*cautions, *moves), choice, functionals)
         except BaseException:
             writer.abandon()
             raise
     simulation.interrupted, simulation.continuation = bool(noted), continuation
-    if integrands:
-        simulation.integrals = RunIntegrals(spec, workspace, integrands)
     return simulation
 
 

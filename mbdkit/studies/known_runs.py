@@ -16,7 +16,7 @@ from mbdkit.archive.hdf5_errors import DAMAGE
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.runs.integrals import integrands_of
+from mbdkit.runs.integrals import functionals_of
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
@@ -179,5 +179,5 @@ class KnownRuns(KnownFiles[str]):
 
     def _has_integrals(self, run: Run) -> bool:
         """Return whether a run has the time integrals that the measures of the study need."""
-        needed = {integrand.text for integrand in integrands_of(self.runs[run.run_id], self._measures)}
+        needed = {one.text for one in functionals_of(self.runs[run.run_id], self._measures)}
         return needed <= run.integrals.keys()

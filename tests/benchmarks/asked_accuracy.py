@@ -22,8 +22,8 @@ import numpy as np
 
 import mbdkit
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.runs import recorded_states, simulated_run
-from mbdkit.runs.accuracy import companion, pilot_run, step_interpolation
+from mbdkit.runs import recorded_states, simulated_run, step_interpolation
+from mbdkit.runs.accuracy import companion, pilot_run
 from mbdkit.runs.accuracy.pilot_run import run_pilot, work_of
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import build, make_method, timetable

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 import mbdkit
-from mbdkit.gradients.differentiated_run import differentiated_run
+from mbdkit.gradients.differentiated_run import Needs, differentiated_run
 from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.runs.simulation import simulate_arrays
@@ -56,7 +56,7 @@ def gradients(console: Console) -> None:
             {
                 "run": timed(partial(simulate_arrays, spec)),
                 "preparation": timed(partial(prepared_derivatives, spec, chosen)),
-                "steps": timed(partial(differentiated_run, spec, seeds, with_nodes=False)),
+                "steps": timed(partial(differentiated_run, spec, seeds, Needs())),
                 "gradient": timed(partial(mbdkit.gradient, spec, MEASURES, PARAMETERS, check=False)),
                 "checked": timed(partial(mbdkit.gradient, spec, MEASURES, PARAMETERS)),
             },
@@ -78,7 +78,7 @@ def beside_casadi(console: Console) -> None:
     seeds = prepared_derivatives(spec, resolved(spec, PENDULUM)).seeds
     contenders = {
         "mbdkit": timed(partial(simulate_arrays, spec)),
-        "mbdkit, differentiated": timed(partial(differentiated_run, spec, seeds, with_nodes=False)),
+        "mbdkit, differentiated": timed(partial(differentiated_run, spec, seeds, Needs())),
     }
     try:
         run, forward = casadi_sensitivities()

@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path
-from mbdkit.gradients.differentiated_run import differentiated_run
+from mbdkit.gradients.differentiated_run import Needs, differentiated_run
 from mbdkit.gradients.gradient_parameters import resolved
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.spec import RunSpec, load_spec
@@ -67,7 +67,7 @@ def groups_of_gradient(spec: RunSpec, names: list[str]) -> tuple[Groups, Groups]
     """Return the same from the differentiated run, and the derivatives (..., K)."""
     parameters = resolved(spec, names)
     seeds = prepared_derivatives(spec, parameters).seeds
-    rows = differentiated_run(spec, seeds, with_nodes=False).rows
+    rows = differentiated_run(spec, seeds, Needs()).rows
     assert rows.work.size
     force, torque = rows.reactions[-1, :, :2], rows.reactions[-1, :, 2]
     joined = [

@@ -11,7 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.fingerprint import attributes_sha256
 from mbdkit.base.errors import MbdkitError
-from mbdkit.runs.integrals import RunIntegrals, integrands_of
+from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.start import start_method
@@ -245,16 +245,22 @@ def test_a_resumed_run_has_the_same_integrals() -> None:
     workspace, _ = build(spec)
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)), nodes=True)
     stepper = start_method(make_method(spec), workspace, table)
-    integrands = integrands_of(spec)
-    integrals = RunIntegrals(spec, workspace, integrands)
+    functionals = functionals_of(spec)
+
+    def begun(count: int = len(functionals)) -> RunIntegrals:
+        return RunIntegrals(workspace, functionals[:count], table, suits_stiff=False)
+
+    integrals = begun()
     while not stepper.finished:
-        stepper.advance()
+        stretch = stepper.advance()
         integrals.add(stepper.taken_nodes())
-        state, integrals = integrals.stored(), RunIntegrals(spec, workspace, integrands)
+        assert integrals.continuous is not None
+        integrals.continuous.add_ends(stretch.time, stretch.q, stretch.v)
+        state, integrals = integrals.stored(), begun()
         integrals.restore(state)
     assert integrals.totals() == whole.integrals
     with pytest.raises(ValueError, match="other integrals"):
-        RunIntegrals(spec, workspace, integrands[:1]).restore(state)
+        begun(1).restore(state)
 
 
 @pytest.mark.parametrize("store", ["files", "all", "summary"])
@@ -283,8 +289,8 @@ def test_the_archive_keeps_the_integrals(tmp_path: Path) -> None:
         assert read.integrals["bodies.rod2.velocity"] == made.integrals["bodies.rod2.velocity"]
 
 
-def test_a_run_without_such_measures_keeps_no_nodes() -> None:
-    made = run("rk4", 0.01, measures={"pull": "max(abs(joints.J1.force))"})
+def test_a_run_without_integrals_keeps_none() -> None:
+    made = run("rk4", 0.01, measures={"pull": "final(abs(joints.J1.force))"})
     assert made.integrals == {}
     with pytest.raises(MbdkitError):
         run("rk4", 0.01, measures={"pull": "integral(joints.J9.force_x)"})

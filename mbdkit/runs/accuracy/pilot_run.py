@@ -18,9 +18,9 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.accuracy.step_interpolation import StepStates
 from mbdkit.runs.preparation import guards, make_method, plugin_failure, size_at_start, timetable
 from mbdkit.runs.recorded_states import ObservedRows
+from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
 from mbdkit.stepping.start import start_method

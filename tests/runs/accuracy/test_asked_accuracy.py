@@ -17,8 +17,8 @@ from mbdkit.runs.accuracy.check_run import missed_because
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
 from mbdkit.runs.accuracy.coarser_estimate import error_share
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.accuracy.step_interpolation import StepStates
 from mbdkit.runs.preparation import build
+from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Failure
 from tests.benchmarks.asked_accuracy import TEN, counted

@@ -18,6 +18,8 @@ from mbdkit.stepping.interface import SAME_TIME
 
 NODES = 4
 """Number of ends of steps of one polynomial; fewer next to a discontinuity of a motion."""
+NODES_WITHOUT_ACCELERATIONS = 6
+"""The same if accelerations are not used, for the same degree, 11."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,13 +31,14 @@ class StepEnds:
     time
         (N,) times [s].
     q, v, a
-        (N, 3 (B + 1)) positions, velocities and accelerations.
+        (N, 3 (B + 1)) positions, velocities and accelerations; None: accelerations are not used, because in stiff
+        mechanisms they amplify the errors of positions. All may have a further last axis of derivatives.
     """
 
     time: np.ndarray
     q: np.ndarray
     v: np.ndarray
-    a: np.ndarray
+    a: np.ndarray | None
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities at times (T,) from the first to the last end [s], in order."""
@@ -44,35 +47,39 @@ class StepEnds:
         nodes, newton = self._newton(used)
         h = self.time[used + 1] - self.time[used]
         s = (times - self.time[step]) / h[place]
-        value, slope = np.zeros((2, len(times), self.q.shape[1]))
+        more = (slice(None), *(None,) * (self.q.ndim - 1))
+        value, slope = np.zeros((2, len(times), *self.q.shape[1:]))
         for k in reversed(range(len(newton))):
-            along = (s - nodes[k, place])[:, None]
+            along = (s - nodes[k, place])[more]
             slope = slope * along + value
             value = value * along + newton[k, place]
-        return value, slope / h[place, None]
+        return value, slope / h[place][more]
 
     def _newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step.
 
-        Divided differences with every node repeated three times, the two ends of the step first.
+        Divided differences with every node repeated three times, or twice without accelerations, the two ends of the
+        step first.
         """
-        count = min(NODES, len(self.time))
+        count = min(NODES if self.a is not None else NODES_WITHOUT_ACCELERATIONS, len(self.time))
         first = np.clip(steps - (count - 2) // 2, 0, len(self.time) - count)
         window = first + np.arange(count)[:, None]  # (NODES, S)
         is_end = (window == steps) | (window == steps + 1)
         window = np.take_along_axis(window, np.argsort(~is_end, axis=0, kind="stable"), axis=0)
-        order = np.repeat(window, 3, axis=0)
+        order = np.repeat(window, 2 if self.a is None else 3, axis=0)
+        more = (..., *(None,) * (self.q.ndim - 1))
         h = self.time[steps + 1] - self.time[steps]
         nodes = (self.time[order] - self.time[steps]) / h
-        rate, curvature = self.v[order] * h[:, None], self.a[order] * (h**2)[:, None] / 2
+        rate = self.v[order] * h[more]
+        curvature = None if self.a is None else self.a[order] * (h**2)[more] / 2
         column = self.q[order]
         newton = [column[0]]
         for level in range(1, len(order)):
-            same = (order[level:] == order[:-level])[..., None]
+            same = (order[level:] == order[:-level])[more]
             with np.errstate(divide="ignore", invalid="ignore"):
-                found = (column[1:] - column[:-1]) / (nodes[level:] - nodes[:-level])[..., None]
-            repeated = rate[: len(found)] if level == 1 else curvature[: len(found)]
-            column = np.where(same, repeated, found)
+                found = (column[1:] - column[:-1]) / (nodes[level:] - nodes[:-level])[more]
+            repeated = rate if level == 1 or curvature is None else curvature
+            column = np.where(same, repeated[: len(found)], found)
             newton.append(column[0])
         return nodes, np.array(newton)
 

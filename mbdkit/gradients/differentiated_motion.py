@@ -1,0 +1,182 @@
+"""The motion between the ends of the steps of a differentiated run.
+
+The polynomials of `mbdkit.runs.step_interpolation` are linear in positions, velocities and accelerations at
+the ends of steps, whose times are fixed, so that their derivatives are the polynomials of the derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from mbdkit.engine.jit.dual_arrays import Duals, new_duals
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states
+from mbdkit.gradients.evaluated_states import StateEvaluator
+from mbdkit.gradients.sided_stepper import Corner, SidedStepper
+from mbdkit.quantities.names import archive_names
+from mbdkit.runs.continuous_motion import MotionPart
+from mbdkit.runs.step_interpolation import StepEnds
+from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
+from mbdkit.stepping.interface import SAME_TIME
+
+
+@dataclass
+class _Part:
+    """Ends of consecutive steps between two discontinuities of motions, loads or force laws."""
+
+    before: Corner | None = None
+    """The discontinuity of a force law at which it begins."""
+    law_sides: np.ndarray | None = None
+    sides: tuple[float, float] = (-np.inf, np.inf)
+    """First and last time at which motions and loads are evaluated [s]."""
+    time: list[float] = field(default_factory=list)
+    q: list[np.ndarray] = field(default_factory=list)
+    v: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
+        self.time.append(time)
+        self.q.append(q)
+        self.v.append(v)
+
+
+class DifferentiatedMotion:
+    """The motion of a run by up to `DIRECTIONS` parameters.
+
+    Parameters
+    ----------
+    stepper
+        The run at its start.
+    evaluator
+        Evaluates its states.
+    uses_accelerations
+        See `StepEnds`.
+    """
+
+    def __init__(self, stepper: DifferentiatedStepper, evaluator: StateEvaluator, *, uses_accelerations: bool):
+        assert stepper.steps is not None
+        self._stepper, self._evaluator, self._uses_accelerations = stepper, evaluator, uses_accelerations
+        self._sided = stepper if isinstance(stepper, SidedStepper) else None
+        self._corners = 0
+        self._parts = [_Part()]
+        self._begin_at(stepper.time, *self._state())
+
+    def _state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state that the run has reached."""
+        assert self._stepper.steps is not None
+        run = self._stepper.steps.run
+        return self._used(run.q), self._used(run.v)
+
+    def _used(self, x: np.ndarray) -> np.ndarray:
+        """Return an array without the derivatives that are not used."""
+        return np.array(np.asarray(x)[..., : self._evaluator.width])
+
+    def _begin_at(self, time: float, q: np.ndarray, v: np.ndarray, corner: Corner | None = None) -> None:
+        """Begin a part, in place of the last one if that has no step."""
+        if len(self._parts[-1].time) < 2:
+            self._parts.pop()
+        law_sides = None if self._sided is None else self._sided.sides.copy()
+        part = _Part(corner, law_sides, (self._beside_stop(time, 1.0), np.inf))
+        part.add(time, q, v)
+        self._parts.append(part)
+
+    def _beside_stop(self, time: float, side: float) -> float:
+        """Return the time on one side of the discontinuity of a motion at `time`; +-inf if there is none."""
+        table = self._stepper.timetable
+        for stop, margin in zip(table.stops, table.stop_margins, strict=True):
+            if abs(time - stop) <= SAME_TIME * margin:
+                return stop + side * margin
+        return -side * np.inf
+
+    def add(self) -> None:
+        """Add what the stepper has advanced."""
+        reached = self._stepper.time
+        for corner in [] if self._sided is None else self._sided.corners[self._corners :]:
+            self._corners += 1
+            time, before, after = float(corner.before.time[0]), corner.before, corner.after
+            if time > self._parts[-1].time[-1]:
+                self._parts[-1].add(time, before.q[0], before.v[0])
+            v = after.v[0].copy()  # derivatives at fixed times change with the accelerations
+            v[:, 1:] += np.outer(before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0], corner.slope)
+            self._begin_at(time, after.q[0], v, corner)
+        if reached > self._parts[-1].time[-1]:
+            self._add_end(reached, *self._state())
+
+    def _add_end(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
+        self._parts[-1].add(time, q, v)
+        end = self._beside_stop(time, -1.0)
+        if np.isfinite(end):
+            self._parts[-1].sides = self._parts[-1].sides[0], end
+            self._begin_at(time, q, v)
+
+    def end_at(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
+        """End the motion at the event that ends the run."""
+        if time > self._parts[-1].time[-1]:
+            self._parts[-1].add(time, self._used(q), self._used(v))
+
+    @cached_property
+    def parts(self) -> Sequence[DifferentiatedPart]:
+        """The parts of the motion."""
+        whole = [part for part in self._parts if len(part.time) > 1]
+        return [DifferentiatedPart(part, self._sided, self._evaluator, self._uses_accelerations) for part in whole]
+
+
+class DifferentiatedPart:
+    """A part of the motion.
+
+    Attributes
+    ----------
+    plain
+        The same without derivatives.
+    corner
+        The discontinuity of a force law at which it begins; None if there is none.
+    """
+
+    def __init__(self, part: _Part, sided: SidedStepper | None, evaluator: StateEvaluator, uses_accelerations: bool):
+        self._evaluator, self._sided, self._law_sides = evaluator, sided, part.law_sides
+        self.corner, self._sides = part.before, part.sides
+        time, q, v = np.array(part.time), np.array(part.q), np.array(part.v)
+        accelerations = self._evaluated(time, q, v).observed.acc if uses_accelerations else None
+        self._ends = StepEnds(time, q, v, accelerations)
+        plain = StepEnds(time, q[..., 0], v[..., 0], None if accelerations is None else accelerations[..., 0])
+        observer = StateObserver(evaluator.workspace.with_own_pivots())
+        names = archive_names(evaluator.workspace.mechanism)
+        self._plain = MotionPart(observer, names, plain, range(len(time) - 1), part.sides)
+
+    @property
+    def plain(self) -> MotionPart:
+        """The same without derivatives, with the force laws of this part."""
+        self._use()
+        return self._plain
+
+    def _use(self) -> None:
+        if self._sided is not None and self._law_sides is not None:
+            self._sided.set_sides(self._law_sides)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Its first and last time [s]."""
+        return float(self._ends.time[0]), float(self._ends.time[-1])
+
+    def states(self, time: np.ndarray) -> DifferentiatedStates:
+        """Return the states at times (T,) [s], with the quantities computed from them."""
+        return self._evaluated(time, *self._ends.at(time))
+
+    def _evaluated(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> DifferentiatedStates:
+        self._use()
+        return self._evaluator.states(np.clip(time, *self._sides), _whole(q), _whole(v))
+
+
+def states_of(motions: Sequence[DifferentiatedMotion], number: int, time: np.ndarray) -> DifferentiatedStates:
+    """Return the states at times in the part of this number, with the derivatives by all parameters."""
+    return joined_states([motion.parts[number].states(time) for motion in motions])
+
+
+def _whole(x: np.ndarray) -> Duals:
+    """Return an array with places for all derivatives of dual numbers."""
+    whole = new_duals(*x.shape[:-1])
+    whole[..., : x.shape[-1]] = x
+    return whole

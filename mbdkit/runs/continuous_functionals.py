@@ -1,0 +1,218 @@
+"""Integrals and extrema of the motion between the ends of the steps of a run, block by block during the run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.measures.reductions import Functional
+from mbdkit.quantities.names import archive_names
+from mbdkit.runs.continuous_motion import MotionPart, Peak, observed_at, sampled, steps_of_extremum
+from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
+from mbdkit.stepping.interface import SAME_TIME, StepTaken, Timetable
+
+if TYPE_CHECKING:
+    from mbdkit.engine.workspace import Workspace
+
+BLOCK = 256
+"""Number of steps that are evaluated together. It is fixed for the same reason as that of nodes."""
+BESIDE = NODES_WITHOUT_ACCELERATIONS // 2
+"""Number of ends of steps on both sides of a block that its polynomials use."""
+
+
+@dataclass
+class _Ends:
+    """Ends of consecutive steps (N,): times, positions and velocities, and the discontinuities at both sides."""
+
+    time: list[float] = field(default_factory=list)
+    q: list[np.ndarray] = field(default_factory=list)
+    v: list[np.ndarray] = field(default_factory=list)
+    begin: float = -math.inf
+    """Earliest time at which motions and loads are evaluated [s]."""
+    end: float = math.inf
+    done: int = 0
+    """Number of steps that have been evaluated."""
+
+    def add(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
+        self.time.append(float(time))
+        self.q.append(np.array(q))
+        self.v.append(np.array(v))
+
+    def drop(self, count: int) -> None:
+        """Discard ends that are not needed any more."""
+        del self.time[:count], self.q[:count], self.v[:count]
+        self.done -= count
+
+
+class ContinuousFunctionals:
+    """Integrals and extrema of the motion between the ends of steps.
+
+    Parameters
+    ----------
+    workspace
+        The mechanism at its start. Accelerations and reactions are computed with pivots of their own.
+    functionals
+        The integrals and extrema.
+    timetable
+        The times of the run.
+    uses_accelerations
+        Whether the polynomials between the ends of steps use accelerations; see `StepEnds`.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        functionals: Sequence[Functional],
+        timetable: Timetable,
+        *,
+        uses_accelerations: bool = True,
+    ):
+        self._workspace, self._table, self._uses_accelerations = workspace, timetable, uses_accelerations
+        self._observer = StateObserver(workspace.with_own_pivots())
+        self._names = archive_names(workspace.mechanism)
+        self._direct = [one for one in functionals if not one.is_nested]
+        self._sums = {one.text: np.zeros(1) for one in self._direct if not one.is_extremum}
+        self._peaks = {one.text: Peak(math.nan, math.nan) for one in self._direct if one.is_extremum}
+        self._keeps = len(self._direct) < len(functionals)
+        self._ends = self._new_part(workspace.t0, workspace.q0, workspace.v0)
+        self._parts: list[_Ends] = [self._ends] if self._keeps else []
+        self._begun = False
+
+    def _new_part(self, time: float, q: np.ndarray, v: np.ndarray) -> _Ends:
+        part = _Ends(begin=self._beside_stop(time, 1.0))
+        part.add(time, q, v)
+        return part
+
+    def _beside_stop(self, time: float, side: float) -> float:
+        """Return the time on one side of the discontinuity at `time`, +-inf if there is none."""
+        for stop, margin in zip(self._table.stops, self._table.stop_margins, strict=True):
+            if abs(time - stop) <= SAME_TIME * margin:
+                return stop + side * margin
+        return -side * math.inf
+
+    def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> None:
+        """Add the ends (T,) of further steps, of a run without discontinuities."""
+        for row in range(len(time)):
+            if time[row] > self._ends.time[-1]:
+                self._ends.add(time[row], q[row], v[row])
+        self._take(whole=True)
+
+    def add_steps(self, steps: Sequence[StepTaken]) -> None:
+        """Add further steps."""
+        for step in steps:
+            ends = self._ends
+            continues = np.array_equal(step.v0, ends.v[-1]) and math.isinf(self._beside_stop(step.t0, 1.0))
+            if not continues and len(ends.time) > 1:
+                self._close()
+                self._ends = self._new_part(step.t0, step.q0, step.v0)
+                if self._keeps:
+                    self._parts.append(self._ends)
+            self._ends.add(step.t1, step.q1, step.v1)
+        self._take(whole=True)
+
+    def _close(self) -> None:
+        """End the part at a discontinuity."""
+        self._ends.end = self._beside_stop(self._ends.time[-1], -1.0)
+        self._take(whole=False)
+
+    def _take(self, *, whole: bool) -> None:
+        """Evaluate the steps of the part; if `whole`, only those of whole blocks, and with ends beside them."""
+        ends = self._ends
+        while True:
+            left = len(ends.time) - 1 - ends.done
+            if left <= 0 or (whole and left < BLOCK + BESIDE):
+                return
+            first, count = ends.done, min(BLOCK, left)
+            part = self._part(ends, first, count)
+            for one in self._direct:
+                self._add(one, part)
+            ends.done += count
+            if not self._keeps and ends.done > BESIDE:
+                ends.drop(ends.done - BESIDE)
+
+    def _part(self, ends: _Ends, first: int, count: int) -> MotionPart:
+        """Return the motion over `count` steps, with ends beside them."""
+        begin, end = max(0, first - BESIDE), min(len(ends.time), first + count + 1 + BESIDE)
+        some = slice(begin, end)
+        time, q, v = np.array(ends.time[some]), np.array(ends.q[some]), np.array(ends.v[some])
+        sides = ends.begin, ends.end
+        accelerations = None
+        if self._uses_accelerations:
+            accelerations = observed_at(self._observer, np.clip(time, *sides), q, v).acc
+        steps = range(first - begin, first - begin + count)
+        return MotionPart(self._observer, self._names, StepEnds(time, q, v, accelerations), steps, sides)
+
+    def _add(self, one: Functional, part: MotionPart) -> None:
+        """Add a part of the motion to an integral or an extremum."""
+        if one.is_extremum:
+            self._peaks[one.text] = peak_with(part, one, {}, 0.0, self._peaks[one.text])
+        else:
+            self._sums[one.text] = self._sums[one.text] + sampled(part, one, {}, 0.0).integral()
+
+    def totals(self) -> dict[str, np.ndarray]:
+        """Return the values of the functionals that are not nested, by their texts; nan where undefined."""
+        self._take(whole=False)
+        return self._sums | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
+
+    def nested(self, one: Functional, known: Integrals) -> np.ndarray:
+        """Return the value of a nested functional from those of its inner ones."""
+        whole = [part for part in self._parts if len(part.time) > 1]
+        duration = whole[-1].time[-1] - whole[0].time[0] if whole else 0.0
+        total, peak = np.zeros(1), Peak(math.nan, math.nan)
+        for ends in whole:
+            for first in range(0, len(ends.time) - 1, BLOCK):
+                part = self._part(ends, first, min(BLOCK, len(ends.time) - 1 - first))
+                if one.is_extremum:
+                    peak = peak_with(part, one, known, duration, peak)
+                else:
+                    total = total + sampled(part, one, known, duration).integral()
+        return np.array([peak.value]) if one.is_extremum else total
+
+    def stored(self) -> dict[str, Any]:
+        """Return the state as plain values, for a checkpoint."""
+        parts = self._parts or [self._ends]
+        return {
+            "sums": self._sums,
+            "peaks": {text: [peak.value, peak.time] for text, peak in self._peaks.items()},
+            "parts": [[np.array(x.time), np.array(x.q), np.array(x.v), [x.begin, x.end, float(x.done)]] for x in parts],
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
+        if state["sums"].keys() != self._sums.keys() or state["peaks"].keys() != self._peaks.keys():
+            raise ValueError("it has other integrals")
+        size, parts = len(self._workspace.q0), []
+        for time, q, v, (begin, end, done) in state["parts"]:
+            if not len(time) or q.shape != (len(time), size) or v.shape != q.shape or not 0 <= done < len(time):
+                raise ValueError("its steps have other shapes")
+            parts.append(_Ends(time.tolist(), list(q), list(v), float(begin), float(end), int(done)))
+        if not parts or (len(parts) > 1 and not self._keeps):
+            raise ValueError("its steps have other shapes")
+        self._sums = {text: np.asarray(total) for text, total in state["sums"].items()}
+        self._peaks = {text: Peak(float(value), float(time)) for text, (value, time) in state["peaks"].items()}
+        self._ends, self._parts = parts[-1], parts if self._keeps else []
+
+
+def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
+    """Return the extremum over a part of the motion and what precedes it, of which `before` is the extremum.
+
+    The time of `before` is nan if nothing precedes it.
+    """
+    sign = -1.0 if one.reduction == "min" else 1.0
+    begins = math.isnan(before.time)
+    if not begins and math.isnan(before.value):
+        return before
+    best = -math.inf if begins else sign * before.value
+    steps, reached = steps_of_extremum(part, one, known, duration, best)
+    if not len(steps):
+        return before
+    found = sampled(part, one, known, duration, steps).peak(reached)
+    if math.isnan(found.value):
+        return Peak(math.nan, float(part.ends.time[0]))
+    return found if begins or sign * found.value > best else before

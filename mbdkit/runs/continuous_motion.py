@@ -1,0 +1,385 @@
+"""Quantities of the motion between the ends of the steps of a run: integrals that are split, and extrema.
+
+The states between the ends of steps are those of the polynomials of degree 11 of `step_interpolation`, whose error is
+below that of the steps. An integrand with `abs`, `min`, `max` or another operation that changes its form is integrated
+by Gauss-Legendre quadrature between the points at which that happens, and an extremum is searched on the same samples,
+with these points among them. Otherwise a measure with such a point in a step would be of first or second order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from scipy.optimize import minimize_scalar
+
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.measures.reductions import Functional, Series
+from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.states import States
+from mbdkit.runs.step_interpolation import StepEnds
+
+POINTS = 8
+"""Nodes of Gauss-Legendre quadrature between two points of a step: order 16, for steps of a fourth of a period."""
+_NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(POINTS)[0], leggauss(POINTS)[1]))
+_PLACES = np.array([0.0, *_NODES, 1.0])
+"""Shares of a step at which quantities are sampled."""
+_INNER = slice(1, -1)
+
+AT_ROOT = 1e-14
+"""Share of a step to which the points at which an operation changes its form are located."""
+MOST_ITERATIONS = 60
+"""Iterations of this search: regula falsi with bisection needs about ten."""
+
+POTENTIAL = 0.5
+"""Largest rise of a quantity above the ends of a step, as a multiple of its second differences there: four times that
+of a parabola."""
+RISE = 0.25
+"""The same above samples within a step: twice that of a parabola."""
+NOISE = 1e-12
+"""Second differences below this share of the values are rounding errors."""
+EQUAL = 1e-9
+"""Two extrema that differ by less than this share of the range of a quantity count as equal."""
+FEW = 64
+"""Number of steps up to which all of them are searched for an extremum, whatever the second differences."""
+PEAK = 1e-3
+"""Share of a step to which the time of an extremum is located by a search; the root of the rate of a polynomial through
+`PEAK_POINTS` values up to `AROUND` steps away is then exact up to rounding errors, unlike the argument of a minimum."""
+AROUND, PEAK_POINTS = 0.02, 7
+SAME = 1e-14
+"""Share of a value by which another one near it must be larger, in order not to be the same up to rounding errors."""
+
+
+@dataclass(frozen=True)
+class Peak:
+    """An extremum.
+
+    Attributes
+    ----------
+    value
+        Its value; nan if the quantity is undefined somewhere.
+    time
+        Its time [s].
+    switch
+        Number of the operation that changes its form there; -1 if it is smooth there, or at an end of the motion.
+    """
+
+    value: float
+    time: float
+    switch: int = -1
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """Times (T,) and weights (T,) of an integral over time [s]."""
+
+    time: np.ndarray
+    weight: np.ndarray
+
+
+class MotionPart:
+    """The motion of a run over some consecutive steps, between two discontinuities of its motions and loads.
+
+    Parameters
+    ----------
+    observer
+        Evaluates states.
+    names
+        Names of the elements.
+    ends
+        The ends of the steps (N,), and more of them on both sides if there are more.
+    steps
+        The steps, as indices of their starts in `ends`.
+    sides
+        First and last time at which motions and loads are evaluated [s].
+    """
+
+    def __init__(
+        self,
+        observer: StateObserver,
+        names: ArchiveNames,
+        ends: StepEnds,
+        steps: range,
+        sides: tuple[float, float] = (-np.inf, np.inf),
+    ):
+        self._observer, self._names, self.ends, self.steps, self.sides = observer, names, ends, steps, sides
+
+    @property
+    def size(self) -> np.ndarray:
+        """(S,) sizes of the steps [s]."""
+        return np.diff(self.ends.time[self.steps.start : self.steps.stop + 1])
+
+    def times(self, steps: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return the times [s] at shares of steps, whose numbers count from the first of `steps`."""
+        begin = self.ends.time[self.steps.start + steps]
+        return np.asarray(begin + places * (self.ends.time[self.steps.start + steps + 1] - begin))
+
+    def series(self, time: np.ndarray) -> Series:
+        """Return the quantities at times [s], in order."""
+        q, v = self.ends.at(time)
+        return self._series_of(time, q, v)
+
+    def at_ends(self) -> Series:
+        """Return the quantities at the ends of the steps."""
+        some = slice(self.steps.start, self.steps.stop + 1)
+        return self._series_of(self.ends.time[some], self.ends.q[some], self.ends.v[some])
+
+    def _series_of(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Series:
+        q, v, seen = np.ascontiguousarray(q), np.ascontiguousarray(v), np.clip(time, *self.sides)
+        states = States(self._observer.workspace.mechanism, seen, q, v, lambda: observed_at(self._observer, seen, q, v))
+        return Series(seen, lambda quantity: quantity.taker(self._names)(states).T)
+
+
+def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Observed:
+    """Return the values of states; nan from a state on that has no unique accelerations."""
+    found = observer.arrays(len(time))
+    singular = observer.observe(time, q, v, found)
+    if singular is not None:
+        for values in found:
+            values[singular.row :] = np.nan
+    return found
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A functional over some steps of a part: samples, and the points at which an operation changes its form.
+
+    Parameters
+    ----------
+    part, functional, known, duration
+        See `sampled`.
+    steps
+        (S,) numbers of the steps.
+    values
+        Samples (S, P) at the shares `_PLACES` of each step, (2, S, P) of a vector.
+    roots
+        (R, 3) step, share of it, and number of the operation, in order of time.
+    """
+
+    part: MotionPart
+    functional: Functional
+    known: Integrals
+    duration: float
+    steps: np.ndarray
+    values: np.ndarray
+    roots: np.ndarray
+
+    def at(self, time: np.ndarray) -> np.ndarray:
+        """Return the quantity at times [s], in order, (T,), or (2, T) of a vector."""
+        found = self.functional.values(self.part.series(time), self.known, self.duration)
+        return np.broadcast_to(found, (*found.shape[:-1], len(time)))
+
+    def integral(self) -> np.ndarray:
+        """Return the integral over the steps, (1,), or (2,) of a vector."""
+        cut = np.unique(self.roots[:, 0])
+        whole = ~np.isin(self.steps, cut)
+        size = self.part.size[self.steps[whole]]
+        total = np.einsum("...sp,p,s->...", self.values[..., whole, _INNER], _WEIGHTS, size)
+        if len(cut):
+            pieces = self.quadrature(cut)
+            total = total + np.sum(self.at(pieces.time) * pieces.weight, axis=-1)
+        return np.atleast_1d(total)
+
+    def quadrature(self, steps: np.ndarray) -> Quadrature:
+        """Return the quadrature over some steps, split at the roots."""
+        time, weight = [], []
+        for step in steps:
+            places = np.array([0.0, *np.unique(self.roots[self.roots[:, 0] == step, 1]), 1.0])
+            lengths = np.diff(places)[:, None]
+            number = np.full(len(lengths) * POINTS, int(step))
+            time.append(self.part.times(number, (places[:-1, None] + lengths * _NODES).ravel()))
+            weight.append((lengths * _WEIGHTS).ravel() * self.part.size[int(step)])
+        return Quadrature(np.concatenate(time or [np.zeros(0)]), np.concatenate(weight or [np.zeros(0)]))
+
+    def peak(self, best: float = -np.inf) -> Peak:
+        """Return the extremum over the steps; nan if the quantity is undefined somewhere.
+
+        `best` is the largest value found so far, of ``-x`` for a minimum; rises that do not reach it are not searched.
+        """
+        if np.isnan(self.values).any():
+            return Peak(np.nan, np.nan)
+        sign = -1.0 if self.functional.reduction == "min" else 1.0
+        return max(self.peaks(best), key=lambda one: sign * one.value)
+
+    def peaks(self, best: float = -np.inf) -> list[Peak]:
+        """Return the extremum over the steps, and other local ones that are, or may be, equally large."""
+        sign = -1.0 if self.functional.reduction == "min" else 1.0
+        steps, places = np.repeat(self.steps, len(_PLACES)), np.tile(_PLACES, len(self.steps))
+        kind, values = np.full(len(steps), -1), sign * self.values.ravel()
+        if len(self.roots):
+            number, share, switch = self.roots.T
+            at_roots = sign * self.at(self.part.times(number.astype(int), share))
+            steps, places = np.concatenate([steps, number.astype(int)]), np.concatenate([places, share])
+            kind, values = np.concatenate([kind, switch.astype(int)]), np.concatenate([values, at_roots])
+            order = np.lexsort((places, steps))
+            steps, places, kind, values = steps[order], places[order], kind[order], values[order]
+        time = self.part.times(steps, places)
+        best = max(best, float(np.max(values)))
+        found: list[Peak] = []
+        before, after = np.roll(values, 1), np.roll(values, -1)
+        before[0], after[-1] = values[0], values[-1]
+        bend = np.abs(before - 2.0 * values + after)
+        spread = float(np.max(values) - np.min(values))
+        rise = np.where(bend > NOISE * np.max(np.abs(values)), RISE * bend, 0.0)
+        tops = np.flatnonzero((values >= before) & (values >= after))
+        for middle in tops[np.argsort(-(values + rise)[tops], kind="stable")]:
+            if values[middle] + rise[middle] < best - EQUAL * spread:
+                break
+            one = Peak(sign * float(values[middle]), float(time[middle]), int(kind[middle]))
+            own = np.flatnonzero(steps[max(0, middle - 1) : middle + 2] == steps[middle]) + max(0, middle - 1)
+            between = time[[own[0], middle, own[-1]] if one.switch >= 0 else [own[0], own[-1]]]
+            margin = SAME * abs(values[middle]) if one.switch >= 0 else 0.0
+            for begin, end in pairwise(between.tolist() if rise[middle] > 0.0 else ()):
+                refined = self._refined(sign, begin, end, float(self.part.size[steps[middle]]))
+                if refined is not None and refined[1] > sign * one.value + margin:
+                    one = Peak(sign * refined[1], refined[0])
+            if rise[middle] > 0.0 or not found:
+                found.append(one)
+            best = max(best, sign * one.value)
+        return found
+
+    def _refined(self, sign: float, begin: float, end: float, step: float) -> tuple[float, float] | None:
+        """Return time and value of the largest value of ``sign * x`` between two times."""
+        if not end - begin > 2.0 * PEAK * step:
+            return None
+        found = minimize_scalar(
+            lambda t: -sign * float(self.at(np.array([t]))[0]),
+            bounds=(begin, end), method="bounded", options={"xatol": PEAK * step},
+        )  # fmt: skip
+        around = min(AROUND * step, 0.25 * (end - begin))
+        middle = min(max(float(found.x), begin + around), end - around)
+        places = np.cos(np.pi * (np.arange(PEAK_POINTS) + 0.5) / PEAK_POINTS)[::-1]
+        power = np.polynomial.Polynomial.fit(places, sign * self.at(middle + around * places), PEAK_POINTS - 1)
+        rate, place = power.deriv(), (float(found.x) - middle) / around
+        with np.errstate(all="ignore"):
+            for _ in range(4):
+                place -= float(rate(place) / rate.deriv()(place))
+        at_root = sign * float(self.at(np.array([middle + around * place]))[0]) if abs(place) <= 1.0 else -np.inf
+        if at_root < -float(found.fun):
+            return float(found.x), -float(found.fun)
+        return middle + around * place, at_root
+
+
+def sampled(
+    part: MotionPart, functional: Functional, known: Integrals, duration: float, steps: np.ndarray | None = None
+) -> Sampled:
+    """Sample a functional over steps of a part, and locate the points at which its operations change their form.
+
+    Parameters
+    ----------
+    known
+        The values of its inner functionals.
+    duration
+        Duration of the run [s].
+    steps
+        Numbers of the steps, from 0; by default all of the part.
+    """
+    steps = np.arange(len(part.steps)) if steps is None else steps
+    count = len(steps)
+
+    def at(number: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return the values and switches at shares (G, P) of G steps."""
+        time = part.times(np.repeat(number, places.shape[1]), places.ravel())
+        return functional.values_and_switches(part.series(time), known, duration, len(number))
+
+    values, switches = at(steps, np.tile(_PLACES, (count, 1)))
+    roots: list[tuple[int, float, int]] = []
+    for place, switch in enumerate(switches):
+        bracketed = _brackets(switch, lambda g, s, place=place: at(steps[g], _beside(s))[1][place][:, 1])  # type: ignore[misc]
+        group, share = _roots(*bracketed, lambda g, s, place=place: at(steps[g], _beside(s))[1][place][:, 1])  # type: ignore[misc]
+        roots += [(int(steps[g]), float(s), place) for g, s in zip(group, share, strict=True)]
+    shape = values.shape[:-1]
+    whole = np.broadcast_to(values, (*shape, count * len(_PLACES))).reshape(*shape, count, len(_PLACES))
+    return Sampled(part, functional, known, duration, steps, whole, np.array(sorted(roots)).reshape(-1, 3))
+
+
+def steps_of_extremum(
+    part: MotionPart, functional: Functional, known: Integrals, duration: float, best: float
+) -> tuple[np.ndarray, float]:
+    """Return the numbers of the steps in which an extremum may lie, and the largest value at the ends of all steps.
+
+    Parameters
+    ----------
+    known, duration
+        See `sampled`.
+    best
+        The largest value found so far, of ``-x`` for a minimum.
+    """
+    sign = -1.0 if functional.reduction == "min" else 1.0
+    values = sign * functional.values(part.at_ends(), known, duration)
+    count = len(part.steps)
+    values = np.broadcast_to(values, count + 1)
+    best = max(best, float(np.max(values)))
+    if count <= FEW or not np.all(np.isfinite(values)):
+        return np.arange(count), best
+    bend = np.abs(np.diff(values, 2))
+    bend = np.concatenate([bend[:1], bend, bend[-1:]])  # at each end
+    wide = np.maximum(bend, np.maximum(np.append(bend[1:], 0.0), np.append(0.0, bend[:-1])))
+    rise = POTENTIAL * np.maximum(wide[:-1], wide[1:])
+    return np.flatnonzero(np.maximum(values[:-1], values[1:]) + rise >= best), best
+
+
+_At = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""A scalar at shares of steps: of their indices (G,) and the shares (G,)."""
+
+
+def _beside(share: np.ndarray) -> np.ndarray:
+    """Return the start of each step and a share of it, (G, 2): a vector is compared with its value at the start."""
+    return np.stack([np.zeros_like(share), share], axis=1)
+
+
+def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return groups, shares before and after, and values there, between which a scalar (G, P) changes sign.
+
+    Where it approaches zero between three samples without a change of sign, the vertex of the parabola through them is
+    sampled as well.
+    """
+    a, b, c = values[:, :-2], values[:, 1:-1], values[:, 2:]
+    dips = (a * b > 0.0) & (b * c > 0.0) & (np.abs(b) <= np.abs(a)) & (np.abs(b) <= np.abs(c)) & (a != c)
+    group, middle = np.nonzero(dips)
+    x, y, z = _PLACES[middle], _PLACES[middle + 1], _PLACES[middle + 2]
+    fa, fb, fc = (part[group, middle] for part in (a, b, c))
+    with np.errstate(all="ignore"):
+        slope, next_slope = (fb - fa) / (y - x), (fc - fb) / (z - y)
+        curve = (next_slope - slope) / (z - x)
+        vertex = 0.5 * (x + y) - 0.5 * slope / curve
+    near = (vertex > x) & (vertex < z) & (vertex != y)
+    group, vertex = group[near], vertex[near]
+    extra = at(group, vertex) if len(group) else np.zeros(0)
+    crosses = extra * fb[near] < 0.0
+    group, vertex, extra = group[crosses], vertex[crosses], extra[crosses]
+    all_groups = np.concatenate([np.repeat(np.arange(len(values)), len(_PLACES)), group])
+    places, found = np.concatenate([np.tile(_PLACES, len(values)), vertex]), np.concatenate([values.ravel(), extra])
+    order = np.lexsort((places, all_groups))
+    all_groups, places, found = all_groups[order], places[order], found[order]
+    changes = (all_groups[1:] == all_groups[:-1]) & (np.sign(found[1:]) * np.sign(found[:-1]) < 0.0)
+    first = np.flatnonzero(changes)
+    exact = np.flatnonzero((found == 0.0) & (places > 0.0) & (places < 1.0))  # a sample at a root
+    lower, upper = np.concatenate([first, exact]), np.concatenate([first + 1, exact])
+    return all_groups[lower], places[lower], places[upper], found[lower], found[upper]
+
+
+def _roots(
+    group: np.ndarray, a: np.ndarray, b: np.ndarray, fa: np.ndarray, fb: np.ndarray, at: _At
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return groups and shares of roots between `a` and `b`, by the Illinois method with bisection for all at once."""
+    a, b, fa, fb = a.copy(), b.copy(), fa.copy(), fb.copy()
+    for iteration in range(MOST_ITERATIONS):
+        open_ = np.flatnonzero((b - a > AT_ROOT) & (fa != 0.0) & (fb != 0.0))
+        if not len(open_):
+            break
+        x, y, fx, fy = a[open_], b[open_], fa[open_], fb[open_]
+        middle = 0.5 * (x + y) if iteration % 3 == 2 else (x * fy - y * fx) / (fy - fx)
+        inside = np.clip(middle, x + 0.25 * AT_ROOT, y - 0.25 * AT_ROOT)
+        value = at(group[open_], inside)
+        left = value * fx > 0.0
+        a[open_], fa[open_] = np.where(left, inside, x), np.where(left, value, np.where(value == 0.0, fx, 0.5 * fx))
+        b[open_], fb[open_] = np.where(left, y, inside), np.where(left, 0.5 * fy, value)
+        undefined = ~np.isfinite(value)
+        b[open_] = np.where(undefined, x, b[open_])
+    return group, np.where(fa == 0.0, a, np.where(fb == 0.0, b, 0.5 * (a + b)))

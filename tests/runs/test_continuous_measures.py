@@ -1,0 +1,198 @@
+"""Measures with abs, min and max, and extrema, are those of the motion between the ends of steps; so are gradients.
+
+Exact values are those of the oscillator x = a cos(w t) with w = 2 and a = 1, until t = 4.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.gradients.derived_values import Value, of_operands
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.runs.lane_runs import why_alone
+from mbdkit.spec import RunSpec
+
+END, A, W = 4.0, 1.0, 2.0
+
+
+def oscillator(integrator: dict[str, Any], step: float | None, **sections: Any) -> dict[str, Any]:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("slider", mass=1.0, inertia=1.0, position=(A, 0.0))
+    m.prismatic("rail", m.ground, "slider", at=(0, 0), axis=(1, 0))
+    m.spring_damper("spring", m.ground, "slider", points=((-2.0, 0.0), (0.0, 0.0)), stiffness=W * W, free_length=2.0)
+    time = {"end": END} | ({} if step is None else {"step": step})
+    return {"mbdkit": 1, "model": m.to_spec(), "integrator": integrator, "time": time} | sections
+
+
+def turns(level: float) -> np.ndarray:
+    """Return the times until the end at which a cos(w t) passes a level."""
+    phase = np.arccos(level / A)
+    every = np.concatenate([(phase + 2 * np.pi * np.arange(9)) / W, (2 * np.pi * np.arange(1, 9) - phase) / W])
+    return np.sort(every[every < END])
+
+
+def above(level: float) -> tuple[float, float]:
+    """Return the integral of max(x - level, 0), and its derivative by a, from its closed form between the turns."""
+    ends = np.concatenate([[0.0], turns(level), [END]])
+    parts = list(pairwise(ends))[::2]
+    sines = sum(np.sin(W * b) - np.sin(W * a) for a, b in parts) / W
+    return A * sines - level * sum(b - a for a, b in parts), sines
+
+
+def path() -> float:
+    """Return the integral of abs(v) for a = 1: the length of the path."""
+    half_turns = int(W * END // np.pi)
+    return 2 * half_turns + 1 - (-1) ** half_turns * np.cos(W * END)
+
+
+EXACT = {
+    "path": ("integral(abs(slider.vx))", path(), path()),
+    "speed": ("mean(abs(slider.velocity))", path() / END, path() / END),
+    "excess": ("integral(max(slider.x - 0.3, 0))", *above(0.3)),
+    "peak": ("max(abs(slider.vx))", W * A, W),
+    "lowest": ("min(slider.x)", -A, -1.0),
+    # the peak of the smaller of two: x = 0.5 - x/2 at x = 1/3, whatever the amplitude
+    "kinked": ("max(min(slider.x, 0.5 - slider.x/2))", 1 / 3, 0.0),
+    "swing": ("integral(abs(slider.x - mean(slider.x)))", None, None),
+}
+
+
+def measures(made: mbdkit.Run) -> np.ndarray:
+    return np.array([made.measures[name] - exact for name, (_, exact, _) in EXACT.items() if exact is not None])
+
+
+TEXTS = {name: text for name, (text, _, _) in EXACT.items()}
+
+
+@pytest.mark.parametrize(
+    ("integrator", "order", "step"),
+    [
+        ({"name": "rk4"}, 4, 0.1),
+        ({"name": "gauss", "stages": 3}, 6, 0.2),
+        ({"name": "radau-iia", "stages": 3}, 5, 0.2),
+        ({"name": "dop853", "adaptive": False}, 8, 0.4),
+    ],
+)
+def test_kinks_and_extrema_have_the_order_of_the_method(integrator: dict[str, Any], order: int, step: float) -> None:
+    errors = [np.max(np.abs(measures(mbdkit.run(oscillator(integrator, h, measures=TEXTS))))) for h in (step, step / 2)]
+    assert np.log2(errors[0] / errors[1]) > order - 0.7
+    assert errors[1] < 1e-4
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        {"name": "dop853", "adaptive": True, "rtol": 1e-9},
+        {"name": "dopri5", "adaptive": True, "rtol": 1e-9},
+        {"name": "radau-iia", "stages": 3, "adaptive": True, "rtol": 1e-9, "atol": 1e-9},
+        {"name": "scipy-dop853", "rtol": 1e-10, "atol": 1e-10},
+    ],
+)
+@pytest.mark.parametrize("output", [{"every": 1}, {"every": 1000}])
+def test_adaptive_methods_reach_their_tolerance(integrator: dict[str, Any], output: dict[str, Any]) -> None:
+    assert np.max(np.abs(measures(mbdkit.run(oscillator(integrator, None, measures=TEXTS, output=output))))) < 2e-7
+
+
+def test_recorded_rows_and_lanes_do_not_matter() -> None:
+    spec = oscillator({"name": "rk4"}, 0.05, measures=TEXTS)
+    every = mbdkit.run(spec)
+    assert mbdkit.run(spec | {"output": {"every": 1000}}).integrals == every.integrals
+    assert mbdkit.run(spec | {"output": {"every": 7}}).integrals == every.integrals
+    extrema = RunSpec(**spec | {"measures": {name: TEXTS[name] for name in ("peak", "lowest", "kinked")}})
+    assert why_alone(extrema) == ""
+    (in_lane,) = simulate_batch([extrema])
+    assert in_lane.integrals == {text: every.integrals[text] for text in in_lane.integrals}
+    assert len(in_lane.integrals) == 3
+    assert "integrals" in why_alone(RunSpec(**spec))
+
+
+def test_a_motion_that_stops_at_an_event_ends_there() -> None:
+    # x = 0.2 at the first turn: neither the lowest point nor the largest speed is reached
+    stop = {"events": {"at": {"when": "slider.x - 0.2", "action": "stop"}}}
+    made = mbdkit.run(oscillator({"name": "gauss", "stages": 3}, 0.1, measures=TEXTS, **stop))
+    end = turns(0.2)[0]
+    assert made.measures["path"] == pytest.approx(A - 0.2, abs=1e-8)
+    assert made.measures["lowest"] == pytest.approx(0.2, abs=1e-8)
+    assert made.measures["peak"] == pytest.approx(W * np.sin(W * end), abs=1e-8)
+
+
+def test_loads_with_corners_are_not_smoothed() -> None:
+    # a constant force of 1 N that reverses at t = 0.55: v = t, then 1.1 - t, with its peak at the corner
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("block", mass=1.0)
+    m.force("push", "block", value=("1 - 2*min(max(1e9*(t - 0.55), 0), 1)", 0.0))
+    sections = {"integrator": {"name": "rk4"}, "time": {"end": 2.0, "step": 0.25}}
+    made = mbdkit.run(m, **sections, measures={"top": "max(block.vx)", "path": "integral(abs(block.vx))"})
+    assert made.measures["top"] == pytest.approx(0.55, abs=1e-8)
+    assert made.measures["path"] == pytest.approx(0.55**2 + 0.9**2 / 2, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step", "precision"),
+    [
+        ({"name": "gauss", "stages": 3}, 0.02, 1e-7),
+        ({"name": "dop853", "adaptive": True, "rtol": 1e-11}, None, 1e-7),
+    ],
+)
+def test_gradients_are_exact_and_those_of_the_numbers(
+    integrator: dict[str, Any], step: float | None, precision: float
+) -> None:
+    spec = oscillator(integrator, step)
+    found = mbdkit.gradient(spec, TEXTS, "model.bodies.slider.position.0")
+    made = mbdkit.run(spec | {"measures": TEXTS})
+    assert found.value == pytest.approx([made.measures[name] for name in TEXTS], rel=1e-12)
+    for name, (_, _, slope) in EXACT.items():
+        if slope is not None:
+            assert found[name, "model.bodies.slider.position.0"] == pytest.approx(slope, abs=precision), name
+    # the motion is proportional to its amplitude
+    assert found["swing", "model.bodies.slider.position.0"] == pytest.approx(made.measures["swing"], rel=1e-7)
+    assert found.check is not None
+    assert found.check.is_passed
+    assert found.doubts == ()
+
+
+def test_the_time_of_a_kinked_peak_moves_with_the_parameters() -> None:
+    # min(t, p - t/2) has its peak 2 p / 3 at t = 2 p / 3
+    spec = oscillator({"name": "rk4"}, 0.1, parameters={"p": 1.0})
+    found = mbdkit.gradient(spec, {"top": {"value": "max(min(t, p - t/2))", "unit": "s"}}, "p")
+    assert found.value[0] == pytest.approx(2 / 3, abs=1e-12)
+    assert found.jacobian[0, 0] == pytest.approx(2 / 3, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("measure", "word"),
+    [
+        ("max(abs(slider.x))", None),  # both ends of the swing move alike
+        ("max(max(slider.x, -slider.x - 0.0))", None),
+        ("max(max(slider.x, 1))", "both sides"),
+        ("abs(min(slider.x) + 1)", "both sides"),
+        ("integral(abs(slider.y))", None),
+        ("abs(final(slider.x) - final(slider.x))", None),
+    ],
+)
+def test_points_without_derivative_are_named(measure: str, word: str | None) -> None:
+    spec = oscillator({"name": "gauss", "stages": 4}, 0.05)
+    found = mbdkit.gradient(spec, measure, "model.bodies.slider.position.0", check=False)
+    assert bool(found.doubts) == (word is not None)
+    assert word is None or word in found.doubts[0]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_products_of_vectors_and_numbers_pair_their_own_axes(count: int) -> None:
+    # expected: the product rule, component by component
+    rng = np.random.default_rng(1)
+    x, y = (
+        Value(rng.normal(size=(2, 5)), rng.normal(size=(count, 2, 5))),
+        Value(rng.normal(size=5), rng.normal(size=(count, 5))),
+    )
+    for one, other in ((x, y), (y, x)):
+        found = of_operands("mul", 0.0, one, other)
+        assert found.value == pytest.approx(x.value * y.value)
+        for k in range(count):
+            for i in range(2):
+                assert found.slope[k, i] == pytest.approx(x.slope[k, i] * y.value + x.value[i] * y.slope[k])
