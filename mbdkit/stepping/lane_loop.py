@@ -14,11 +14,10 @@ import numpy as np
 from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
 from mbdkit.engine.jit.lane_types import number_in, where
 from mbdkit.engine.jit.lane_width import WIDTH
-from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
-from mbdkit.engine.kernels.applied_forces import potential_energy, state_rates, take_states
-from mbdkit.engine.kernels.cross_sections import beam_values
+from mbdkit.engine.kernels.acting import joint_values
+from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.misalignment import raise_misalignments
-from mbdkit.engine.kernels.observe import kinetic_energy, reactions_of, residuals_of
+from mbdkit.engine.kernels.observe import describe
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
@@ -91,15 +90,9 @@ def observe_row(c, r):
     take_states(top, w, c.row_z[r])
     solve_accelerations(top, w, c.solver, q, v, acc, lam, True)
     state_rates(top, w, v, out.state_rates[r])
-    force_values(top, w, q, v, out.forces[r])
-    marker_values(top, w, q, v, out.markers[r])
-    beam_values(top, w, out.beams[r])
     out.singularity_distance[r] = singularity_distance(top, w, c.solver, c.near)
-    residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
-    reactions_of(top, w, lam, out.reactions[r])
+    describe(top, w, q, v, out, r)
     joint_values(top, w, q, lam, out.reactions[r], out.joints[r])
-    out.kinetic[r] = kinetic_energy(top, v)
-    out.potential[r], _ = potential_energy(top, w, q)
     total = out.kinetic[r] + out.potential[r]
     for d in range(len(acc)):
         total += abs(acc[d])

@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import kernel, subkernel
+from mbdkit.engine.jit.decorators import kernel
 from mbdkit.engine.jit.dual_arrays import new_duals
-from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
-from mbdkit.engine.kernels.applied_forces import applied_forces, potential_energy
+from mbdkit.engine.kernels.acting import joint_values
+from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.bundle_types import example_of
-from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
-from mbdkit.engine.kernels.observe import Observed, kinetic_energy, reactions_of, residuals_of
+from mbdkit.engine.kernels.observe import Observed, describe
 from mbdkit.engine.kernels.system import (
     OK,
     Engine,
@@ -76,22 +75,9 @@ def observe_duals(address):
         if status != OK:
             return status, r
         c.power[r, 0], c.power[r, 1] = evaluate_powers(top, w, q, v, lam)
-        _describe(top, w, q, v, out, r)
+        describe(top, w, q, v, out, r)
+        joint_values(top, w, q, lam, out.reactions[r], out.joints[r])
     return OK, len(c.time)
-
-
-@subkernel
-def _describe(top, w, q, v, out, r):
-    """Write forces, markers, residuals, reactions and energies of a state into row `r`; requires its multipliers."""
-    lam = out.lam[r]
-    force_values(top, w, q, v, out.forces[r])
-    marker_values(top, w, q, v, out.markers[r])
-    beam_values(top, w, out.beams[r])
-    residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
-    reactions_of(top, w, lam, out.reactions[r])
-    joint_values(top, w, q, lam, out.reactions[r], out.joints[r])
-    out.kinetic[r] = kinetic_energy(top, v)
-    out.potential[r], _ = potential_energy(top, w, q)
 
 
 @kernel
@@ -118,4 +104,5 @@ def describe_duals(address):
                     for row in range(2):
                         lack[r, first + i] += w.jac[k, 6 * row + 3 * side + i] * lam[k, row]
         c.power[r, 0], c.power[r, 1] = evaluate_powers(top, w, q, v, lam)
-        _describe(top, w, q, v, out, r)
+        describe(top, w, q, v, out, r)
+        joint_values(top, w, q, lam, out.reactions[r], out.joints[r])

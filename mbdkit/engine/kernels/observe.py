@@ -122,6 +122,21 @@ class Observed(NamedTuple):
         return Observed(*(values[part] for values in self))
 
 
+@subkernel
+def describe(top, w, q, v, out, r):
+    """Write what follows from a state, its forces and its multipliers into row `r` of `out`, an `Observed`.
+
+    Joints are left out: redundant reactions are distributed first.
+    """
+    force_values(top, w, q, v, out.forces[r])
+    marker_values(top, w, q, v, out.markers[r])
+    beam_values(top, w, out.beams[r])
+    residuals_of(top, w, q, v, out.phi[r], out.phi_rate[r])
+    reactions_of(top, w, out.lam[r], out.reactions[r])
+    out.kinetic[r] = kinetic_energy(top, v)
+    out.potential[r], _ = potential_energy(top, w, q)
+
+
 class SelfStress(NamedTuple):
     """Constraint forces that cause no acceleration, for T states and D redundant directions."""
 
@@ -178,9 +193,6 @@ def observe(engine, times, q, v, z, out, stress, near):
         if status != OK:
             return status, r
         state_rates(top, w, v[r], out.state_rates[r])
-        force_values(top, w, q[r], v[r], out.forces[r])
-        marker_values(top, w, q[r], v[r], out.markers[r])
-        beam_values(top, w, out.beams[r])
         # The order matters: the next two calculations use the factors and the Jacobian of this solution.
         out.singularity_distance[r] = singularity_distance(top, w, solver, near)
         # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.
@@ -194,16 +206,11 @@ def observe(engine, times, q, v, z, out, stress, near):
             stress.lam[r, i, top.spare[i, 0], 1] += dy
         if len(top.spare) > 0:  # restore the rows that the solution combined
             constraint_rows(top, w, q[r], v[r])
-        residuals_of(top, w, q[r], v[r], out.phi[r], out.phi_rate[r])
-        reactions_of(top, w, lam, out.reactions[r])
-        if (
-            len(top.spare) == 0
-        ):  # redundant reactions are distributed afterwards, and `observe_joints` then evaluates the joints
+        describe(top, w, q[r], v[r], out, r)
+        if len(top.spare) == 0:  # else, `observe_joints` evaluates the joints when the reactions are distributed
             joint_values(top, w, q[r], lam, out.reactions[r], out.joints[r])
         for i in range(len(top.spare)):
             reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])
-        out.kinetic[r] = kinetic_energy(top, v[r])
-        out.potential[r], _ = potential_energy(top, w, q[r])
     return OK, len(times)
 
 
