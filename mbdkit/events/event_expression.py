@@ -1,15 +1,7 @@
 """Event expressions of time, bodies, joints and energies, parsed by an extension of the parser for expressions of time.
 
-In addition to ``t``, ``pi``, numbers, operators and functions, an expression can contain
-
-    NAME.x .y .angle   .vx .vy .angular_velocity   .ax .ay .angular_acceleration       of a body
-    NAME.force .force_x .force_y .torque .misalignment .angle .driver_power
-        .force_first_x .force_first_y .force_second_x .force_second_y                  of a joint
-    forces.NAME.length .rate .value .power .potential                                  of a force element
-    markers.NAME.x .y .vx .vy                                                          of a marker
-    beams.NAME.axial[i] .shear[i] .moment[i] .strain_energy                            of element i of a beam, from 0
-    energy.kinetic .potential .total
-
+In addition to ``t``, ``pi``, numbers, operators and functions, an expression can contain the quantities that
+`mbdkit.quantities.table.quantities_of_events` lists,
 in SI units, as recorded in the archive: accelerations and reactions are the index-1 values at the state. ``force`` is
 the magnitude of a joint's reaction force, ``force_first_x`` its component along the x axis of the first body, ``angle``
 the angle of its second body relative to the first or, of a slide, its travel. Write ``bodies.NAME`` or ``joints.NAME``

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from mbdkit.base.text import listed
 from mbdkit.quantities.array import COORDINATE_UNITS, INTEGER, MIXED, TEXT, Array, Chart, Kind, Recorded
 from mbdkit.quantities.names import AXES, COORDINATES
 
@@ -386,3 +387,18 @@ RECORDED: Mapping[str, Recorded] = {
     array.key: array for kind in KINDS for array in kind.arrays if isinstance(array, Recorded)
 }
 """Arrays with a value for each recorded state, by `Array.key`."""
+
+
+def quantities_of_events() -> str:
+    """Return the quantities that expressions of events may contain, as an enumeration of kinds."""
+    kinds = []
+    for kind in KINDS:
+        names = [name for name, one in kind.attributes.items() if one.in_events]
+        if not names or not (kind.is_bare or kind.is_chosen):
+            continue
+        owner = f"{kind.word}.NAME" if kind.one and not kind.is_bare else "NAME" if kind.one else kind.word
+        by_element = [bool(kind.owner) and not kind.attributes[name].array.of_whole for name in names]
+        written = [f".{name}{'[i]' if indexed else ''}" for name, indexed in zip(names, by_element, strict=True)]
+        of = f" of a {kind.one}{', [i] being its element i, from 0' if any(by_element) else ''}" if kind.one else ""
+        kinds.append(f"{owner}{listed(written, 'and')}{of}")
+    return f"{'; '.join(kinds[:-1])}; and {kinds[-1]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, get_args
@@ -16,7 +17,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
-from mbdkit.quantities.table import ChosenGroup
+from mbdkit.quantities.table import ChosenGroup, quantities_of_events
 
 QUANTITIES = get_args(ChosenGroup)
 
@@ -125,14 +126,8 @@ class Output(Section):
 class Event(Section):
     """An event: a zero crossing of an expression during the run.
 
-    Expressions may contain t; NAME.x, .y, .angle, .vx, .vy, .angular_velocity, .ax, .ay and .angular_acceleration of
-    a body; NAME.force, .force_x, .force_y, .torque, .misalignment, .velocity_misalignment, .angle_misalignment,
-    .angle, .driver_power, .force_first_x, .force_first_y, .force_second_x and .force_second_y of a joint;
-    forces.NAME.length, .rate, .value, .power and .potential of a force element; markers.NAME.x, .y, .vx and .vy of a
-    marker; beams.NAME.axial[i], .shear[i] and .moment[i] of element i of a beam, from 0, and
-    beams.NAME.strain_energy; and energy.kinetic, .potential and .total. If a body and a joint have the same name,
-    write bodies.NAME or joints.NAME. Names with characters other than letters, digits and underscores must be quoted,
-    as in joints["J 1"].force.
+    If a body and a joint have the same name, write bodies.NAME or joints.NAME. Names with characters other than
+    letters, digits and underscores must be quoted, as in joints["J 1"].force.
     """
 
     when: str
@@ -141,6 +136,9 @@ class Event(Section):
     """Crossings to detect: `rising` (negative to positive), `falling` (positive to negative), or `any`."""
     action: Literal["note", "stop"] = "note"
     """`note` records the crossing; `stop` also ends the run, which then counts as complete."""
+
+
+Event.__doc__ = f"{inspect.cleandoc(Event.__doc__ or '')} Expressions may contain t; {quantities_of_events()}."
 
 
 def named_events(events: dict[str, Event]) -> dict[str, Event]:
