@@ -35,3 +35,6 @@ run_frame: Callable[[Any, str], Any]
 
 html_of: Callable[[Any], str] = repr
 """Returns the HTML of an object that notebooks show."""
+
+built_in_measures: Callable[[], Any]
+"""Returns the names of the measures of studies, each with what it needs beside the run."""

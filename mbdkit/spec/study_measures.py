@@ -6,10 +6,13 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ValidationError, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, GetJsonSchemaHandler, ValidationError, WithJsonSchema
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
+from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError, blaming
 from mbdkit.base.plain_data import Path, found, path_text
 from mbdkit.base.text import did_you_mean, listed
@@ -18,41 +21,15 @@ from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.catalogue import Registered, named_options
 from mbdkit.registry.manager import registry
 
-ErrorMeasure = Literal[
-    "end_error",
-    "end_angle_error",
-    "trajectory_error",
-    "trajectory_angle_error",
-    "velocity_error",
-    "angular_velocity_error",
-    "multiplier_error",
-]
-"""Measures that compare a run with its reference run."""
-SecondRunMeasure = Literal["reversibility_defect", "reversibility_velocity_defect", "velocity_misalignment_every_step"]
-"""Measures that need a second run of each spec; computed only if listed by name."""
-Measure = Literal[
-    "misalignment_max",
-    "velocity_misalignment_max",
-    "angle_misalignment_max",
-    "energy_balance_max",
-    "energy_balance_end",
-    "energy_scale",
-    "reaction_force_max",
-    "element_force_max",
-    "element_torque_max",
-    "driver_power_max",
-    ErrorMeasure,
-    "own_multipliers",
-    "energy_trend",
-    "energy_trend_error",
-    "energy_oscillation",
-    "duration",
-    "mechanism_size",
-    SecondRunMeasure,
-]
-ERRORS: tuple[str, ...] = get_args(ErrorMeasure)
-SECOND_RUN: tuple[str, ...] = get_args(SecondRunMeasure)
-BUILT_IN: tuple[str, ...] = get_args(Measure)
+REFERENCE, SECOND_RUN = "reference", "second run"
+"""What a built-in measure may need beside the run; those that need a second run are computed only if listed."""
+
+
+def built_in_measures() -> Mapping[str, str]:
+    """Return the names of the built-in measures, each with what it needs beside the run; empty for most."""
+    known: Mapping[str, str] = higher_layers.built_in_measures()
+    return known
+
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,99}")
 _FORMS = 'an expression such as "max(abs(joints.B.force))", {value: EXPRESSION, unit: UNIT} or {name: PLUGIN, ...}'
@@ -100,7 +77,7 @@ def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
 def built_in(measures: Any) -> tuple[str, ...] | None:
     """Return the names of built-in measures that a study lists; None if all of them are computed."""
     if isinstance(measures, list):
-        return tuple(entry for entry in measures if entry in BUILT_IN)
+        return tuple(entry for entry in measures if isinstance(entry, str) and entry in built_in_measures())
     return None
 
 
@@ -122,7 +99,7 @@ def defined(measures: Any, above: Path = ()) -> Iterator[DefinedMeasure]:
     for index, entry in enumerate(measures if isinstance(measures, list) else ()):
         if isinstance(entry, Mapping):
             yield from _defined_in(entry, (*above, index))
-        elif entry not in BUILT_IN:
+        elif entry not in built_in_measures():
             yield _of_plugin(entry, {"name": entry}, (*above, index))
 
 
@@ -132,7 +109,7 @@ def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[Defined
         if not _NAME.fullmatch(name):
             message = "a measure has a name of at most 100 letters, digits and _ . -, which begins with a letter"
             raise SpecError(message, key=path_text(place))
-        if name in BUILT_IN:
+        if name in built_in_measures():
             raise SpecError(f"'{name}' is a built-in measure; choose another name", key=path_text(place))
         match definition:
             case str():
@@ -169,10 +146,10 @@ def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> Defined
     wanted = str(definition["name"])
     items = installed.of_kind("measure")
     if not any(wanted in (item.name, item.id) for item in items):
-        if wanted in BUILT_IN:
+        if wanted in built_in_measures():
             message = f"'{wanted}' is a built-in measure, which is selected by its name alone: `measures: [{wanted}]`"
             raise SpecError(message, key=path_text(place))
-        known = [*(BUILT_IN if isinstance(place[-1], int) else ()), *installed.names("measure")]
+        known = [*(built_in_measures() if isinstance(place[-1], int) else ()), *installed.names("measure")]
         text = f"; known: {listed(known)}" if known else "; no installed plugin has any"
         hint = did_you_mean(wanted, known) or text
         raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(place))
@@ -240,20 +217,15 @@ _DEFINITIONS: dict[str, Any] = {
 RunMeasures = Annotated[dict[str, Any], BeforeValidator(_check_definitions), WithJsonSchema(_DEFINITIONS)]
 """The value of `measures` of a run spec: plain data that has been checked."""
 
-Measures = Annotated[
-    Any,
-    BeforeValidator(_check),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"const": "all"},
-                {
-                    "type": "array",
-                    "items": {"anyOf": [{"enum": list(BUILT_IN)}, {"type": "string"}, _DEFINITIONS]},
-                },
-                _DEFINITIONS,
-            ],
-        }
-    ),
-]
+
+class _MeasuresSchema:
+    """The JSON schema of `measures` of a study."""
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        named = {"anyOf": [{"enum": list(built_in_measures())}, {"type": "string"}, _DEFINITIONS]}
+        return {"anyOf": [{"const": "all"}, {"type": "array", "items": named}, _DEFINITIONS]}
+
+
+Measures = Annotated[Any, BeforeValidator(_check), _MeasuresSchema]
 """The value of `measures`: plain data that has been checked."""

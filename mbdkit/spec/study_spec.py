@@ -17,7 +17,15 @@ from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
 from mbdkit.spec.sample_section import Sample, comparable
 from mbdkit.spec.sections import Section
-from mbdkit.spec.study_measures import ERRORS, SECOND_RUN, DefinedMeasure, Measures, built_in, defined
+from mbdkit.spec.study_measures import (
+    REFERENCE,
+    SECOND_RUN,
+    DefinedMeasure,
+    Measures,
+    built_in,
+    built_in_measures,
+    defined,
+)
 from mbdkit.spec.value_sets import ValueSet, sets_together, size
 
 
@@ -224,7 +232,7 @@ class StudySpec(StrictSpec):
         references = [self.reference, *(family.reference for family in self.families.values())]
         if isinstance(self.measures, list) and all(reference in ("none", None) for reference in references):
             for index, measure in enumerate(self.measures):
-                if measure in ERRORS:
+                if isinstance(measure, str) and built_in_measures().get(measure) == REFERENCE:
                     raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
         if self.has_table and self.store == "files":
             which = "a table of members" if self.sample is None else "a sample"
@@ -298,7 +306,8 @@ class StudySpec(StrictSpec):
     @property
     def second_run_measures(self) -> tuple[str, ...]:
         """Names of the measures to take that need a second run."""
-        return tuple(name for name in SECOND_RUN if name in (self.built_in_measures or ()))
+        second = [name for name, needed in built_in_measures().items() if needed == SECOND_RUN]
+        return tuple(name for name in second if name in (self.built_in_measures or ()))
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures that the study and its bases define by expressions or take from plugins.

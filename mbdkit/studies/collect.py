@@ -11,7 +11,7 @@ from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.measures.take import take
-from mbdkit.spec.study_measures import ERRORS, DefinedMeasure
+from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.known_runs import KnownRuns
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
@@ -48,7 +48,7 @@ def collect(
     wanted = tuple(MEASURES) if spec.built_in_measures is None else spec.built_in_measures
     collector = _Collector(
         known_runs,
-        [name for name in wanted if name in MEASURES and (compared or name not in ERRORS)],
+        [name for name in wanted if name in MEASURES and (compared or not MEASURES[name].needs)],
         spec.defined_measures(),
         [name for name in wanted if name in SECOND],
         repeats,

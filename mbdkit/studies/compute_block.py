@@ -25,7 +25,7 @@ from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_batch
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
-from mbdkit.spec.study_measures import ERRORS, DefinedMeasure, expressions_of
+from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.studies.judge import check_verdict
@@ -100,7 +100,7 @@ class BlockStudyPlan:
     def built_in(self) -> list[str]:
         """Names of the built-in measures to take."""
         wanted = tuple(MEASURES) if self.spec.built_in_measures is None else self.spec.built_in_measures
-        return [name for name in wanted if name in MEASURES and name not in ERRORS]
+        return [name for name in wanted if name in MEASURES and not MEASURES[name].needs]
 
     @cached_property
     def described(self) -> dict[str, tuple[str, str]]:

@@ -15,6 +15,7 @@ from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, 
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes
+from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
 
 if TYPE_CHECKING:
     from mbdkit.archive.finished_run import FinishedRun
@@ -91,11 +92,14 @@ class Measure:
         SI units.
     take
         Function of R runs that returns their values, (R,). The value of a run does not depend on the others.
+    needs
+        What it needs beside the run: `REFERENCE` or nothing.
     """
 
     units: str
     long_name: str
     take: Callable[[RunGroup], np.ndarray]
+    needs: str = ""
 
     def of(self, run: Run, reference: Run | None = None) -> float:
         """Return the value of one run.
@@ -259,31 +263,39 @@ MEASURES: Mapping[str, Measure] = {
     "driver_power_max": Measure(
         "W", "largest absolute power of any driver in the recorded rows", _largest("joints/driver_power")
     ),
-    "end_error": Measure("m", "largest distance of a body from the reference at the end", _error(_XY, LAST_ROW)),
+    "end_error": Measure(
+        "m", "largest distance of a body from the reference at the end", _error(_XY, LAST_ROW), REFERENCE
+    ),
     "end_angle_error": Measure(
-        "rad", "largest angle error of a body against the reference at the end", _error(_THETA, LAST_ROW)
+        "rad", "largest angle error of a body against the reference at the end", _error(_THETA, LAST_ROW), REFERENCE
     ),
     "trajectory_error": Measure(
-        "m", "largest distance of a body from the reference in the recorded rows", _error(_XY, EVERY_ROW)
+        "m", "largest distance of a body from the reference in the recorded rows", _error(_XY, EVERY_ROW), REFERENCE
     ),
     "trajectory_angle_error": Measure(
-        "rad", "largest angle error of a body against the reference in the recorded rows", _error(_THETA, EVERY_ROW)
+        "rad",
+        "largest angle error of a body against the reference in the recorded rows",
+        _error(_THETA, EVERY_ROW),
+        REFERENCE,
     ),
     "velocity_error": Measure(
         "m/s",
         "largest velocity error of a body against the reference in the rows that both runs recorded",
         _rate_error(_XY),
+        REFERENCE,
     ),
     "angular_velocity_error": Measure(
         "rad/s",
         "largest angular velocity error of a body against the reference in the rows that both runs recorded",
         _rate_error(_THETA),
+        REFERENCE,
     ),
     "multiplier_error": Measure(
         "1",
         "largest error of a multiplier in the rows that both runs recorded, relative to the largest one of its unit; "
         "multipliers of the method if it computes any, else index-1 multipliers",
         _one_by_one(_multiplier_error),
+        REFERENCE,
     ),
     "own_multipliers": Measure("1", "1 if the method computes multipliers itself, else 0", _own_multipliers),
     "energy_trend": Measure("W", "slope of the energy balance over time", _trend(lambda trend: trend.slope)),
@@ -344,6 +356,11 @@ SECOND: Mapping[str, tuple[str, str]] = {
     ),
     "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
 }
+
+
+def built_in_measures() -> Mapping[str, str]:
+    """Return the names of the built-in measures, each with what it needs beside the run."""
+    return {name: measure.needs for name, measure in MEASURES.items()} | dict.fromkeys(SECOND, SECOND_RUN)
 
 
 def worst_joint(run: Run) -> str:

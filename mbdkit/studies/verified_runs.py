@@ -13,7 +13,7 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.measures.take import take
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec.study_measures import ERRORS, expressions_of
+from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS
 from mbdkit.studies.study_point import StudyPoint
@@ -80,7 +80,7 @@ def _numbers(study: StudySpec, point: StudyPoint, run: Run, reference: Run | Non
     """Yield the numbers in the row of a point that follow from its run, and from its reference run."""
     known: Mapping[str, float] = point.values
     for name, measure in (MEASURES if run.accuracy is None else {**MEASURES, **OF_CHECKED_RUNS}).items():
-        if name in known and (reference is not None or name not in ERRORS):
+        if name in known and (reference is not None or not measure.needs):
             yield name, measure.of(run, reference)
     for defined in study.defined_measures():
         if defined.name in known:
