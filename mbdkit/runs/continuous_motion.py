@@ -228,7 +228,7 @@ class Sampled:
         rise = np.where(bend > NOISE * np.max(np.abs(values)), RISE * bend, 0.0)
         tops = np.flatnonzero((values >= before) & (values >= after))
         for middle in tops[np.argsort(-(values + rise)[tops], kind="stable")]:
-            if values[middle] + rise[middle] < best - EQUAL * spread:
+            if found and values[middle] + rise[middle] < best - EQUAL * spread:
                 break
             one = Peak(sign * float(values[middle]), float(time[middle]), int(kind[middle]))
             own = np.flatnonzero(steps[max(0, middle - 1) : middle + 2] == steps[middle]) + max(0, middle - 1)
