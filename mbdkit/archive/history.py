@@ -179,7 +179,7 @@ class View:
 
 
 VIEWS: dict[str, type[View]] = {}
-"""Classes of histories by group."""
+"""Classes of histories by group; kinds without a class below get one when they are first read."""
 
 
 class BodyHistory(View, of="trajectory"):
@@ -466,7 +466,7 @@ class Histories(ReadOnlyDict[str, V]):
         self.kind = kind
         owners = list(run.objects(kind))
         counts = Counter(owners)
-        make: Any = VIEWS.get(kind.group, View)
+        make: Any = VIEWS.get(kind.group) or type(f"{kind.one.title()}History", (View,), {}, of=kind.group)
         first, items = 0, []
         for name in dict.fromkeys(owners):
             index = slice(first, first + counts[name]) if kind.owner else first

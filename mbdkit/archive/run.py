@@ -24,6 +24,7 @@ from mbdkit.archive.history import (
     Energy,
     Events,
     ForceHistories,
+    Histories,
     JointHistories,
     LoadHistories,
     MarkerHistories,
@@ -364,6 +365,14 @@ class Run(HtmlView):
     def loads(self) -> LoadHistories:
         """Measured loads by name; empty unless this is inverse dynamics."""
         return LoadHistories(BY_WORD["loads"], self)
+
+    if not TYPE_CHECKING:  # so that type checkers find misspelled attributes
+
+        def __getattr__(self, word: str) -> Histories[Any]:
+            """Return the objects of a kind that has no property, by name."""
+            if word not in BY_WORD:
+                raise AttributeError(f"'Run' object has no attribute '{word}'", name=word, obj=self)
+            return Histories(BY_WORD[word], self)
 
     def text(self, path: str, index: int | slice | None) -> str:
         """Return one of the texts in the array at `path`; an empty one if the archive lacks them."""

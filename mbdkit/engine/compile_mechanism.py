@@ -234,9 +234,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         for name, body in mechanism.bodies.items()
     ]
     elements = [
-        (name, type(one).__name__, one.__dict__)
-        for kind in (mechanism.joints, mechanism.forces, mechanism.markers)
-        for name, one in kind.items()
+        (name, type(one).__name__, one.__dict__) for kind in mechanism.elements.values() for name, one in kind.items()
     ]
     fixed = mechanism.assembly.fix
     beams = [(name, plain(beam)) for name, beam in mechanism.beams.items()]

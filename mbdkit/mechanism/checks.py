@@ -9,7 +9,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, found
 from mbdkit.base.text import did_you_mean, listed, shortened
 from mbdkit.mechanism.beams import Beam, parts_of
-from mbdkit.mechanism.bodies import GROUND, Body, Marker
+from mbdkit.mechanism.bodies import GROUND, Body, Element
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
@@ -27,45 +27,36 @@ COINCIDENT = 1e-12
 def check_mechanism(
     bodies: Mapping[str, Body],
     beams: Mapping[str, Beam],
+    elements: Mapping[str, Mapping[str, Element]],
     joints: Mapping[str, Joint],
-    forces: Mapping[str, Force],
-    markers: Mapping[str, Marker],
     assembly: Assembly,
 ) -> None:
-    """Raise a SpecError with the key path of the first error."""
+    """Raise a SpecError with the key path of the first error; `elements`, by kind and name, include the `joints`."""
     parts = parts_of(beams)
-    check_names([x for x in bodies if x not in parts], beams, joints, [x for x in forces if x not in parts], markers)
+    own = {kind: [name for name in named if name not in parts] for kind, named in elements.items()}
+    check_names([name for name in bodies if name not in parts], beams, own)
     points = {name for name, body in bodies.items() if body.inertia is None}
-    for name, joint in joints.items():
-        _check_element(f"model.joints.{name}", joint, bodies, points)
     pins = {_ends(joint): name for name, joint in joints.items() if joint.joins_points}
-    for name, force in forces.items():
-        _check_element(f"model.forces.{name}", force, bodies, points)
-        if isinstance(force, Law) and isinstance(force.pathway, JointAngles):
-            _check_joint_angles(f"model.forces.{name}.pathway.angles", force.pathway, joints, points)
-        if (line := _line(force)) is not None and (pin := pins.get(_ends(line))) is not None:
+    for key, element in (
+        (f"model.{kind}.{name}", one) for kind, named in elements.items() for name, one in named.items()
+    ):
+        _check_element(key, element, bodies, points)
+        if isinstance(element, Law) and isinstance(element.pathway, JointAngles):
+            _check_joint_angles(f"{key}.pathway.angles", element.pathway, joints, points)
+        if (line := _line(element)) is not None and (pin := pins.get(_ends(line))) is not None:
             raise SpecError(
                 f"joint '{pin}' holds these two points together, so a spring between them has no effect",
-                key=f"model.forces.{name}.{line.pathway_key}points",
+                key=f"{key}.{line.pathway_key}points",
             )
-    for name, marker in markers.items():
-        _check_element(f"model.markers.{name}", marker, bodies, points)
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
 
-def check_names(
-    bodies: Iterable[str],
-    beams: Iterable[str],
-    joints: Iterable[str],
-    forces: Iterable[str],
-    markers: Iterable[str],
-) -> None:
+def check_names(bodies: Iterable[str], beams: Iterable[str], elements: Mapping[str, Iterable[str]]) -> None:
     """Raise a SpecError if there are neither bodies nor beams, or for the first name that is not valid."""
     if not (bodies or beams):
         raise SpecError(NO_BODY, key="model.bodies")
-    named = {"bodies": bodies, "beams": beams, "joints": joints, "forces": forces, "markers": markers}
-    for kind, names in named.items():
+    for kind, names in {"bodies": bodies, "beams": beams, **elements}.items():
         for name in names:
             check_name(name, f"model.{kind}.{name}")
 
@@ -167,7 +158,7 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         raise SpecError(f"there is no body '{name}'{hint}", key=key)
 
 
-def _line(force: Force) -> SpringDamper | Law | None:
+def _line(force: Element) -> SpringDamper | Law | None:
     """Return the force element if it acts along the line between two points."""
     return force if isinstance(force, SpringDamper | Law) and force.pathway.is_line else None
 
@@ -177,20 +168,16 @@ def _ends(element: Joint | SpringDamper | Law) -> frozenset[tuple[str, tuple[flo
     return frozenset((name, point) for _, name, point in element.attachments())
 
 
-def _described(element: Joint | Force | Marker) -> str:
+def _described(element: Element) -> str:
     match element:
         case Law():
             return f"pathway of type {element.pathway.type}"
         case PointForce():
             return "force in its frame"
-        case Marker():
-            return "marker"
-    return element.type
+    return str(getattr(element, "type", type(element).__name__.lower()))
 
 
-def _check_element(
-    key: str, element: Joint | Force | Marker, bodies: Iterable[str], point_masses: Container[str]
-) -> None:
+def _check_element(key: str, element: Element, bodies: Iterable[str], point_masses: Container[str]) -> None:
     places = element.places()
     for place, body in places:
         check_known(body, bodies, f"{key}.{place}")

@@ -20,7 +20,7 @@ from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism,
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate, check_coordinates
+from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
@@ -90,6 +90,11 @@ class Mechanism(HtmlView):
     def ground(self) -> str:
         """Name of the fixed global frame, for use as a body argument."""
         return GROUND
+
+    @property
+    def elements(self) -> dict[str, dict[str, Element]]:
+        """Joints, forces and markers by name, by kind."""
+        return {kind: getattr(self, kind) for kind in ELEMENTS}
 
     # ---- builder -------------------------------------------------------------------------------------------------
 
@@ -670,7 +675,7 @@ class Mechanism(HtmlView):
         SpecError
             With the key path of the first error.
         """
-        check_mechanism(self.bodies, self.beams, self.joints, self.forces, self.markers, self.assembly)
+        check_mechanism(self.bodies, self.beams, self.elements, self.joints, self.assembly)
         check_centers(self.joints, self.bodies.__getitem__)
         for name in self.coordinates:
             check_name(name, f"model.coordinates.{name}")
@@ -705,12 +710,9 @@ class Mechanism(HtmlView):
         spec["bodies"] = {name: _plain(body) for name, body in self.bodies.items() if name not in parts}
         if self.beams:
             spec["beams"] = {name: _plain(beam) for name, beam in self.beams.items()}
-        forces = {name: force for name, force in self.forces.items() if name not in parts}
-        for kind, elements in (("joints", self.joints), ("forces", forces)):
-            if elements:
-                spec[kind] = {name: {"type": one.type, **_plain(one)} for name, one in elements.items()}
-        if self.markers:
-            spec["markers"] = {name: _plain(one) for name, one in self.markers.items()}
+        for kind, elements in self.elements.items():
+            if own := {name: one for name, one in elements.items() if name not in parts}:
+                spec[kind] = {name: _with_type(one) for name, one in own.items()}
         if self.coordinates:
             spec["coordinates"] = {
                 name: one.of if one == NamedCoordinate(of=one.of) else _plain(one)
@@ -757,19 +759,13 @@ class Mechanism(HtmlView):
     def from_data(cls, data: MechanismData, *, name: str = "mechanism") -> Mechanism:
         """Return the mechanism described by validated `data`, after checks across its elements."""
         mechanism = cls(data.gravity, name=name)
-        check_names(data.bodies, data.beams, data.joints, data.forces, data.markers)
+        check_names(data.bodies, data.beams, {kind: getattr(data, kind) for kind in ELEMENTS})
         mechanism.bodies = dict(data.bodies)
         for name, beam in data.beams.items():
             mechanism._add_beam(name, beam)
-        mechanism.joints = {
-            name: mechanism._with_points(joint, f"model.joints.{name}") for name, joint in data.joints.items()
-        }
-        mechanism.forces |= {
-            name: mechanism._with_points(force, f"model.forces.{name}") for name, force in data.forces.items()
-        }
-        mechanism.markers = {
-            name: mechanism._with_points(marker, f"model.markers.{name}") for name, marker in data.markers.items()
-        }
+        for kind, elements in mechanism.elements.items():
+            given: dict[str, Element] = getattr(data, kind)
+            elements |= {name: mechanism._with_points(one, f"model.{kind}.{name}") for name, one in given.items()}
         mechanism.assembly = data.assembly
         mechanism.coordinates = dict(data.coordinates)
         mechanism.validate()
@@ -837,6 +833,11 @@ def _point(value: Any, key: str) -> tuple[float, float]:
         return _POINT.validate_python(value, strict=True)
     except ValidationError as error:
         raise spec_error(error, Point, prefix=key) from None
+
+
+def _with_type(element: Element) -> dict[str, Any]:
+    """Return an element as plain data, with its type if there are several of its kind."""
+    return {"type": element.type, **_plain(element)} if hasattr(element, "type") else _plain(element)
 
 
 def _plain(element: StrictModel) -> dict[str, Any]:

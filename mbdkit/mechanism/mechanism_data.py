@@ -86,6 +86,9 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
         raise SpecError(f"'{one.relative_to}' is not another body", key=key)
 
 
+ELEMENTS = ("joints", "forces", "markers")
+"""Kinds of elements on bodies: keys of the model, and attributes of `Mechanism`."""
+
 NO_BODY = "a mechanism needs at least one body or beam"
 
 
