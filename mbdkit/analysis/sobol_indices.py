@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,17 @@ class SobolIndices:
     total: np.ndarray
     total_low: np.ndarray
     total_high: np.ndarray
+
+    def told(self) -> SobolIndices:
+        """Return the indices without those about which the intervals tell nothing, because they cover 0 to 1."""
+        first, total = (
+            np.where((low <= 0.0) & (high >= 1.0), np.nan, value)
+            for value, low, high in (
+                (self.first, self.first_low, self.first_high),
+                (self.total, self.total_low, self.total_high),
+            )
+        )
+        return replace(self, first=first, total=total)
 
 
 def sobol_indices(

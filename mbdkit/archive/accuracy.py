@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import h5py
@@ -12,6 +12,7 @@ import numpy as np
 
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import ACCURACY, BY_PATH
+from mbdkit.archive.measured_values import ComparedMeasures, compared_from_json, compared_json
 from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 
@@ -104,6 +105,8 @@ class Accuracy:
         Largest estimated error of positions in the same measure, up to `known_until`; nan if unknown or not requested.
     chosen, why
         Method and step that were chosen for it, and the reason; empty if no accuracy was requested.
+    compared_measures
+        Values of the expressions of measures in comparison runs.
     """
 
     time: np.ndarray
@@ -119,6 +122,7 @@ class Accuracy:
     reached: float = math.nan
     chosen: str = ""
     why: str = ""
+    compared_measures: ComparedMeasures = field(default_factory=dict)
 
     @property
     def is_reached(self) -> bool:
@@ -203,6 +207,8 @@ class Accuracy:
             group.attrs[name] = np.float64(getattr(self, name))
         for name in _TEXTS:
             set_text(group, name, getattr(self, name))
+        if self.compared_measures:
+            set_text(group, _COMPARED, compared_json(self.compared_measures))
 
     @classmethod
     def read(cls, group: h5py.Group) -> Accuracy:
@@ -212,9 +218,11 @@ class Accuracy:
             array.flags.writeable = False
         values |= {name: float(group.attrs.get(name, math.nan)) for name in _NUMBERS}
         values |= {name: str(group.attrs.get(name, "")) for name in _TEXTS}
+        values[_COMPARED] = compared_from_json(str(group.attrs.get(_COMPARED, "{}")))
         return cls(**values)
 
 
 _VALUES = ("time", "position_error", "velocity_error", "reaction_error", "torque_error")
 _NUMBERS = ("known_until", "order_observed", "check_s", "asked", "reached")
 _TEXTS = ("method", "chosen", "why")
+_COMPARED = "compared_measures"

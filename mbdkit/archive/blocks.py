@@ -20,7 +20,7 @@ from mbdkit.archive.fingerprint import attributes_sha256, data_sha256, datasets,
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
 from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.archive.run_writer import SharedForces
@@ -184,7 +184,9 @@ class Block:
             columns, described = self.columns("measures"), self.described()
             names = [name for name in spec.measures if name in columns]
             measured = MeasuredValues(
-                {name: float(columns[name][row]) for name in names}, {name: described[name][0] for name in names}
+                {name: float(columns[name][row]) for name in names},
+                {name: described[name][0] for name in names},
+                errors={name: float(columns[name + ERROR][row]) for name in names if name + ERROR in columns},
             )
         return ArrayContents(finished, heading, "" if self.store == "all" else self.store, measured)
 

@@ -12,6 +12,27 @@ Integrals = Mapping[str, float | tuple[float, ...]]
 """Integrals over time of numbers and vectors, and extrema, by their expressions, in SI units; nan where undefined."""
 
 
+ERROR = "_error"
+"""End of the name of the estimated error of a measure in tables of studies."""
+
+ComparedMeasures = Mapping[str, tuple[float, ...]]
+"""Values of expressions in two runs of increasing accuracy and in one of another method, in SI units, for error
+estimates; nan where unknown."""
+
+
+def compared_json(compared: ComparedMeasures) -> str:
+    """Return the attribute ``compared_measures`` of the group ``/accuracy``."""
+    return json.dumps({text: [*map(_finite, x)] for text, x in compared.items()}, ensure_ascii=False)
+
+
+def compared_from_json(text: str) -> ComparedMeasures:
+    """Return the values in this attribute; raise ValueError if the text is not such an attribute."""
+    try:
+        return {name: tuple(map(_number, x)) for name, x in json.loads(text).items()}
+    except (AttributeError, TypeError) as error:
+        raise ValueError("the attribute compared_measures has no numbers by name") from error
+
+
 def integrals_json(integrals: Integrals) -> str:
     """Return the attribute ``integrals`` of an archive."""
     return json.dumps(
@@ -49,12 +70,19 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         Units by name.
     reasons
         Why a value could not be taken, by name.
+    errors
+        Estimated errors by name, of runs with a check; nan where unknown.
     """
 
     def __init__(
-        self, values: Mapping[str, float], units: Mapping[str, str], reasons: Mapping[str, str] | None = None
+        self,
+        values: Mapping[str, float],
+        units: Mapping[str, str],
+        reasons: Mapping[str, str] | None = None,
+        errors: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__(values)
+        self.errors: ReadOnlyDict[str, float] = ReadOnlyDict(dict.fromkeys(values, math.nan) | dict(errors or {}))
         self.units: ReadOnlyDict[str, str] = ReadOnlyDict(units)
         self.reasons: ReadOnlyDict[str, str] = ReadOnlyDict(reasons or {})
 
@@ -72,15 +100,21 @@ class MeasuredValues(ReadOnlyDict[str, float]):
             values = {name: _number(one["value"]) for name, one in found.items()}
             units = {name: str(one["unit"]) for name, one in found.items()}
             reasons = {name: str(one["reason"]) for name, one in found.items() if "reason" in one}
+            errors = {name: _number(one["error"]) for name, one in found.items() if "error" in one}
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the attribute measures has no values and units by name") from error
-        return cls(values, units, reasons)
+        return cls(values, units, reasons, errors)
 
     def to_dict(self) -> dict[str, dict[str, float | str | None]]:
-        """Return value, unit and, where it failed, reason of each measure; values that are not finite become None."""
+        """Return value, unit and, where there is one, estimated error and reason of failure of each measure.
+
+        Values that are not finite become None.
+        """
         found: dict[str, dict[str, float | str | None]] = {}
         for name, value in self.items():
             found[name] = {"value": _finite(value), "unit": self.units[name]}
+            if not math.isnan(self.errors[name]):
+                found[name]["error"] = _finite(self.errors[name])
             if name in self.reasons:
                 found[name]["reason"] = self.reasons[name]
         return found

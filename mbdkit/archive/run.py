@@ -273,6 +273,11 @@ class Run(HtmlView):
         """
         return self._contents.measures()
 
+    @property
+    def measure_errors(self) -> Mapping[str, float]:
+        """Estimated errors of the measures by name, each in its unit; nan where unknown, as in runs without check."""
+        return self.measures.errors
+
     @cached_property
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
         """Derivatives of the measures by the parameters that the spec names under `gradients`, by name of the measure.

@@ -383,7 +383,9 @@ def _measures(run: Run) -> list[tuple[str, str]]:
     lines: list[tuple[str, str]] = []
     for name, value in run.measures.items():
         unit, reason = run.measures.units[name], run.measures.reasons.get(name, "undefined")
-        text = f"{value:.6g} {unit.removesuffix('1')}".rstrip() if math.isfinite(value) else reason
+        error = run.measure_errors[name]
+        number = f"{value:.6g}" if math.isnan(error) else f"{value:.6g} +- {error:.2g}"
+        text = f"{number} {unit.removesuffix('1')}".rstrip() if math.isfinite(value) else reason
         lines.append(("" if lines else "measures", f"{name} {text}"))
     return lines
 

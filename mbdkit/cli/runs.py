@@ -302,6 +302,10 @@ def _measures(result: Run) -> dict[str, Any]:
     return {name: measure["value"] for name, measure in result.measures.to_dict().items()}
 
 
+def _errors(result: Run) -> dict[str, float]:
+    return {name: error for name, error in result.measure_errors.items() if math.isfinite(error)}
+
+
 def _outcome(result: Run) -> dict[str, Any]:
     return {
         "path": None if result.path is None else str(result.path),
@@ -315,6 +319,7 @@ def _outcome(result: Run) -> dict[str, Any]:
         "misalignment_max": result.misalignment_max,
         "events": [asdict(event) for event in result.events],
         **({"measures": _measures(result)} if result.measures else {}),
+        **({"measure_errors": errors} if (errors := _errors(result)) else {}),
         **({} if result.accuracy is None else {"accuracy": _accuracy(result, result.accuracy)}),
     }
 

@@ -157,6 +157,15 @@ class MeasureExpression:
         compiler.measure()
         return compiler.functionals()
 
+    @staticmethod
+    def in_si(text: str, run: Run) -> float:
+        """Return the value of an expression for a run in SI units, also if named parameters leave its unit unknown."""
+        try:
+            parsed = MeasureExpression.parse(text, run.run_spec)
+        except SpecError:
+            parsed = MeasureExpression.parse(text, run.run_spec, "1")
+        return parsed.of(run) * parsed.unit.factor
+
     def of(self, run: Run) -> float:
         """Return the value for a run, in `unit`; nan where it is undefined or a quantity was not recorded."""
         if not len(run.time):

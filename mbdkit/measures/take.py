@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import message_of
+from mbdkit.measures.measure_error import measure_error
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.registry.items import MeasurePlugin
 from mbdkit.spec import InverseSpec, RunSpec
@@ -85,13 +86,36 @@ def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> floa
             raise PluginError(f"measure {measure.item.id} returned an object of type {what}, not a number") from None
 
 
+def error_of(measure: DefinedMeasure, value: float, run: Run, spec: RunSpec | InverseSpec) -> float:
+    """Return the estimated error of a value of a measure; nan if it is unknown, as without `check` and for plugins."""
+    accuracy = run.accuracy
+    compared = () if accuracy is None else accuracy.compared_measures.get(measure.expression, ())
+    if measure.item is not None or not compared or not is_taken(measure, spec):
+        return math.nan
+    factor = MeasureExpression.parse(measure.expression, spec, measure.unit).unit.factor
+    return measure_error(value, [one / factor for one in compared])
+
+
+def has_error(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
+    """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
+    return isinstance(spec, RunSpec) and spec.check and measure.item is None and is_taken(measure, spec)
+
+
+def with_error(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> dict[str, float]:
+    """Return the value of a measure and, if the run has a check, its estimated error, by the names of their columns."""
+    value = take(measure, run, spec)
+    errors = {measure.name + ERROR: error_of(measure, value, run, spec)} if has_error(measure, spec) else {}
+    return {measure.name: value} | errors
+
+
 def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
     """Return the values of the measures of a run spec; nan, with the reason, where the measure of a plugin fails."""
-    values, units, reasons = {}, {}, {}
+    values, units, reasons, errors = {}, {}, {}, {}
     for measure in spec.defined_measures():
         units[measure.name] = describe(measure, spec).units
         try:
             values[measure.name] = take(measure, run, spec)
+            errors[measure.name] = error_of(measure, values[measure.name], run, spec)
         except PluginError as error:
             values[measure.name], reasons[measure.name] = math.nan, message_of(error)
-    return MeasuredValues(values, units, reasons)
+    return MeasuredValues(values, units, reasons, errors)

@@ -112,6 +112,7 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
                 f"{100 * sobol.confidence:g} % intervals by the bootstrap. First order: share of the variance "
                 f"explained by a variable alone; total: including its interactions with the others."
             )
+            note += f" {sobol.reason}" if sobol.reason else ""
             for index, key in enumerate(sobol.variables):
                 columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
                 numbers = [float(f"{column[index]:.4f}") for column in columns]

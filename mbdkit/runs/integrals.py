@@ -35,6 +35,12 @@ BLOCK = 1024
 time, but the last bits of the integrals must not."""
 
 
+def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str, ...]:
+    """Return the expressions of the measures of a run, and further ones."""
+    texts = [*(measure.expression for measure in spec.defined_measures() if measure.item is None), *expressions]
+    return tuple(dict.fromkeys(texts))
+
+
 def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Functional, ...]:
     """Return the integrals and extrema that the measures of a run need.
 
@@ -48,8 +54,7 @@ def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Func
     SpecError
         If an expression is not valid for the spec.
     """
-    texts = [*(measure.expression for measure in spec.defined_measures() if measure.item is None), *expressions]
-    found = [one for text in texts for one in MeasureExpression.functionals_of(text, spec)]
+    found = [one for text in expressions_of(spec, expressions) for one in MeasureExpression.functionals_of(text, spec)]
     return tuple({one.text: one for one in found}.values())
 
 

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -30,6 +31,7 @@ from mbdkit.measures.take import take_all
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
 from mbdkit.runs.accuracy.chosen_method import Choice
+from mbdkit.runs.accuracy.compared_measures import Measure, compared_measures
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
@@ -151,6 +153,9 @@ class SimulatedRun:
         self.cause: BaseException | None = None
         self.interrupted = False
         self.accuracy: Accuracy | None = None
+        #: Expressions of measures, and what evaluates them in comparison runs.
+        self.expressions: Sequence[str] = ()
+        self.measured_in: Measure | None = None
         self.continuation: Continuation | None = None
         if spec.estimates_errors:
             self.recorder.kept = []
@@ -341,6 +346,12 @@ class SimulatedRun:
         else:
             found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress)
         self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
+        if self.spec.check and self.expressions and self.failure is None and self.measured_in is not None:
+            compared = compared_measures(
+                self.spec, self.method, self.workspace, steps, self.expressions, self.measured_in,
+                lambda: self.interrupted,
+            )  # fmt: skip
+            self.accuracy = replace(self.accuracy, compared_measures=compared)
 
     def measured(self, file: h5py.File) -> str:
         """Return the measures of the run in a file, as its archive stores them."""

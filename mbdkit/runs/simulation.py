@@ -15,9 +15,11 @@ from typing import Unpack
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.archive.run_writer import Origin, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
+from mbdkit.base.errors import MbdkitError
 from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.base.logs import logger_of
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
@@ -26,11 +28,12 @@ from mbdkit.base.text import one_line, shown
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.workspace import Workspace
+from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
-from mbdkit.runs.integrals import functionals_of
+from mbdkit.runs.integrals import expressions_of, functionals_of
 from mbdkit.runs.preparation import (
     build,
     caution,
@@ -319,7 +322,19 @@ def _prepared(
             writer.abandon()
             raise
     simulation.interrupted, simulation.continuation = bool(noted), continuation
+    simulation.expressions = expressions_of(spec, measures)
+    simulation.measured_in = partial(_measured_in, expressions=simulation.expressions)
     return simulation
+
+
+def _measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:
+    """Return the values of expressions in a comparison run, in SI units; None if it fails."""
+    try:
+        found = simulate_arrays(spec, notify=_silent, measures=expressions)
+        run = Run(ArrayContents(found, Heading(spec)))
+        return [MeasureExpression.in_si(text, run) for text in expressions] if run.status == "complete" else None
+    except (MbdkitError, ArithmeticError):
+        return None
 
 
 def _warn(warnings: Iterable[str], notify: Callable[[str], None]) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import ResourceError, SpecError
-from mbdkit.measures.take import take
+from mbdkit.measures.take import with_error
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.known_runs import KnownRuns
@@ -161,7 +161,8 @@ class _Collector:
     def values(self, run: Run, reference: Run | None, run_id: str) -> dict[str, float]:
         group = RunGroup([run], reference)
         taken = {name: float(MEASURES[name].take(group)[0]) for name in self.measures}
-        taken |= {measure.name: take(measure, run, self.known_runs.runs[run_id]) for measure in self.defined}
+        for measure in self.defined:
+            taken |= with_error(measure, run, self.known_runs.runs[run_id])
         if run.accuracy is not None:
             taken |= {name: float(measure.take(group)[0]) for name, measure in OF_CHECKED_RUNS.items()}
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}

@@ -20,7 +20,7 @@ from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.plain_data import collecting_new_objects_only, path_text
 from mbdkit.base.terminal import say
-from mbdkit.measures.take import Description, take
+from mbdkit.measures.take import Description, with_error
 from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_batch
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
@@ -133,7 +133,9 @@ class BlockStudyPlan:
 
     def _of_one(self, run: Run) -> dict[str, float]:
         """Return the measures that are taken of one run at a time."""
-        taken = {measure.name: take(measure, run, run.run_spec) for measure in self.user_measures}
+        taken: dict[str, float] = {}
+        for measure in self.user_measures:
+            taken |= with_error(measure, run, run.run_spec)
         checked = {} if run.accuracy is None else OF_CHECKED_RUNS
         return taken | {name: measure.of(run) for name, measure in checked.items()}
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.analysis.sobol_indices import RESAMPLES, SobolIndices, sobol_indices
 from mbdkit.archive.group_table import data_frame
+from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.studies.sample_groups import SampledStudy, measured, one_group
 
@@ -35,6 +36,9 @@ class Sensitivity:
         Number of members of the sample whose runs all have a value of the measure, and are used.
     left_out
         Number of members that are not used, because a run failed or has no value.
+    reason
+        Why the indices are nan, as a sentence; empty if they are known. An index whose interval covers 0 to 1 is nan
+        as well.
     """
 
     measure: str
@@ -43,6 +47,7 @@ class Sensitivity:
     confidence: float
     members: int
     left_out: int
+    reason: str = ""
 
     @property
     def first(self) -> np.ndarray:
@@ -71,14 +76,18 @@ class Sensitivity:
         lines = [f"{'variable':<{width}}  {'first order':<26}  total"]
         for index, name in enumerate(self.variables):
             first, total = (
-                f"{value[index]:.3f} ({low[index]:.3f} to {high[index]:.3f})"
+                f"{_shown(value[index])} ({low[index]:.3f} to {high[index]:.3f})"
                 for value, low, high in (
                     (one.first, one.first_low, one.first_high),
                     (one.total, one.total_low, one.total_high),
                 )
             )
             lines.append(f"{name:<{width}}  {first:<26}  {total}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *filter(None, [self.reason])])
+
+
+def _shown(index: float) -> str:
+    return "unknown" if np.isnan(index) else f"{index:.3f}"
 
 
 def sensitivity(
@@ -106,5 +115,21 @@ def sensitivity(
     known = values[np.all(np.isfinite(values), axis=1)]
     if len(known) < 2:
         raise MbdkitError(f"fewer than two members of the sample have a value of '{measure}' in all of their runs")
-    indices = sobol_indices(known, confidence=confidence, resamples=resamples, seed=sample.seed)
-    return Sensitivity(measure, tuple(sample.variables), indices, confidence, len(known), len(values) - len(known))
+    indices = sobol_indices(known, confidence=confidence, resamples=resamples, seed=sample.seed).told()
+    reason = _within_errors(study, measure, group.places, known)
+    if reason:
+        indices = sobol_indices(np.zeros_like(known))
+    return Sensitivity(
+        measure, tuple(sample.variables), indices, confidence, len(known), len(values) - len(known), reason
+    )
+
+
+def _within_errors(study: SampledStudy, measure: str, places: range, values: np.ndarray) -> str:
+    """Return the reason why values (n, d + 2) contain errors only, as a sentence; empty if they contain more."""
+    if measure + ERROR not in study.columns():
+        return ""
+    errors = measured(study, measure + ERROR, places)
+    largest, spread = float(np.max(errors[np.isfinite(errors)], initial=0.0)), float(np.ptp(values))
+    if spread >= 2.0 * largest:  # both ends may be off
+        return ""
+    return f"The values of {measure} differ by {spread:.3g}, within their estimated errors of up to {largest:.3g}."

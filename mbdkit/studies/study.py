@@ -349,7 +349,8 @@ class Study(HtmlView):
         """Return the Sobol indices of a measure with respect to the variables of the sample.
 
         They are the estimates (b) and (f) in table 2 of [1]_, as in `scipy.stats.sobol_indices`, with quantiles of the
-        bootstrap over the members as confidence intervals. Members with a run that failed are left out.
+        bootstrap over the members as confidence intervals. Members with a run that failed are left out. An index is nan
+        if its interval covers 0 to 1, or if the values of the measure differ by less than their estimated errors.
 
         Parameters
         ----------

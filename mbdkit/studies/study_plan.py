@@ -6,9 +6,10 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, path_text
-from mbdkit.measures.take import Description, describe, is_taken
+from mbdkit.measures.take import Description, describe, has_error, is_taken
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_measures import DefinedMeasure
@@ -94,6 +95,8 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
                     ),
                 )
             first.setdefault(measure.name, label)
+            if has_error(measure, run):
+                found.setdefault(measure.name + ERROR, Description(now.units, f"estimated error of {measure.name}"))
     return found
 
 
@@ -128,6 +131,9 @@ def check_column_names(spec: StudySpec) -> None:
     for name, where in measures.items():
         if name in COLUMNS | _OF_TABLES:
             message = f"'{name}' is a column of the index of every study; choose another name for this measure"
+            raise spec.placed(SpecError(message, key=path_text(where)))
+        if name.endswith(ERROR) and name.removesuffix(ERROR) in measures:
+            message = f"'{name}' is the column of the error of '{name.removesuffix(ERROR)}'; choose another name"
             raise spec.placed(SpecError(message, key=path_text(where)))
     columns: dict[str, str] = {}
     for grid in grids(spec):

@@ -11,7 +11,7 @@ from mbdkit.archive.layout import COUNTERS
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed
-from mbdkit.measures.take import take
+from mbdkit.measures.take import with_error
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
@@ -84,7 +84,7 @@ def _numbers(study: StudySpec, point: StudyPoint, run: Run, reference: Run | Non
             yield name, measure.of(run, reference)
     for defined in study.defined_measures():
         if defined.name in known:
-            yield defined.name, take(defined, run, run.run_spec)
+            yield from with_error(defined, run, run.run_spec).items()
     for name in COUNTERS:
         if name in known and name in run.stats:
             yield name, float(run.stats[name])

@@ -1,0 +1,51 @@
+"""Estimates the error of a measure from its values in comparison runs.
+
+The criteria are those of `mbdkit.runs.accuracy.error_estimate`, for a single number: the differences between the run
+and two runs of increasing accuracy decrease, or the more accurate one is confirmed by a run of another method.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+LARGEST_RATIO = 0.6
+"""Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
+CONFIRMED = 0.25
+"""Largest distance of the more accurate run from that of another method, relative to the distance of the run itself,
+that confirms it."""
+GUARD_RATIO = 3.0
+"""Largest distance from the run of another method, relative to the estimate, of differences that decrease."""
+AGREED = 1e-5
+"""Differences below this share of the value need not decrease: rounding errors of chaotic motions do not."""
+ROUND_OFF = 1e-15
+"""Smallest estimate, as a share of the value."""
+
+
+def measure_error(value: float, compared: Sequence[float]) -> float:
+    """Return the estimated error of a measure; nan where it is unknown.
+
+    Parameters
+    ----------
+    value
+        The measure of the run.
+    compared
+        The same in two runs of increasing accuracy, and in one of another method.
+    """
+    every = value, *compared
+    if len(compared) != 3 or not all(map(math.isfinite, every)):
+        return math.nan
+    first, second, other = compared
+    to_first, between, to_second = abs(value - first), abs(first - second), abs(value - second)
+    to_other, apart = abs(value - other), abs(second - other)
+    size, spread = max(map(abs, every)), max(every) - min(every)
+    falls = to_first > 0.0 and between <= LARGEST_RATIO * to_first
+    if apart <= CONFIRMED * to_other:
+        error = max(to_second, to_other)
+    elif falls and apart <= GUARD_RATIO * (extrapolated := to_second / (1.0 - (between / to_first) ** 2)):
+        error = max(extrapolated, to_other) if apart > 0.5 * extrapolated else extrapolated
+    elif spread <= AGREED * size:
+        error = spread
+    else:
+        return math.nan
+    return max(error, ROUND_OFF * size)

@@ -1,0 +1,131 @@
+"""Measures of comparison runs, from which the errors of the measures of a run are estimated.
+
+Unlike the companions of `companion_choice`, which are compared at the recorded times, these are complete runs: their
+integrals, extrema, events and recorded rows are their own, so that no error of a measure is shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mbdkit.archive.measured_values import ComparedMeasures
+from mbdkit.base.plain_data import canonical
+from mbdkit.engine.workspace import Workspace
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.accuracy.companion_choice import (
+    GUARD_TOLERANCE,
+    HALVINGS,
+    IMPLICIT_GUARD_TOLERANCE,
+    LOOKS,
+    OTHER_TENTHS,
+    SINGLE_STEPS,
+    TENTHS,
+    TIGHTEST,
+)
+from mbdkit.spec import RunSpec
+
+Measure = Callable[[RunSpec], Sequence[float] | None]
+"""Returns the values of all expressions in a run of another spec; None if that fails."""
+
+
+def compared_measures(
+    spec: RunSpec,
+    method: Method,
+    workspace: Workspace,
+    steps: int,
+    expressions: Sequence[str],
+    measure: Measure,
+    interrupted: Callable[[], bool],
+) -> ComparedMeasures:
+    """Return the values of expressions in comparison runs.
+
+    Parameters
+    ----------
+    spec, method, workspace
+        The run, whose spec gives method and step.
+    steps
+        Number of its steps.
+    interrupted
+        Whether the user has asked to stop; then the values are unknown.
+    """
+    unknown: Sequence[float] = [float("nan")] * len(expressions)
+    found = [unknown if interrupted() else measure(one) or unknown for one in _finer(spec, method)]
+    guard = unknown
+    for one in other_methods(spec, method, workspace, steps):
+        values = None if interrupted() else measure(one)
+        if values is not None:
+            guard = values
+            break
+    return dict(zip(expressions, zip(*found, guard, strict=True), strict=True))
+
+
+def _finer(spec: RunSpec, method: Method) -> list[RunSpec]:
+    """Return the specs of two runs of increasing accuracy."""
+    given = canonical(spec.integrator)
+    if not spec.claims.adaptive:
+        assert spec.time.step is not None
+        return [_varied(spec, step=spec.time.step / factor, factor=factor) for factor in HALVINGS]
+    if given.get("rtol") is not None and method.traits.tableau is not None:
+        return [
+            _varied(spec, factor=factor, integrator={
+                **given, "rtol": max(given["rtol"] / factor, TIGHTEST),
+                **({} if given.get("atol") is None else {"atol": max(given["atol"] / factor, TIGHTEST)}),
+            })
+            for factor in map(int, TENTHS)
+        ]  # fmt: skip
+    rtol = given.get("rtol") or 1e-6
+    radau = {"name": "radau-iia", "stages": 5, "adaptive": True}
+    return [
+        _varied(spec, factor=100, integrator={**radau, "rtol": max(rtol / factor, TIGHTEST)}, **_index_1(spec))
+        for factor in OTHER_TENTHS
+    ]
+
+
+def other_methods(spec: RunSpec, method: Method, workspace: Workspace, steps: int) -> list[RunSpec]:
+    """Return the specs of runs by other methods, explicit first; see `companion_choice`."""
+    tableau, stiff = method.traits.tableau, method.traits.suits_stiff
+    family = "" if tableau is None else tableau.name
+    adaptive = {"adaptive": True, "max_step": (spec.time.final - spec.time.start) / LOOKS}
+    candidates: list[dict[str, Any]] = [
+        {"name": "dop853", "rtol": GUARD_TOLERANCE, **adaptive},
+        {"name": "radau-iia", "stages": 5, "rtol": IMPLICIT_GUARD_TOLERANCE, **adaptive},
+        {"name": "gauss", "stages": 5, "rtol": IMPLICIT_GUARD_TOLERANCE, **adaptive},
+    ]
+    most = LOOKS + SINGLE_STEPS[0] + SINGLE_STEPS[1] * steps
+    projected = {"stabilization": "projection"} if len(workspace.mechanism.rows) else {}
+    return [
+        _varied(spec, integrator=one, most_steps=most, **(_index_1(spec) | projected))
+        for one in candidates
+        if not family.startswith(one["name"]) and (one["name"] != "gauss" or stiff)
+    ]
+
+
+def _index_1(spec: RunSpec) -> dict[str, Any]:
+    return {"formulation": "index-1", "stabilization": "none"}
+
+
+def _varied(
+    spec: RunSpec, *, step: float | None = None, factor: int = 1, most_steps: int | None = None, **sections: Any
+) -> RunSpec:
+    """Return the spec of a comparison run, without measures, checks and gradients of its own.
+
+    Parameters
+    ----------
+    step
+        Step [s]; None: chosen by the method.
+    factor
+        Factor by which it may take more steps than the run.
+    most_steps
+        Largest number of its steps, if it is limited.
+    """
+    limits = canonical(spec.limits) | {"max_steps": most_steps or factor * spec.limits.max_steps}
+    output = canonical(spec.output) | {"every": 1, "interval": None}
+    time = {"start": spec.time.start, "end": spec.time.final, "step": step}
+    changed = {
+        "time": time, "limits": limits, "output": output, "check": False, "accuracy": None, "choose": None,
+        "measures": {}, "gradients": [],
+    }  # fmt: skip
+    varied = type(spec)(**spec.sections() | changed | sections)
+    varied._document = spec._document
+    return varied

@@ -1,0 +1,107 @@
+"""Measures of runs with `check: true` have error estimates, in archives and in tables of studies.
+
+Exact values are those of the oscillator x = cos(2 t) until t = 4.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.base.errors import SpecError
+from mbdkit.measures.measure_error import measure_error
+from mbdkit.studies.sensitivity import sensitivity
+from tests.runs.test_continuous_measures import EXACT, TEXTS, oscillator
+
+STOP = {"stop": {"when": "slider.x + 0.5", "action": "stop"}}
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step"),
+    [
+        ({"name": "rk4"}, 0.1),
+        ({"name": "gauss", "stages": 2}, 0.1),
+        ({"name": "radau-iia", "stages": 3}, 0.2),
+        ({"name": "dop853", "adaptive": True, "rtol": 1e-5}, None),
+        ({"name": "scipy-dop853", "rtol": 1e-5, "atol": 1e-5}, None),
+    ],
+)
+def test_errors_of_measures_are_those_of_the_exact_motion(integrator: dict[str, Any], step: float | None) -> None:
+    made = mbdkit.run(oscillator(integrator, step, measures=TEXTS, check=True))
+    for name, (_, exact, _) in EXACT.items():
+        if exact is not None:
+            true = abs(made.measures[name] - exact)
+            assert true / 3 - 1e-11 <= made.measure_errors[name] <= 5 * true + 1e-11, name
+
+
+def test_the_time_of_an_event_has_an_error_and_so_has_what_it_ends() -> None:
+    measures = {"when": "events.stop.time", "end": "final(slider.vx)", "slow": "at(slider.x, 0.53)"}
+    made = mbdkit.run(oscillator({"name": "rk4"}, 0.1, measures=measures, events=STOP, check=True))
+    phase = np.arccos(-0.5)
+    for name, exact in (("when", phase / 2), ("end", -2 * np.sin(phase)), ("slow", np.cos(1.06))):
+        true = abs(made.measures[name] - exact)
+        assert true / 3 <= made.measure_errors[name] <= 5 * true
+
+
+def test_errors_are_stored_and_shown(tmp_path: Path) -> None:
+    units = {"peak": TEXTS["peak"]}
+    path = tmp_path / "run.h5"
+    made = mbdkit.run(oscillator({"name": "rk4"}, 0.1, measures=units, check=True), archive=path)
+    error = made.measure_errors["peak"]
+    assert 0.0 < error < 1e-3
+    with mbdkit.load(path) as read:
+        assert read.measure_errors == {"peak": error}
+        assert f"+- {error:.2g} m/s" in read.summary()
+    assert np.isnan(mbdkit.run(oscillator({"name": "rk4"}, 0.1, measures=units)).measure_errors["peak"])
+
+
+@pytest.mark.parametrize("store", ["files", "all", "summary"])
+def test_tables_of_studies_have_the_errors(store: str, tmp_path: Path) -> None:
+    base = oscillator({"name": "rk4"}, 0.1, check=True)
+    axes = [{"time.step": [0.1, 0.05]}]
+    study = {"mbdkit_study": 1, "store": store, "base": base, "axes": axes, "measures": {"peak": TEXTS["peak"]}}
+    found = mbdkit.study(study, out=tmp_path / "study").to_frame()
+    errors, true = found["peak_error"].to_numpy(), np.abs(found["peak"].to_numpy() - 2.0)
+    assert np.all((true / 3 <= errors) & (errors <= 5 * true))
+    with pytest.raises(SpecError, match="column of the error of 'peak'"):
+        mbdkit.study(study | {"measures": {"peak": TEXTS["peak"], "peak_error": TEXTS["lowest"]}}, out=tmp_path / "no")
+
+
+def test_indices_of_errors_are_not_shown(tmp_path: Path) -> None:
+    # the total energy does not depend on the phase: its values differ by their errors only
+    base = oscillator({"name": "rk4"}, 0.2, check=True, parameters={"phase": 0.0, "level": 0.0})
+    base["model"]["bodies"]["slider"] |= {"position": ["cos(phase)", 0], "velocity": ["-2*sin(phase)", 0]}
+    variables = {"parameters.phase": {"uniform": [0.0, 3.0]}, "parameters.level": {"uniform": [0.0, 1.0]}}
+    sample = {"n": 4, "method": "sobol", "design": "saltelli", "seed": 1, "variables": variables}
+    measures = {"noise": "max(energy.total) - 2 + 2", "swing": {"value": "final(slider.x)*(1 + level)", "unit": "m"}}
+    study = mbdkit.study(
+        {"mbdkit_study": 1, "base": base, "sample": sample, "measures": measures}, out=tmp_path / "study"
+    )
+    found = sensitivity(study, "noise")
+    assert np.all(np.isnan(found.first))
+    assert np.all(np.isnan(found.total))
+    assert "within their estimated errors" in str(found)
+    wide = sensitivity(study, "swing")
+    assert not wide.reason
+    covers = (wide.indices.first_low <= 0) & (wide.indices.first_high >= 1)
+    assert np.array_equal(np.isnan(wide.first), covers)
+
+
+@pytest.mark.parametrize(
+    ("value", "compared", "error"),
+    [
+        (1.0, (0.25, 0.0625, 0.0), 1.0),  # order 2: the error is that of the first run
+        (1.0, (0.9, 1.1, 5.0), None),  # another method disagrees
+        (1.0, (1.5, 0.2, 0.9), None),  # no convergence
+        (1.0, (1.0, 1.0, 1.0), 1e-15),
+        (1.0, (1.0 + 1e-9, 1.0 - 1e-9, 1.0), 2e-9),  # rounding errors
+        (1.0, (0.5, float("nan"), 0.0), None),
+    ],
+)
+def test_the_error_of_a_number(value: float, compared: tuple[float, ...], error: float | None) -> None:
+    found = measure_error(value, compared)
+    assert np.isnan(found) if error is None else found == pytest.approx(error, rel=0.1)
