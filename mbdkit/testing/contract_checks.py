@@ -15,11 +15,16 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.kinds import Method, StepMethod, StepState
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, skipped, warned
-from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive
+from mbdkit.testing.integrator_under_test import IntegratorUnderTest, drive, final_state
 from mbdkit.testing.options_under_test import options_result, validated, variants
-from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM
+from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, forced_pendulum
 
 STEPS = 23
+START_TIMES = 0.0, 3.0, 1000.0, -8.0
+"""Start times of runs that should be the same [s]."""
+SAME, SAME_ADAPTIVE = 1e-9, 1e-4
+"""Change of the final state by the start time that counts as rounding; that of adaptive methods, whose steps depend on
+rounding."""
 
 
 @check("contract.options")
@@ -167,6 +172,24 @@ def end_time(integrator: IntegratorUnderTest) -> Result:
     return passed()
 
 
+@check("contract.start-time")
+def start_time(integrator: IntegratorUnderTest) -> Result:
+    """Runs of a model whose forces begin at the start of the run are the same for any start time."""
+    ends, largest = [], 0.0
+    for start in START_TIMES:
+        time = {"start": start, "end": start + 1.0} | ({} if integrator.claims.adaptive else {"step": 0.01})
+        with integrator.run(forced_pendulum(start), time, output={"every": 10**9}) as run:
+            if run.status != "complete":
+                return failed(f"a run from t = {start:g} s did not complete: {run.status_reason}".rstrip("."))
+            ends.append(final_state(run))
+        change = float(np.max(np.abs(ends[-1] - ends[0])))
+        largest = max(largest, change)
+        limit = SAME_ADAPTIVE if integrator.claims.adaptive else SAME
+        if change > limit:
+            return failed(f"a run from t = {start:g} s ends in another state than one from t = 0", change=change)
+    return passed(change=largest).within({"change": limit})
+
+
 @check("contract.formulations")
 def formulations(integrator: IntegratorUnderTest) -> Result:
     """A run completes on every formulation that it claims."""
@@ -203,4 +226,4 @@ def other_options(integrator: IntegratorUnderTest) -> Result:
     return passed(variants=tried)
 
 
-CHECKS = (options, other_options, method, inputs, repeatable, picklable, end_time, formulations)
+CHECKS = (options, other_options, method, inputs, repeatable, picklable, end_time, start_time, formulations)

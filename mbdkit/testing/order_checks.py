@@ -15,15 +15,26 @@ from mbdkit.analysis.order import ObservedOrder, observed_order
 from mbdkit.testing.check import Check, Skip, check
 from mbdkit.testing.check_result import Figure, Result, failed, passed, skipped, warned
 from mbdkit.testing.integrator_under_test import IntegratorUnderTest, final_state
-from mbdkit.testing.trial_models import BEAM, DRIVEN_PENDULUM, FORCED_PENDULUM, FOUR_BAR, Model, pushed
+from mbdkit.testing.trial_models import (
+    BEAM,
+    DRIVEN_PENDULUM,
+    FORCED_PENDULUM,
+    FOUR_BAR,
+    RESTING,
+    Model,
+    pushed,
+)
 
 PROBLEMS: dict[str, Model] = {
     "forced-pendulum": FORCED_PENDULUM,
     "driven-pendulum": DRIVEN_PENDULUM,
     "four-bar": FOUR_BAR,
     "beam": BEAM,
+    **{f"resting: {name}": model for name, model in RESTING.items()},
 }
-ENDS = {"forced-pendulum": 1.0, "driven-pendulum": 3.0, "four-bar": 1.0, "beam": 1.0}
+USUAL = tuple(name for name in PROBLEMS if not name.startswith("resting"))
+"""The problems that have a check of their own."""
+ENDS = dict.fromkeys(PROBLEMS, 1.0) | {"driven-pendulum": 3.0}
 """Duration of each [s]: long enough that errors follow a power of the step before they reach rounding."""
 BELOW, ABOVE = 0.2, 0.5
 """An order lower than claimed by more than `BELOW` fails; one higher by more than `ABOVE` is a warning."""
@@ -38,6 +49,10 @@ TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 OBEYS = 10.0
 """Least factor by which four decades of tolerance must reduce the error of an adaptive method."""
 POLYNOMIAL = 1e-13
+NEAR_ROUNDING = 1e-11
+"""Errors below this count as rounding, where the order need not hold."""
+FINEST = 3
+"""Number of finest refinements over which the order is measured."""
 
 
 @cache
@@ -214,6 +229,33 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     return warned(remark, **figures) if remark else passed(**figures)
 
 
+@check("order.finest")
+def finest(integrator: IntegratorUnderTest) -> Result:
+    """The order holds at the finest steps until errors approach rounding."""
+    order, found = integrator.order, convergence(integrator, "forced-pendulum")
+    keep = np.isfinite(found.errors) & (found.errors > 0)
+    steps, errors = found.steps[keep], found.errors[keep]
+    if len(steps) <= FINEST:
+        raise Skip("too few runs completed")
+    smallest = float(errors.min())
+    slope = float(np.log(errors[-1] / errors[-1 - FINEST]) / np.log(steps[-1] / steps[-1 - FINEST]))
+    if slope < order - 0.5 and errors[-1] > NEAR_ROUNDING:
+        return failed(
+            f"at the finest steps its order is only {slope:.2f}, at an error of {errors[-1]:.1g}",
+            slope_at_finest=slope,
+            smallest_error=smallest,
+        )
+    return passed(slope_at_finest=round(slope, 2), smallest_error=smallest)
+
+
+def error_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: float, state: np.ndarray) -> float:
+    """Return the largest error at the end of a problem with the final `state`, at a tolerance."""
+    options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
+    time = {"end": ENDS[problem]}
+    with integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}) as run:
+        return float(np.max(np.abs(final_state(run) - state)))
+
+
 @check("order.polynomials")
 def polynomials(integrator: IntegratorUnderTest) -> Result:
     """A method of order p integrates a mass whose velocity is a polynomial of degree p exactly in one step."""
@@ -245,13 +287,7 @@ def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
         if "rtol" not in integrator.plugin.options.model_fields:
             raise Skip("it has no option `rtol`")
         state, _, floor = reference(problem)
-        errors = []
-        for rtol in TOLERANCES:
-            options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
-            with integrator.run(
-                PROBLEMS[problem], {"end": ENDS[problem]}, options=options, output={"every": 10**9}
-            ) as run:
-                errors.append(float(np.max(np.abs(final_state(run) - state))))
+        errors = [error_at_tolerance(integrator, problem, rtol, state) for rtol in TOLERANCES]
         figures = {f"error_at_{rtol:g}": error for rtol, error in zip(TOLERANCES, errors, strict=True)}
         if not np.all(np.isfinite(errors)):
             return failed("a run did not complete", **figures)
@@ -266,8 +302,9 @@ def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
 
 CHECKS = (
     polynomials,
-    *(_on(problem) for problem in PROBLEMS),
+    *(_on(problem) for problem in USUAL),
+    finest,
     multipliers,
     formulations,
-    *(_with_tolerance(problem) for problem in PROBLEMS),
+    *(_with_tolerance(problem) for problem in USUAL),
 )

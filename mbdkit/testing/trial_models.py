@@ -21,14 +21,16 @@ def _rod(length: float, mass: float, joint: tuple[float, float], angle: float, r
     }
 
 
-def _forces() -> Model:
+def _forces(start: float = 0.0) -> Model:
+    t = f"(t - {start:g})" if start else "t"
     springs = ((["ground", "rod1"], 3.0, 0.2, -1.2), (["rod1", "rod2"], 2.0, 0.1, 0.3))
     forces: Model = {
         f"spring{i + 1}": {"type": "torsion-spring", "bodies": pair, "stiffness": k, "damping": c, "free_angle": angle}
         for i, (pair, k, c, angle) in enumerate(springs)
     }
-    forces["torque"] = {"type": "torque", "body": "rod2", "reaction_body": "rod1", "value": "1.5*sin(4*t)"}
-    forces["push"] = {"type": "force", "body": "rod2", "point": [0.4, 0.0], "value": ["0.8*cos(3*t)", "0.5*sin(2*t)"]}
+    forces["torque"] = {"type": "torque", "body": "rod2", "reaction_body": "rod1", "value": f"1.5*sin(4*{t})"}
+    push = [f"0.8*cos(3*{t})", f"0.5*sin(2*{t})"]
+    forces["push"] = {"type": "force", "body": "rod2", "point": [0.4, 0.0], "value": push}
     return forces
 
 
@@ -48,6 +50,12 @@ def _two_rods(angles: tuple[float, float], first_rate: float = 0.0) -> Model:
 
 FORCED_PENDULUM: Model = {**_two_rods((-0.6, 0.1)), "forces": _forces()}
 """Two rods with springs and dampers, a torque and a force that depend on time: nonlinear and not autonomous."""
+
+
+def forced_pendulum(start: float) -> Model:
+    """Return the forced pendulum whose forces begin at the time `start` [s] as those above begin at 0."""
+    return {**FORCED_PENDULUM, "forces": _forces(start)}
+
 
 DRIVEN_PENDULUM: Model = {**_two_rods((-1.2, 0.1), 1.5), "forces": _forces()}
 """The same with its first rod moved by a driver: constraints that depend on time."""
@@ -169,6 +177,47 @@ CANNOT_MEET: Model = {
     },
 }
 """Two rods with a joint at a point far out of reach."""
+
+
+COASTING_BODY: Model = {
+    "name": "mechanism",
+    "gravity": [0.0, -9.81],
+    "bodies": {
+        "mass": {
+            "mass": 2.0,
+            "inertia": 0.3,
+            "position": [0.4, -0.2],
+            "velocity": [30.0, -7.0],
+            "angular_velocity": 9.0,
+        }
+    },
+}
+"""A free body that turns fast, in free fall: the acceleration is constant."""
+
+RESTING: dict[str, Model] = {
+    "a horizontal rod": {**_two_rods((0.0, 0.0)), "bodies": {"rod1": _rod(1.0, 1.0, (0.0, 0.0), 0.0)}},
+    "two horizontal rods": _two_rods((0.0, 0.0)),
+    "a horizontal rod with a vertical one": _two_rods((0.0, -math.pi / 2)),
+    "rods hanging straight that a slowly rising torque moves": {
+        **_two_rods((-math.pi / 2, -math.pi / 2)),
+        "forces": {"torque": {"type": "torque", "body": "rod2", "value": "8*t**4*exp(-t)"}},
+    },
+    "a spring in equilibrium beside a rod that swings": {
+        **_two_rods((-math.pi / 2, 0.3)),
+        "forces": {
+            "spring": {
+                "type": "spring-damper",
+                "bodies": ["ground", "rod1"],
+                "points": [[0.5, -0.5], [0.0, 0.0]],
+                "stiffness": 40.0,
+                "free_length": 0.5,
+            }
+        },
+    },
+}
+"""Starts at rest at which derivatives of the motion vanish by symmetry or by equilibrium, so that an error estimate may
+vanish by accident."""
+RESTING["a horizontal rod"]["joints"] = {"J1": SWINGING["joints"]["J1"]}
 
 
 def pushed(power: int) -> Model:

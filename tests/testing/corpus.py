@@ -346,7 +346,7 @@ def offer_model(**options: Any) -> Registry:
 
 def offer_law(function: Any, *, potential: bool = True, passive: bool = True) -> Registry:
     law: Any = function
-    if not isinstance(function, ExpressionLaw):
+    if not isinstance(function, ExpressionLaw | FunctionLaw):
         law = FunctionLaw(function, potential=potential, passive=passive)
     return _with(mbdkit_force_laws=mbdkit.ForceLawPlugin("mine", "A law", NoOptions, law, ("@misc{acme}",)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.testing import Result, checks_of, verify
 from mbdkit.testing.kit import plugin_under_test
 
-from . import corpus
+from . import corpus, subtle
 
 RK4 = {"order": 4, "needs": ("accelerations",)}
 MIDPOINT = {"order": 2, "needs": ("tangents",), "symmetric": True, "symplectic": True, "quadratic_invariants": True}
@@ -26,6 +27,13 @@ RIGHT = {
     "pendulum": ("model", corpus.offer_model()),
     "driven": ("model", corpus.offer_model(motion="0.5*sin(2*t)")),
     "hardening": ("force-law", corpus.offer_law(corpus.hardening)),
+    "contact": ("force-law", corpus.offer_law(subtle.hertz)),
+    "dry friction": ("force-law", corpus.offer_law(subtle.dry_friction, potential=False)),
+    "a steep stop": ("force-law", corpus.offer_law(subtle.steep)),
+    "a root": (
+        "force-law",
+        subtle.ranged(subtle.right_where_it_says_it_holds, length=(0.0, math.inf), time=(0.0, 4.0)),
+    ),
 }
 
 WRONG: dict[str, tuple[Any, Registry, str]] = {
@@ -36,7 +44,7 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
     "a Newton that is left out at fine steps": (
         "integrator",
         corpus.offer_method(corpus.LazyNewton, **MIDPOINT),
-        "newton.order",
+        "order.finest",
     ),
     "a Newton that ends while bodies move": (
         "integrator",
@@ -110,6 +118,55 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
         "force-law",
         corpus.offer_law(corpus.no_number, potential=False, passive=False),
         "law.finite",
+    ),
+}
+SUBTLE_LAWS = {
+    subtle.creates_energy_at_some_rates: "law.passivity",
+    subtle.creates_energy_in_a_corner: "law.passivity",
+    subtle.creates_energy_for_a_second: "law.passivity",
+    subtle.creates_a_little: "law.passivity",
+    subtle.wrong_slope_when_long: "derivatives.length",
+    subtle.wrong_slope_below_zero: "derivatives.length",
+    subtle.wrong_slope_near_zero: "derivatives.length",
+    subtle.wrong_slope_of_the_product: "derivatives.length",
+    subtle.wrong_rate_when_fast: "derivatives.rate",
+    subtle.wrong_rate_late: "derivatives.rate",
+    subtle.stiffer_after_two_seconds: "law.potential",
+    subtle.flickers: "law.potential",
+    subtle.potential_jumps: "law.potential",
+}
+SUBTLE_LAWS_WITHOUT_POTENTIAL = {
+    subtle.creates_energy_when_long: "law.passivity",
+    subtle.springy_but_passive: "law.passivity",
+    subtle.no_number_when_short: "law.finite",
+}
+SUBTLE_METHODS = {
+    subtle.Growing: "state.free-fall",
+    subtle.EndShort: "state.free-fall",
+    subtle.EndAlmostShort: "state.last-step",
+    subtle.NoEnd: "state.free-fall",
+    subtle.Single: "order.finest",
+    subtle.Wrapped: "state.free-fall",
+    subtle.Clipped: "state.free-fall",
+    subtle.OwnClock: "contract.start-time",
+    subtle.EarlyTimeOnly: "contract.start-time",
+}
+WRONG |= {one.__name__: ("force-law", corpus.offer_law(one), name) for one, name in SUBTLE_LAWS.items()}
+WRONG |= {
+    one.__name__: ("force-law", corpus.offer_law(one, potential=False), name)
+    for one, name in SUBTLE_LAWS_WITHOUT_POTENTIAL.items()
+}
+WRONG |= {one.__name__: ("integrator", corpus.offer_method(one, **RK4), name) for one, name in SUBTLE_METHODS.items()}
+WRONG |= {
+    "a wrong slope in the range of a law": (
+        "force-law",
+        subtle.ranged(subtle.wrong_where_it_says_it_holds, length=(20.0, 30.0)),
+        "derivatives.length",
+    ),
+    "a step size that a symmetric start deceives": (
+        "integrator",
+        subtle.offer_derivative_solver(),
+        "state.resting-starts",
     ),
 }
 
