@@ -27,8 +27,10 @@ from mbdkit.inverse_dynamics.smoothing import smoothed
 from mbdkit.mechanics.source import AssembledMechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.quantities.states import States
+from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.named_actuators import NamedActuator, actuators_of
+from mbdkit.stepping.interface import Nodes
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,19 @@ class Inverse:
             told.append(
                 f"the actuators cannot produce the motion: in the least-squares solution, {worst} stay unbalanced."
             )
-        return tuple(told)
+        return (*told, *self._laws_out_of_range())
+
+    def _laws_out_of_range(self) -> tuple[str, ...]:
+        """Return warnings about force laws that the motion uses outside of their ranges."""
+        workspace, motion = self.problem.prepared.workspace, self.motion
+        ranges = LawRanges.of(self.problem.spec.mechanism(), workspace.mechanism, workspace)
+        if ranges is None:
+            return ()
+        count = len(motion.time)
+        q, v = (np.column_stack([x, np.zeros((count, 3))]) for x in (motion.q, motion.v))
+        ranges.add_between(Nodes(motion.time, np.zeros(count), q, v))
+        ranges.add(np.zeros(0), np.zeros((0, len(workspace.mechanism.forces), 5)))
+        return tuple(f"{warning}." for warning in ranges.warnings())
 
 
 def fit(problem: InverseProblem) -> Fitted:

@@ -354,7 +354,8 @@ class _Group:
                 continue
             own = {key: values[lane, : results.rows[lane]] for key, values in arrays.items()}
             own |= self._intervals(member.table, results, lane)
-            ranges = LawRanges.of(member.spec, member.start.mechanism)
+            stops = member.spec.limits.law_range == "stop"
+            ranges = LawRanges.of(member.spec.mechanism(), member.start.mechanism, stops=stops)
             if ranges is not None:
                 rows = slice(results.rows[lane])
                 left = ranges.add(results.time[lane, rows], results.observed.forces[lane, rows])

@@ -116,19 +116,21 @@ class LawRanges:
         self._last = np.zeros((0, len(laws), 3))
 
     @classmethod
-    def of(cls, spec: RunSpec, mechanism: CompiledMechanism, workspace: Workspace | None = None) -> LawRanges | None:
-        """Return what watches the laws of a run; None if none of them declares a range. Raises the errors of
+    def of(
+        cls, model: Mechanism, mechanism: CompiledMechanism, workspace: Workspace | None = None, *, stops: bool = False
+    ) -> LawRanges | None:
+        """Return what watches the laws of a mechanism; None if none of them declares a range. Raises the errors of
         `has_ranges`.
         """
-        if not has_ranges(spec.mechanism()):
+        if not has_ranges(model):
             return None
         columns = {one.name: column for column, one in enumerate(mechanism.forces)}
         laws = [
             WatchedLaw(name, force.law_id, columns[name], force.pathway.length_unit, bounds)
-            for name, force in spec.mechanism().forces.items()
+            for name, force in model.forces.items()
             if isinstance(force, Law) and (bounds := _bounds(force)) != UNBOUNDED
         ]
-        return cls(laws, workspace, stops=spec.limits.law_range == "stop")
+        return cls(laws, workspace, stops=stops)
 
     @property
     def needs_nodes(self) -> bool:

@@ -139,7 +139,9 @@ class SimulatedRun:
         self.file: h5py.File | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
-        ranges = LawRanges.of(spec, workspace.mechanism, None if steps_are_rows(spec) else workspace)
+        between = None if steps_are_rows(spec) else workspace
+        stops = spec.limits.law_range == "stop"
+        ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
         self.recorder = Recorder(workspace, writer, self.guards, ranges)
         self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None

@@ -133,6 +133,21 @@ def test_lanes_tell_the_same_as_single_runs() -> None:
     assert [one.judgement.level for one in together] == ["unknown", "unknown", "doubtful", "doubtful", "doubtful"]
 
 
+def test_inverse_dynamics_tells_that_the_motion_leaves_the_range_of_a_law() -> None:
+    # expected: the parabola of the throw, as above
+    time = np.linspace(0.0, 0.6, 31)
+    spec = {name: part for name, part in thrown().items() if name in ("mbdkit", "model")}
+    spec["model"]["joints"] = {
+        "rail": {"type": "prismatic", "bodies": ["ground", "mass"], "axis": [0, 1], "at": [0, 0]}
+    }
+    spec["model"]["bodies"]["mass"]["inertia"] = 0.1
+    data = {"time": time.tolist(), "height": (3.0 * time - G * time**2 / 2).tolist()}
+    motion = {"data": data, "time": "time", "columns": {"mass.y": {"column": "height", "unit": "m"}}, "smooth": "none"}
+    told = mbdkit.inverse(spec | {"motion": motion, "unbalanced": "report"}).warnings[-1]
+    first, value, at = numbers_in(told.removesuffix("."))[-3:]
+    assert (first, value, at) == pytest.approx((passes(0.45), 9.0 / (2 * G), 3.0 / G), abs=1e-4)
+
+
 def test_rate_and_time_have_ranges_too(monkeypatch: pytest.MonkeyPatch) -> None:
     law = registry().get("force-law", "mbdkit:table").plugin.law
     bounds = {"rate": (-1.0, np.inf), "time": (-np.inf, 0.5)}
