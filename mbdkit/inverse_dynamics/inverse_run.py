@@ -20,6 +20,7 @@ from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.logs import logger_of
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, recorded_states
+from mbdkit.inverse_dynamics.data_verdict import doubts_about_data, verdict_on_data
 from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
 from mbdkit.inverse_dynamics.fit import raw_misalignment
 from mbdkit.measures.take import check_measures, take_all
@@ -103,23 +104,35 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     check_measures(spec)  # error bars of joints are written after those of the actuators, on which they depend
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     result = compute(problem)
-    for warning in result.warnings:
-        _LOG.warning("%s", warning)
     timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    file = archive_of(result, path, overwrite=overwrite, timings=timings)
+    bars = error_bars(result)
+    doubts = doubts_about_data(result, bars)
+    for warning in (*result.warnings, *doubts):
+        _LOG.warning("%s", warning)
+    file = _archive_of(result, bars, doubts, path, overwrite=overwrite, timings=timings)
     if file is not None:
         return Run(file)
     assert path is not None
     return load(path)
 
 
-def archive_of(
-    result: Inverse, path: Path | None, *, overwrite: bool, timings: Mapping[str, float]
+def _archive_of(
+    result: Inverse,
+    bars: ErrorBars | None,
+    doubts: tuple[str, ...],
+    path: Path | None,
+    *,
+    overwrite: bool,
+    timings: Mapping[str, float],
 ) -> h5py.File | None:
     """Write the result to an archive, and return its file if it is in memory (`path` is None).
 
     Parameters
     ----------
+    bars
+        Its error bars, if they are known.
+    doubts
+        What is implausible in the data.
     timings
         ``setup_s``, ``wall_s`` and ``cpu_s``.
 
@@ -134,7 +147,7 @@ def archive_of(
     extra = [array.path for array in layout.LAYOUT if array.group in _groups(result)]
     if mechanism.solved_rows:
         extra.append("constraints/singularity_distance")
-    states, bars, names = recorded_states(result), error_bars(result), _names(result)
+    states, names = recorded_states(result), _names(result)
     writer = ArchiveWriter(
         path,
         names,
@@ -148,12 +161,14 @@ def archive_of(
         writer.append(rows | {key: RECORDED[key].take(states) for key in writer.row_keys if key not in rows})
         writer.append_steps(_intervals(result.motion.time))
         counters = dict.fromkeys(layout.COUNTERS, 0)
+        misalignment = states.misalignment.max(axis=0, initial=0.0)
         ending = Ending(
             "complete",
             "",
             {**counters, **timings},
-            states.misalignment.max(axis=0, initial=0.0),
-            warnings=result.warnings,
+            misalignment,
+            judgement=verdict_on_data(result, misalignment, doubts),
+            warnings=(*result.warnings, *doubts),
             accuracy=None if bars is None else bars.accuracy,
         )
         return writer.finish(ending, measured=partial(_measured, result) if spec.measures else None)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import shown
-from mbdkit.inverse_dynamics.measured import source_table, unit_factor
+from mbdkit.inverse_dynamics.measured import si_values, source_table, times_of, unit_factor
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.tables import Table
 from mbdkit.mechanism.mechanism_quantities import GROUND
@@ -129,7 +129,7 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
         raise SpecError(
             "is missing: the motion is not a table, so that the load needs a `file` or `data`", key=f"{key}.file"
         )
-    time = table.times(load.time, f"{key}.time")
+    time = times_of(table, load.time, f"{key}.time")
     force, torque, point = np.zeros((len(time), 2)), np.zeros(len(time)), None
     deviation: dict[Component, float] = {}
     if load.force is not None:
@@ -168,7 +168,7 @@ def _required(
     """
     if isinstance(column, float):
         return np.full(len(table), column)
-    values = unit_factor(column, table, unit, key) * table.column(column.column, f"{key}.column")
+    values = si_values(column, table, unit, key)
     absent = np.isnan(values)
     missing = np.flatnonzero(absent if needed is None else absent & needed)
     if missing.size:

@@ -24,6 +24,12 @@ from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMoti
 RATE_SAMPLES = 5
 """Number of intervals beside a gap from which the rate of an angle is taken; fewer would have more noise."""
 
+LARGEST = 1e30
+"""Largest value of a column in SI units; squares and products of larger ones may overflow."""
+
+SHORTEST, LONGEST = 1e-9, 1e9
+"""Shortest and longest interval between two rows [s]."""
+
 SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
 
 
@@ -49,6 +55,10 @@ class Measured:
         (2, T, K) measured rates and accelerations; None if the columns have none.
     deviation
         (K,) stated standard deviations of the noise; nan where none is stated.
+    given
+        (T, K) values as in the table, before angles are continued over full turns.
+    has_unit
+        (K,) whether the spec or the file states the unit of the column.
     """
 
     time: np.ndarray
@@ -59,6 +69,8 @@ class Measured:
     weight: np.ndarray
     derivatives: np.ndarray | None
     deviation: np.ndarray
+    given: np.ndarray
+    has_unit: np.ndarray
 
     @property
     def target(self) -> Target:
@@ -89,13 +101,15 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     quantities = Quantities([names.find(name, f"motion.columns.{name}") for name in columns])
     raw = np.empty((len(time), len(columns)))
     values = raw.copy()
+    as_given, has_unit = raw.copy(), np.zeros(len(columns), dtype=bool)
     derivatives, deviation = np.empty((2, *raw.shape)), np.full(len(columns), np.nan)
     has_derivatives = [column.rate is not None for column in columns.values()]
     _require_all_or_none(motion, columns, has_derivatives)
     for index, (name, column) in enumerate(columns.items()):
         key, unit = f"motion.columns.{name}", quantities.quantities[index].unit
-        factor = unit_factor(column, table, unit, key)
-        given, where = factor * table.column(column.column, f"{key}.column")[kept], (table, column.column, kept)
+        factor, where = unit_factor(column, table, unit, key), (table, column.column, kept)
+        given = as_given[:, index] = si_values(column, table, unit, key)[kept]
+        has_unit[index] = column.unit is not None or (table.in_degrees if unit == "rad" else table.length_unit != "m")
         raw[:, index] = given if unit == "m" else _continued(time, given, 2 * np.pi * quantities.scale[index], where)
         values[:, index] = _bridged(time, raw[:, index], motion.gaps, where)
         if column.deviation is not None:
@@ -106,7 +120,12 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
                 derivatives[order, :, index] = _bridged(time, given, None, (table, heading, kept))
     weight = np.array([column.weight for column in columns.values()])
     given_derivatives = derivatives if all(has_derivatives) else None
-    return Measured(time, tuple(columns), quantities, raw, values, weight, given_derivatives, deviation), table
+    return (
+        Measured(
+            time, tuple(columns), quantities, raw, values, weight, given_derivatives, deviation, as_given, has_unit
+        ),
+        table,
+    )
 
 
 def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> Table | None:
@@ -162,9 +181,36 @@ def unit_factor(column: ColumnOfTable, table: Table, unit: str, key: str) -> flo
     return given.factor * column.scale
 
 
+def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.ndarray:
+    """Return the values of a column in the SI `unit`, (T,); gaps are nan. Raise SpecError if one is too large."""
+    values = unit_factor(column, table, unit, key) * table.column(column.column, f"{key}.column")
+    large = np.flatnonzero(np.abs(values) > LARGEST)
+    if large.size:
+        row = int(large[0])
+        raise table.error(
+            f"column '{shown(column.column)}': {values[row]:.6g} {unit} is no possible value (largest {LARGEST:g})",
+            row=row,
+        )
+    return values
+
+
+def times_of(table: Table, heading: str, key: str) -> np.ndarray:
+    """Return the times of a table (T,) [s]; raise SpecError if their intervals are too short or long to be times."""
+    times = table.times(heading, key)
+    wrong = np.flatnonzero((np.diff(times) < SHORTEST) | (np.diff(times) > LONGEST))
+    if wrong.size:
+        row = int(wrong[0]) + 1
+        raise table.error(
+            f"column '{shown(heading)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before is no "
+            f"possible one (from {SHORTEST:g} to {LONGEST:g} s)",
+            row=row,
+        )
+    return times
+
+
 def _times(spec: InverseSpec, table: Table) -> tuple[np.ndarray, np.ndarray]:
     """Return the times within the span of the spec, and the rows of the table that they belong to."""
-    every = table.times(spec.motion.time, "motion.time")
+    every = times_of(table, spec.motion.time, "motion.time")
     return every[kept := rows_within(spec, every)], kept
 
 
@@ -295,4 +341,5 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     derivatives = np.stack([rate, acceleration]) if motion.smooth.name == "none" else None
     weight = np.array([column.weight for column in wanted.values()])
     deviation = np.array([column.deviation or np.nan for column in wanted.values()])
-    return Measured(time, tuple(found), quantities, values, values, weight, derivatives, deviation)
+    has_unit = np.ones(len(wanted), dtype=bool)
+    return Measured(time, tuple(found), quantities, values, values, weight, derivatives, deviation, values, has_unit)

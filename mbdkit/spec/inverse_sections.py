@@ -149,6 +149,21 @@ class ErrorBars(Section):
     """Seed of the random numbers."""
 
 
+Criterion = Literal[
+    "times",
+    "outliers",
+    "constant",
+    "units",
+    "turns",
+    "fit",
+    "noise",
+    "load-point",
+    "load-sign",
+    "load-offset",
+    "residuals",
+]
+"""Names of the criteria of the verdict on measured data."""
+
 Data = dict[str, list[float | None]]
 """Columns of a table by heading; None is a gap."""
 
@@ -197,10 +212,13 @@ class MeasuredMotion(Section):
 class Load(Section):
     """A measured load on a body: a force at a point that may move, a free torque, or both."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "kind")
 
     body: Named
     """Body that the load acts on."""
+    kind: Literal["plate", "other"] | None = None
+    """`plate` if a force plate measured it, which presses on the body near its outline, or `other`; decides which
+    criteria of the verdict apply. By default, a plate if columns give the point in the global frame."""
     file: Named | None = None
     """Table of the load; by default, that of the motion."""
     data: Data | None = None
@@ -217,6 +235,14 @@ class Load(Section):
     """Column of a free torque on the body, positive counter-clockwise."""
     interpolation: Literal["linear", "cubic"] = "linear"
     """How loads are interpolated to the times of the motion."""
+
+    @property
+    def is_plate(self) -> bool:
+        """Whether the load counts as that of a force plate."""
+        if self.kind is not None:
+            return self.kind == "plate"
+        given = self.point is not None and any(not isinstance(one, float) for one in self.point)
+        return given and self.point_frame == GROUND
 
     @model_validator(mode="after")
     def _complete(self) -> Load:

@@ -16,7 +16,7 @@ from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
-from mbdkit.spec.inverse_sections import Actuator, Load, MeasuredMotion, Span
+from mbdkit.spec.inverse_sections import Actuator, Criterion, Load, MeasuredMotion, Span
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.named_actuators import actuators_of
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
@@ -39,7 +39,14 @@ class InverseSpec(ModelSpec):
     """
 
     model_config = ConfigDict(title="mbdkit spec of inverse dynamics", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("parameters", "loads", "actuators", "measures", "unbalanced")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "parameters",
+        "loads",
+        "actuators",
+        "measures",
+        "unbalanced",
+        "accept",
+    )
 
     motion: MeasuredMotion
     """The measured motion."""
@@ -51,6 +58,8 @@ class InverseSpec(ModelSpec):
     unbalanced: Literal["refuse", "report"] = "refuse"
     """Whether actuators that cannot produce the motion are refused, or chosen by least squares of the generalized
     forces that they leave unbalanced, which are reported."""
+    accept: list[Criterion] = Field(default_factory=list)
+    """Criteria of the verdict on the data that are not applied, because what they find is known and intended."""
     time: Span = Span()
     """The part of the motion that is used."""
     measures: RunMeasures = Field(default_factory=dict)

@@ -5,7 +5,7 @@ The drivers of the forward run replace the actuators: their torques are the true
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 import mbdkit
 from mbdkit.mechanism.quantity_names import QuantityNames
 
-RATE = 100.0
+RATE = 120.0
 """Samples per second."""
 
 KINDS = ("chain", "free chain", "driven chain", "four-bar", "five-bar", "slider-crank")
@@ -43,6 +43,8 @@ class Drawn:
         (T, J, 2) exact forces of the joints.
     highest
         Highest frequency of the motion [Hz].
+    poses
+        (T, 3) exact x, y and angle of each body.
     """
 
     kind: str
@@ -53,7 +55,7 @@ class Drawn:
     torques: dict[str, np.ndarray]
     force: np.ndarray
     highest: float
-    drivers: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    poses: dict[str, np.ndarray]
 
 
 def wave(random: np.random.Generator, amplitude: float, highest: float) -> str:
@@ -129,49 +131,72 @@ def _loop(m: mbdkit.Mechanism, random: np.random.Generator, kind: str) -> list[s
     return ["A", "D"]
 
 
+def _biped(m: mbdkit.Mechanism, random: np.random.Generator) -> list[str]:
+    """Add a trunk with two legs that stand on y = 0, and return the joints, those of the left leg first."""
+    size, joints = random.uniform(0.8, 1.2), []
+    hip = 0.9j * size
+    _link(m, random, "link0", hip, hip + 0.5j * size)
+    for side, ahead in (("left", 0.15), ("right", -0.15)):
+        ankle = ahead * size + 0.08j * size
+        knee = (hip + ankle) / 2 + 0.05 * size
+        heel, toe = ankle - (0.08 + 0.06j) * size, ankle + (0.2 - 0.06j) * size
+        _link(m, random, f"thigh {side}", hip, knee)
+        _link(m, random, f"shank {side}", knee, ankle)
+        _link(m, random, f"foot {side}", heel, toe)
+        for name, bodies, at in (
+            ("hip", ("link0", f"thigh {side}"), hip),
+            ("knee", (f"thigh {side}", f"shank {side}"), knee),
+            ("ankle", (f"shank {side}", f"foot {side}"), ankle),
+        ):
+            _pin(m, f"{name} {side}", *bodies, at)
+            joints.append(f"{name} {side}")
+    return joints
+
+
 def draw(random: np.random.Generator, kind: str, columns: str) -> Drawn:
-    """Draw a mechanism, move it, and return what is measured and what acts."""
+    """Draw a mechanism of one of `KINDS` or a biped, move it, and return what is measured and what acts."""
     m = mbdkit.Mechanism()
-    free = kind == "free chain"
-    joints = _chain(m, random, free=free) if "chain" in kind else _loop(m, random, kind)
-    highest, end = random.uniform(0.8, 2.0), random.uniform(1.5, 2.5)
+    free, biped = kind in ("free chain", "biped"), kind == "biped"
+    if biped:
+        joints = _biped(m, random)
+    else:
+        joints = _chain(m, random, free=free) if "chain" in kind else _loop(m, random, kind)
+    highest, end = random.uniform(0.8, 2.0) * (0.6 if biped else 1.0), random.uniform(1.5, 2.5)
     if kind == "driven chain":
         m.driver("moved", m.ground, "link0", coordinate="angle", motion=_about(m, random, "J0", highest))
         joints = joints[1:]
     model, actuators = m.to_spec(), {name: {"joint": name} for name in joints}
-    amplitude = 0.6 if "chain" in kind else 0.3
-    drivers: dict[str, tuple[str, ...]] = {}
+    amplitude = 0.08 if biped else 0.6 if "chain" in kind else 0.3
+    drivers: dict[str, str] = {}
     for name in joints:
         first, second = m.joints[name].bodies
         start = m.bodies[second].angle - (m.bodies[first].angle if first != "ground" else 0.0)
         motion = f"{start!r}+{wave(random, amplitude, highest)}"
         m.driver(f"on {name}", first, second, coordinate="angle", motion=motion)
-        drivers[name] = (f"on {name}",)
+        drivers[name] = f"on {name}"
     if free:
         body = m.bodies["link0"]
         for axis, start in (("x", body.position[0]), ("y", body.position[1]), ("angle", body.angle)):
-            motion = f"{start!r}+{wave(random, 0.2, highest)}"
+            motion = f"{start!r}+{wave(random, 0.06 if biped else 0.2, highest)}"
             m.driver(f"on root {axis}", m.ground, "link0", coordinate=axis, motion=motion)
-            drivers[f"root.{axis}"] = (f"on root {axis}",)
-    rows = int(end * RATE)
+            drivers[f"root.{axis}"] = f"on root {axis}"
     run = mbdkit.run(
         {
             "mbdkit": 1,
             "model": m.to_spec(),
             "integrator": {"name": "gauss", "stages": 3},
             "stabilization": {"name": "projection", "every": 1},
-            "time": {"steps": rows, "step": 1 / RATE},
+            "time": {"steps": int(end * RATE), "step": 1 / RATE},
         }
     )
     run.check()
-    names = QuantityNames(m)
-    q = run.array("trajectory/position").reshape(len(run.time), -1)
+    names, q = QuantityNames(m), run.array("trajectory/position")
     measured = _measured(random, model, joints, columns, free=free)
-    values = {name: names.find(name, "columns").value(q) for name in measured}
-    torques = {name: _driven(run, which[0]) for name, which in drivers.items()}
-    places = [run.joint_names.index(name) for name in model["joints"]]
-    force = run.array("joints/reaction_force")[:, places]
-    return Drawn(kind, columns, model, actuators, {"time": run.time, **values}, torques, force, highest, drivers)
+    values = {name: names.find(name, "columns").value(q.reshape(len(q), -1)) for name in measured}
+    torques = {name: _driven(run, driver) for name, driver in drivers.items()}
+    force = run.array("joints/reaction_force")[:, [run.joint_names.index(name) for name in model["joints"]]]
+    poses = {name: q[:, number] for number, name in enumerate(m.bodies)}
+    return Drawn(kind, columns, model, actuators, {"time": run.time, **values}, torques, force, highest, poses)
 
 
 def _about(m: mbdkit.Mechanism, random: np.random.Generator, joint: str, highest: float) -> str:

@@ -1,0 +1,242 @@
+"""Criteria of the verdict on measured motions: times and columns, each for itself, and against the fitted mechanism."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base.text import listed
+from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.measured import Measured
+from mbdkit.spec.inverse_sections import Criterion, NoSmoothing, QuinticSpline
+
+UNEVEN = 0.01
+"""Relative variation of the intervals between rows from which their times are examined."""
+
+EVEN, CERTAIN = 0.5, 6.0
+"""The times are implausible if the columns agree better with evenly spaced ones: if the share of the difference between
+both that the columns contain is above the first (0 for right times, 1 for even samples), and above the second times its
+standard deviation due to noise."""
+
+GRIDS = tuple(10.0**-digits for digits in range(1, 7))
+"""Multiples [s] of which rounded times consist."""
+
+SPIKE, LEAST_SPIKE = 8.0, 0.005
+"""A sample is an outlier if it deviates from its neighbours by more than the first times the robust standard deviation
+of such deviations, and by more than the second, as a share of the range of the column. Gaussian noise exceeds 8 once
+in 1e15 samples."""
+
+FROZEN = 8
+"""Number of equal values in a row that a sensor with noise does not give."""
+
+MOVING = 5.0
+"""A column moves during some rows if its range there is this many times the smallest change between two rows."""
+
+TURN = 1.2
+"""Change of an angle between two rows [rad] from which its turns are not certain; beyond pi they would be wrong."""
+
+TURNS, TURNING = 4 * np.pi, 0.8
+"""An angle without a unit looks like degrees if its size exceeds the first [rad], unless its net change is at least the
+second of its total variation, as of a crank that turns."""
+
+TRAVELS = 30.0
+"""Range of a length without a unit, as a multiple of the mechanism's size, from which it looks like millimetres."""
+
+RESIDUAL = 0.05
+"""Root mean square residual of a column from which the fit is poor: in radians, or relative to the longest link. For
+the links of a leg it is 2 cm, the limit that OpenSim recommends for markers."""
+
+SUDDEN, LEAST_SUDDEN = 10.0, 0.01
+"""The fit is poor for some time if residuals exceed the first times their robust standard deviation, and the second,
+measured as `RESIDUAL`."""
+
+BEYOND_NOISE = 10.0
+"""Ratio of the root mean square difference of data and smoothed motion to the stated noise from which the statement is
+implausible; a low cutoff alone gives up to 5."""
+
+TO_DEVIATION = 1.4826
+"""Ratio of the standard deviation of Gaussian noise to the median of its absolute values."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """A reason to doubt measured data: the criterion, and a sentence that names the likely cause."""
+
+    criterion: Criterion
+    sentence: str
+
+
+def column_doubts(result: Inverse) -> Iterator[Doubt]:
+    """Yield the doubts about times and columns of a measured motion."""
+    measured = result.fitted.measured
+    length = result.problem.fitter.manifold.length
+    yield from _of_times(measured)
+    for index, name in enumerate(measured.names):
+        yield from _outliers(measured, index, name)
+        yield from _units(measured, index, name, length)
+    yield from _constants(measured)
+    yield from _fit(result)
+    yield from _noise(result)
+
+
+def _of_times(measured: Measured) -> Iterator[Doubt]:
+    time, steps = measured.time, np.diff(measured.time)
+    if len(time) < 6 or np.ptp(steps) <= UNEVEN * np.mean(steps) or np.max(steps) > 1.9 * np.median(steps):
+        return  # evenly spaced, or with rows left out
+    even, product, square = np.linspace(time[0], time[-1], len(time)), 0.0, 0.0
+    for x in measured.values.T:
+        given, smooth = _off_neighbours(time, x), _off_neighbours(even, x)
+        if np.any(noise := np.mean(smooth**2)):
+            product += float(np.sum(given * (given - smooth)) / noise)
+            square += float(np.sum((given - smooth) ** 2) / noise)
+    if not product > max(EVEN * square, CERTAIN * np.sqrt(square)):
+        return
+    grid = next((one for one in GRIDS if np.max(np.abs(time / one - np.round(time / one))) < 1e-6), None)
+    cause = "they probably have jitter" if grid is None else f"they are probably rounded to {grid:g} s"
+    yield Doubt(
+        "times",
+        f"the columns belong to evenly spaced times rather than to the given ones, whose intervals vary from "
+        f"{steps.min():.6g} to {steps.max():.6g} s (share {product / square:.2g}, doubtful above {EVEN:g}; certain to "
+        f"{product / np.sqrt(square):.3g} standard deviations, doubtful above {CERTAIN:g}): {cause}; derivatives "
+        "depend on them.",
+    )
+
+
+def _off_neighbours(time: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return the deviations (T - 4,) of samples from the cubic polynomials through two neighbours on both sides."""
+    count = len(time) - 4
+    near = [slice(shift, shift + count) for shift in (0, 1, 3, 4)]
+    at, found = time[2:-2], x[2:-2].copy()
+    for own in near:
+        weight = np.ones(count)
+        for other in near:
+            if other != own:
+                weight *= (at - time[other]) / (time[own] - time[other])
+        found -= weight * x[own]
+    return found
+
+
+def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
+    x = measured.values[:, index]
+    if len(x) < 12 or np.ptp(x) == 0:
+        return
+    off = np.abs(_off_neighbours(measured.time, x))
+    limit = max(SPIKE * TO_DEVIATION * float(np.median(off)), LEAST_SPIKE * float(np.ptp(x)))
+    rows = np.flatnonzero(off > limit) + 2
+    if rows.size:
+        worst = int(np.argmax(off))
+        yield Doubt(
+            "outliers",
+            f"column of {name}: the value at t = {measured.time[worst + 2]:.6g} s is {off[worst]:.3g} "
+            f"{measured.quantities.quantities[index].unit} off its neighbours (doubtful above {limit:.3g}); "
+            f"{len(rows)} rows are suspicious: an outlier, a jump, exchanged columns, or gaps that were filled.",
+        )
+
+
+def _constants(measured: Measured) -> Iterator[Doubt]:
+    """Yield doubts about columns that stay constant, while others move."""
+    quantum = [np.min(moved[moved > 0], initial=np.inf) for moved in np.abs(np.diff(measured.values, axis=0)).T]
+    for index, name in enumerate(measured.names):
+        x = measured.values[:, index]
+        begin, end = _longest_constant(x)
+        others = [
+            np.ptp(measured.values[begin:end, other]) > MOVING * quantum[other]
+            for other in range(len(measured.names))
+            if other != index and np.isfinite(quantum[other])
+        ]
+        moves = [np.median(np.abs(x[end - begin :] - x[: begin - end]))] if end - begin < len(x) else [np.inf]
+        if end - begin < FROZEN or not others or 2 * sum(others) < len(others) or moves[0] < MOVING * quantum[index]:
+            continue
+        yield Doubt(
+            "constant",
+            f"column of {name}: the value stays exactly {x[begin]:.6g} from t = {measured.time[begin]:.6g} to "
+            f"{measured.time[end - 1]:.6g} s, {end - begin} rows, while others change (doubtful from {FROZEN} rows): a "
+            "sensor that was lost, or a gap filled with a constant.",
+        )
+
+
+def _longest_constant(x: np.ndarray) -> tuple[int, int]:
+    """Return the first row, and the row after the last, of the longest run of equal values."""
+    changes = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1, [len(x)]])
+    longest = int(np.argmax(np.diff(changes)))
+    return int(changes[longest]), int(changes[longest + 1])
+
+
+def _units(measured: Measured, index: int, name: str, length: float) -> Iterator[Doubt]:
+    quantity, given = measured.quantities.quantities[index], measured.given[:, index]
+    if quantity.unit == "m":
+        travel = float(np.nanmax(given) - np.nanmin(given)) / quantity.scale
+        if not measured.has_unit[index] and travel > TRAVELS * length:
+            yield Doubt(
+                "units",
+                f"column of {name}: the values have a range of {travel:.4g} m, {travel / length:.3g} times the longest "
+                f"link (doubtful above {TRAVELS:g}), and no `unit`: they look like millimetres.",
+            )
+        return
+    change = np.diff(measured.values[:, index]) / quantity.scale
+    largest = float(np.nanmax(np.abs(given))) / quantity.scale
+    turning = abs(np.sum(change)) >= TURNING * np.sum(np.abs(change))
+    if not measured.has_unit[index] and largest > TURNS and not turning:
+        yield Doubt(
+            "units",
+            f"column of {name}: the values reach {largest:.4g} rad (doubtful above {TURNS:.4g} for an angle that does "
+            "not turn on and on), and no `unit` is given: they look like degrees; write `unit: deg`.",
+        )
+    elif change.size and np.max(np.abs(change)) > TURN:
+        at = int(np.argmax(np.abs(change)))
+        yield Doubt(
+            "turns",
+            f"column of {name}: the angle changes by {abs(change[at]):.3g} rad in the interval after t = "
+            f"{measured.time[at]:.6g} s (doubtful above {TURN:g}), so that its turns are not certain: too few samples, "
+            "a wrong unit, or an outlier.",
+        )
+
+
+def _fit(result: Inverse) -> Iterator[Doubt]:
+    """Yield a doubt if the mechanism fits the data poorly, at all times or for some time."""
+    measured, residual = result.fitted.measured, result.fitted.residual
+    size = (
+        np.where(measured.quantities.is_angle, 1.0, result.problem.fitter.manifold.length) * measured.quantities.scale
+    )
+    share = np.abs(residual) / size
+    rms = np.sqrt(np.nanmean(share**2, axis=0))
+    if np.any(rms > RESIDUAL):
+        worst = [measured.names[index] for index in np.argsort(-rms) if rms[index] > RESIDUAL][:4]
+        yield Doubt(
+            "fit",
+            f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is {rms.max():.2g} rad "
+            f"or longest links (doubtful above {RESIDUAL:g}); columns with large residuals: {listed(worst, 'and')}. "
+            "Exchanged or mirrored columns, wrong units, another frame, or wrong lengths.",
+        )
+        return
+    usual = np.maximum(SUDDEN * TO_DEVIATION * np.nanmedian(share, axis=0), LEAST_SUDDEN)
+    rows = np.flatnonzero(np.any(share > usual, axis=1))
+    if rows.size:
+        columns = [name for name, one in zip(measured.names, (share > usual).T, strict=True) if np.any(one)][:4]
+        yield Doubt(
+            "fit",
+            f"the mechanism does not fit {len(rows)} rows between t = {measured.time[rows[0]]:.6g} and "
+            f"{measured.time[rows[-1]]:.6g} s, with residuals above {SUDDEN:g} times the usual ones, of "
+            f"{listed(columns, 'and')}: exchanged markers or outliers.",
+        )
+
+
+def _noise(result: Inverse) -> Iterator[Doubt]:
+    """Yield a doubt if the smoothing changes a column much more than its stated noise can."""
+    if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline):
+        return
+    measured = result.fitted.measured
+    left = measured.raw - measured.quantities.values(result.motion.q)
+    ratio = np.sqrt(np.nanmean(left**2, axis=0)) / measured.deviation
+    told: Sequence[str] = [
+        f"{name} {one:.3g}" for name, one in zip(measured.names, ratio, strict=True) if one > BEYOND_NOISE
+    ]
+    if told:
+        yield Doubt(
+            "noise",
+            f"data and smoothed motion differ by more than {BEYOND_NOISE:g} times the stated noise: "
+            f"{listed(told, 'and')} times. The cutoff is too low, the deviation has another unit, or the columns are "
+            "wrong.",
+        )

@@ -1,0 +1,41 @@
+"""The verdict on a result of inverse dynamics: the doubts about its data that the spec does not accept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.inverse_dynamics.column_criteria import column_doubts
+from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.error_bars import ErrorBars
+from mbdkit.inverse_dynamics.load_criteria import load_doubts
+from mbdkit.trust.criteria import Evidence, Judgement, judge
+
+
+def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> tuple[str, ...]:
+    """Return what is implausible in the data of a result, as sentences that begin with the name of the criterion."""
+    accepted = result.problem.spec.accept
+    found = [*column_doubts(result), *load_doubts(result, bars)]
+    return tuple(f"{one.criterion}: {one.sentence}" for one in found if one.criterion not in accepted)
+
+
+def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: tuple[str, ...]) -> Judgement:
+    """Return the verdict: ``unknown`` at best, since error bars do not include wrong data, masses and lengths.
+
+    Parameters
+    ----------
+    misalignment
+        (J,) largest misalignment of each joint [m].
+    doubts
+        What is implausible in the data.
+    """
+    joints = result.problem.prepared.workspace.mechanism.joints
+    worst = int(np.argmax(misalignment)) if misalignment.size else 0
+    return judge(
+        Evidence(
+            end=float(result.motion.time[-1]),
+            size=result.problem.fitter.manifold.length,
+            misalignment=float(np.max(misalignment, initial=0.0)),
+            joint=joints[worst] if misalignment.size else "",
+            warnings=doubts,
+        )
+    )

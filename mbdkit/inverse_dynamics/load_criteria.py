@@ -1,0 +1,226 @@
+"""Criteria of the verdict on measured loads: their points of application, their signs, and the balance of momentum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mbdkit.base.text import listed
+from mbdkit.inverse_dynamics.column_criteria import TO_DEVIATION, Doubt
+from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.error_bars import ErrorBars
+from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate, without_scale
+from mbdkit.spec.named_actuators import free_roots
+
+OUTSIDE = 0.25
+"""Distance of a point of application from the outline of its body, as a share of the body's extent, from which it is
+implausible."""
+
+OFTEN = 0.1
+"""Share of the force, summed over time, that must act outside the outline."""
+
+ROD = np.sqrt(3.0)
+"""Half the length of a uniform rod by its radius of gyration: the least extent of a body around its centre of mass."""
+
+UNLOADED, LEAST_OFFSET = 0.1, 0.005
+"""A plate counts as unloaded while its force is below the first share of its peak, if that is at least as often; its
+force has an offset if it then exceeds the second share on average, and five times its scatter."""
+
+FORCE, MOMENT = 0.05, 0.02
+"""Residual forces and moments from which the balance is doubtful, as shares of the largest load, and of that load times
+the height of the mechanism. J. L. Hicks et al. (Journal of Biomechanical Engineering 137, 2015, 020905) recommend at
+most 0.05 for peak forces, and 0.01 for the root mean square of moments."""
+
+NOISY = 0.8
+"""Ratio of the root mean square residual to that of its error bar from which noise does not explain it; noise alone
+gives 0.5."""
+
+EXPLAINS = 0.3
+"""Ratio by which a change of the loads must reduce the residual forces to be named as their cause."""
+
+LATEST = 0.1
+"""Largest delay of a load that is looked for [s]."""
+
+
+def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
+    """Yield the doubts about measured loads."""
+    outlines = _outlines(result)
+    for index, (name, load) in enumerate(result.problem.spec.loads.items()):
+        if load.is_plate:
+            yield from _sign(result, index, name)
+            yield from _offset(result, index, name)
+        if load.point is not None and load.kind != "other" and not all(isinstance(x, float) for x in load.point):
+            yield from _point(result, index, name, outlines)
+    yield from _balance(result, bars)
+
+
+def _outlines(result: Inverse) -> np.ndarray:
+    """Return the smallest and largest x and y, (B, 2, 2), of the known points of each body in its frame."""
+    mechanism = result.problem.names.mechanism
+    points: dict[str, list[tuple[float, float]]] = {name: [] for name in mechanism.bodies}
+    for joint in mechanism.joints.values():
+        for _, name, point in joint.attachments():
+            points.get(name, []).append(point)
+    for marker in mechanism.markers.values():
+        if marker.point is not None:
+            points.get(marker.body, []).append(marker.point)
+    found = []
+    for name, body in mechanism.bodies.items():
+        half = ROD * np.sqrt((body.inertia or 0.0) / body.mass)
+        every = np.array([(-half, -half), (half, half), *points[name]])
+        found.append((every.min(axis=0), every.max(axis=0)))
+    return np.array(found)
+
+
+def _outside(result: Inverse, index: int, body: int, outline: np.ndarray) -> np.ndarray:
+    """Return the distance (T,) of the point of a load from the outline of a body, as a share of the body's extent."""
+    q, place = result.motion.q, 3 * body
+    x, y = (result.loads.point[:, index] - q[:, place : place + 2]).T
+    c, s = np.cos(q[:, place + 2]), np.sin(q[:, place + 2])
+    own = np.stack([c * x + s * y, c * y - s * x], axis=1)
+    beyond = np.maximum(0.0, np.maximum(outline[0] - own, own - outline[1]))
+    extent = float(np.linalg.norm(outline[1] - outline[0]))
+    return np.asarray(np.linalg.norm(beyond, axis=1) / extent) if extent > 0 else np.zeros(len(q))
+
+
+def _point(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Doubt]:
+    series, size = result.problem.loads[name], np.linalg.norm(result.loads.force[:, index], axis=1)
+    far = _outside(result, index, series.body, outlines[series.body])
+    if not np.any(size > 0) or np.sum(size[far > OUTSIDE]) <= OFTEN * np.sum(size):
+        return
+    bodies, rows = result.problem.fitter.bodies, size > 0.1 * np.max(size)
+    distance = [float(np.mean(_outside(result, index, body, outlines[body])[rows])) for body in range(len(bodies))]
+    nearest = int(np.argmin(distance))
+    cause = (
+        f"it is on the outline of {bodies[nearest]}: does the load act on that body?"
+        if distance[nearest] < OFTEN * OUTSIDE
+        else "is it in another frame (that of the laboratory, while the model hangs elsewhere) or unit, or late?"
+    )
+    yield Doubt(
+        "load-point",
+        f"load '{name}' acts outside of {bodies[series.body]}, up to {np.max(far[rows]):.2g} of its extent from its "
+        f"outline (doubtful above {OUTSIDE:g}): {cause}",
+    )
+
+
+def _sign(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
+    gravity = np.array(result.problem.names.mechanism.gravity, dtype=float)
+    if not np.any(gravity):
+        return
+    up = result.loads.force[:, index] @ (-gravity / np.linalg.norm(gravity))
+    if np.sum(up) < 0:
+        yield Doubt(
+            "load-sign",
+            f"load '{name}' pulls its body down on average, by {-np.mean(up):.4g} N: plates often give the force on "
+            "themselves, whose sign must be turned with `scale: -1`; or the y axis points down. (`kind: other` is for "
+            "loads that are not those of a plate.)",
+        )
+
+
+def _offset(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
+    force = result.loads.force[:, index]
+    peak = float(np.max(np.abs(force), initial=0.0))
+    rows = np.linalg.norm(force, axis=1) < UNLOADED * peak
+    if np.sum(rows) < max(8, UNLOADED * len(rows)):
+        return
+    middle = np.median(force[rows], axis=0)
+    scatter = TO_DEVIATION * np.median(np.abs(force[rows] - middle), axis=0) / np.sqrt(np.sum(rows))
+    if np.any(np.abs(middle) > np.maximum(LEAST_OFFSET * peak, 5 * scatter)):
+        yield Doubt(
+            "load-offset",
+            f"load '{name}' is about ({middle[0]:.3g}, {middle[1]:.3g}) N in {np.sum(rows)} rows in which it is below "
+            f"{UNLOADED:g} of its peak, and should be zero (doubtful above {LEAST_OFFSET:g} of it): the plate has an "
+            "offset.",
+        )
+
+
+def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
+    """Yield a doubt if measured loads and the motion of a free mechanism contradict Newton's second law."""
+    mechanism = result.problem.names.mechanism
+    roots = free_roots(mechanism)
+    load = result.loads.force.sum(axis=1)
+    largest = float(np.max(np.linalg.norm(load, axis=1), initial=0.0))
+    if len(roots) != 1 or not largest > 0:
+        return
+    residual, noise = _residual_wrench(result, roots[0], bars)
+    height = max(result.problem.fitter.manifold.length, float(np.mean(np.ptp(result.motion.q[:, 1::3], axis=1))))
+    limits = np.array([FORCE, FORCE, MOMENT * height]) * largest
+    ends = len(residual) // 20  # derivatives are inaccurate there
+    inside = slice(ends, len(residual) - ends)
+    beyond = np.mean(residual[inside] ** 2, axis=0) > NOISY**2 * np.mean(noise[inside] ** 2, axis=0)
+    over = beyond & (np.quantile(np.abs(residual)[inside], 0.95, axis=0) > limits)
+    if np.any(over):
+        peak = np.max(np.abs(residual)[inside], axis=0)
+        told = [f"{peak[axis]:.4g} {('N along x', 'N along y', 'N m')[axis]}" for axis in np.flatnonzero(over)]
+        limit = f"doubtful above {limits[0]:.3g} N or {limits[2]:.3g} N m, {FORCE:g} of the largest load and {MOMENT:g}"
+        yield Doubt(
+            "residuals",
+            f"motion and loads contradict Newton's second law: the residual actuators of {roots[0]} reach "
+            f"{listed(told, 'and')} ({limit} of its moment at the height of the mechanism). "
+            f"{_cause(result, residual / [1, 1, height], height, inside)}",
+        )
+
+
+def _residual_wrench(result: Inverse, root: str, bars: ErrorBars | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the forces x, y and the moment of the residual actuators of a root, (T, 3), and their error bars."""
+    body = list(result.problem.names.mechanism.bodies).index(root)
+    values, noise = np.zeros((2, len(result.motion.time), 3))
+    for place, actuator in enumerate(result.problem.actuators):
+        on = without_scale(actuator.quantity)
+        if isinstance(on, Coordinate | MarkerCoordinate):
+            own = on.body if isinstance(on, Coordinate) else on.point.body
+            if own == body:
+                values[:, on.axis] += result.dynamics.value[:, place] * actuator.quantity.scale
+                if bars is not None:
+                    noise[:, on.axis] += np.nan_to_num(bars.actuators[:, place]) * actuator.quantity.scale
+    return values, noise
+
+
+def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) -> str:
+    """Return the change of the loads that explains most of the residual forces and moments, as a sentence.
+
+    Parameters
+    ----------
+    residual
+        (T, 3) residual forces, and moment about the root by the height of the mechanism.
+    inside
+        Rows without the ends.
+    """
+    time, loads = result.motion.time, result.loads
+    root = result.problem.names.body(free_roots(result.problem.names.mechanism)[0], "model")
+    centre = result.motion.q[:, 3 * root : 3 * root + 2]
+
+    def wrench(force: np.ndarray, point: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        arm = point - centre[:, None]
+        moment = arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0] + torque
+        return np.asarray(np.concatenate([force, moment[..., None] / height], axis=2).sum(axis=1))
+
+    load = wrench(loads.force, loads.point, loads.torque)
+    needed, usual = residual + load, EXPLAINS * np.sum(residual[inside] ** 2)
+
+    def explains(other: np.ndarray) -> bool:
+        return bool(np.sum((needed - other)[inside] ** 2) < usual)
+
+    if explains(-load):
+        return "The loads seem to have the wrong sign."
+    factor = float(np.sum((needed * load)[inside]) / np.sum(load[inside] ** 2))
+    if factor > 0 and abs(factor - 1) > 0.02 and explains(factor * load):
+        return f"The loads seem to be too {'small' if factor > 1 else 'large'}: multiplied by {factor:.3g}, they fit."
+    offset = np.mean(residual[inside, :2], axis=0)
+    if explains(load + np.append(offset, 0.0)):
+        return f"The loads seem to have an offset of ({-offset[0]:.3g}, {-offset[1]:.3g}) N."
+    late: dict[float, float] = {}
+    for delay in np.linspace(-LATEST, LATEST, 41).tolist():
+        moved = [_at(time, time + delay, one) for one in (loads.force, loads.point, loads.torque)]
+        late[delay] = float(np.sum((needed - wrench(*moved))[inside] ** 2))
+    best = min(late, key=lambda delay: late[delay])
+    if late[best] < usual:
+        return f"The loads seem to be {abs(best):.3g} s too {'late' if best > 0 else 'early'}."
+    return "A load or a body is missing, or a load has a wrong sign, scale, frame or time."
+
+
+def _at(time: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values (T, ...) at other times, by straight lines."""
+    columns = values.reshape(len(time), -1).T
+    return np.stack([np.interp(times, time, one) for one in columns], axis=1).reshape(values.shape)

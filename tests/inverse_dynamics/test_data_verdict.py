@@ -1,0 +1,192 @@
+"""Absurd data are refused or make the verdict doubtful, by criteria with names; plausible data are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit import SpecError
+from tests.inverse_dynamics.drawn_faults import FAULTS, outcomes
+
+T = np.arange(0.0, 2.0, 0.01)
+NOISE = 1e-3 * np.random.default_rng(8).standard_normal((4, len(T)))
+ANGLES = {
+    "hip_flexion": 0.3 * np.sin(3 * T) + NOISE[0],
+    "knee_flexion": 0.6 - 0.5 * np.cos(4 * T) + NOISE[1],
+    "ankle_dorsiflexion": 0.2 * np.sin(5 * T) + NOISE[2],
+}
+SMOOTH = {"name": "butterworth", "cutoff": 6.0}
+
+
+def leg(columns: dict[str, Any] | None = None, **sections: Any) -> mbdkit.Run:
+    """Return the inverse dynamics of a leg that hangs at its hip, with other columns in place of some."""
+    motion = {"data": {"time": T, **ANGLES, **(columns or {})}, "smooth": SMOOTH} | sections.pop("motion", {})
+    return mbdkit.inverse({"mbdkit": 1, "model": {"name": "leg"}, "motion": motion, **sections})
+
+
+def stance(**changes: Any) -> dict[str, Any]:
+    """Return the load of a plate below the foot, for the first second."""
+    pose = leg(motion={"errors": "none"})
+    up = 600 * np.maximum(0.0, np.sin(np.pi * T))
+    data = {"time": T, "fx": 0.1 * up, "fy": up, "x": pose["foot"].position[:, 0], "y": pose["foot"].position[:, 1]}
+    load = {"body": "foot", "data": data | changes, "force": ["fx", "fy"], "point": ["x", "y"]}
+    return {"ground": load}
+
+
+def told(run: mbdkit.Run) -> set[str]:
+    """Return the criteria that a run does not meet."""
+    return {reason.partition(":")[0] for reason in run.verdict_reasons}
+
+
+def test_plausible_data_are_not_doubted() -> None:
+    run = leg(loads=stance())
+    assert (run.verdict, run.verdict_reasons, run.warnings) == ("unknown", [], [])
+
+
+def test_degrees_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
+    degrees = {name: np.degrees(x) for name, x in ANGLES.items()}
+    run = leg(degrees)
+    assert run.verdict == "doubtful"
+    assert "units" in told(run)
+    assert "they look like degrees; write `unit: deg`" in run.verdict_reasons[0]
+    columns = {name: {"column": name, "unit": "deg"} for name in degrees}
+    assert leg(degrees, motion={"columns": columns}).verdict == "unknown"
+
+
+def test_a_crank_that_turns_in_radians_is_not_taken_for_degrees() -> None:
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.revolute("hip", m.ground, "rod", at=(0, 0))
+    motion = {"data": {"time": T, "hip.angle": 30 * T + 0.3 * np.sin(4 * T) + NOISE[0]}, "smooth": SMOOTH}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion}
+    assert mbdkit.inverse(spec).verdict == "unknown"
+    motion["data"] = motion["data"] | {"hip.angle": 150 * T}
+    assert told(mbdkit.inverse(spec)) == {"turns"}
+
+
+def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> None:
+    load = stance()
+    far = stance(x=load["ground"]["data"]["x"] + 1.2)
+    run = leg(loads=far)
+    assert told(run) == {"load-point"}
+    assert "acts outside of foot" in run.verdict_reasons[0]
+    assert leg(loads=far, accept=["load-point"]).verdict == "unknown"
+    far["ground"]["kind"] = "other"
+    assert leg(loads=far).verdict == "unknown"
+
+
+def test_a_load_on_another_body_is_found_on_the_outline_of_its_own() -> None:
+    load = stance()
+    load["ground"]["body"] = "thigh"
+    (reason,) = leg(loads=load).verdict_reasons
+    assert "it is on the outline of foot: does the load act on that body?" in reason
+
+
+def test_the_force_on_the_plate_is_not_that_on_the_body() -> None:
+    load = stance()["ground"]["data"]
+    assert told(leg(loads=stance(fx=-load["fx"], fy=-load["fy"]))) == {"load-sign"}
+
+
+def test_a_plate_with_an_offset_is_doubted() -> None:
+    load = stance()["ground"]["data"]
+    assert told(leg(loads=stance(fy=load["fy"] + 20.0))) == {"load-offset"}
+
+
+@pytest.mark.parametrize(
+    ("factor", "delay", "cause"),
+    [
+        (1.0, 0.0, ""),
+        (1.25, 0.0, "The loads seem to be too large: multiplied by 0.8, they fit."),
+        (-1.0, 0.0, "The loads seem to have the wrong sign."),
+        (1.0, 0.05, "The loads seem to be 0.05 s too late."),
+    ],
+)
+def test_a_load_that_contradicts_the_motion_of_a_free_body_is_explained(
+    factor: float, delay: float, cause: str
+) -> None:
+    # a body of 2 kg that hops: the force that it needs is m (a + g)
+    m = mbdkit.Mechanism()
+    m.body("box", mass=2.0, inertia=0.1, position=(0.0, 0.2))
+    m.marker("foot", "box", point=(0.0, -0.2))
+    up = 2.0 * (9.81 - 0.1 * 36 * np.sin(6 * (T - delay)))
+    data = {"box.x": 1e-4 * NOISE[0], "box.y": 0.2 + 0.1 * np.sin(6 * T) + 0.1 * NOISE[1], "box.angle": 0.1 * NOISE[2]}
+    load = {"data": {"time": T, "fx": 0 * T, "fy": factor * up, "x": 0 * T}, "force": ["fx", "fy"], "point": ["x", 0.0]}
+    motion = {"data": {"time": T, **data}, "smooth": SMOOTH}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": motion, "loads": {"plate": {"body": "box", **load}}}
+    run = mbdkit.inverse(spec)
+    assert run.verdict == ("doubtful" if cause else "unknown"), run.verdict_reasons
+    assert any(cause in reason for reason in run.verdict_reasons) == bool(cause)
+
+
+def test_outliers_exchanged_and_constant_columns_are_doubted() -> None:
+    knee = ANGLES["knee_flexion"]
+    outlier = np.where(np.arange(len(T)) == 70, knee + 0.05, knee)
+    (reason,) = leg({"knee_flexion": outlier}).verdict_reasons
+    assert reason.startswith("outliers: column of knee_flexion: the value at t = 0.7 s is ")
+    held = np.where((T > 0.5) & (T < 0.9), knee[50], knee)
+    assert "constant" in told(leg({"knee_flexion": held}))
+    assert told(leg({"knee_flexion": 0 * T + 0.3})) == {"constant"}
+
+
+def test_rounded_times_are_doubted_by_the_grid_on_which_they_are() -> None:
+    time = np.arange(400) / 300
+    data = {name: 0.4 * np.sin(5 * time + number) for number, name in enumerate(ANGLES)}
+    for times, doubts in ((time, set()), (np.round(time, 3), {"times"})):
+        run = leg(motion={"data": {"time": times, **data}, "smooth": "quintic"})
+        assert told(run) == doubts
+    assert "they are probably rounded to 0.001 s" in run.verdict_reasons[0]
+
+
+def test_samples_at_uneven_times_are_not_doubted() -> None:
+    time = np.arange(400) / 300 + 1e-3 * np.random.default_rng(3).uniform(-1, 1, 400)
+    data = {name: 0.4 * np.sin(5 * time + number) for number, name in enumerate(ANGLES)}
+    for noise in (0.0, 1e-4):
+        noisy = {name: x + noise * np.random.default_rng(4).standard_normal(400) for name, x in data.items()}
+        assert not leg(motion={"data": {"time": time, **noisy}, "smooth": "quintic"}).verdict_reasons
+
+
+def test_a_stated_noise_that_the_smoothing_contradicts_is_doubted() -> None:
+    columns = {name: {"column": name, "deviation": 2e-5 if name == "hip_flexion" else 1e-3} for name in ANGLES}
+    (reason,) = leg(motion={"columns": columns}).verdict_reasons
+    assert reason.startswith("noise: data and smoothed motion differ by more than 10 times the stated noise: hip_flex")
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        ("0.03,1e308", "t.csv:5: column 'hip_flexion': 1e+308 rad is no possible value (largest 1e+30)"),
+        ("1e-302,0.3", "t.csv:3: column 'time': the interval of 1e-302 s from the row before is no possible one"),
+    ],
+)
+def test_impossible_numbers_are_refused_with_line_and_column(cell: str, message: str, tmp_path: Path) -> None:
+    rows = ["time,hip_flexion,knee_flexion,ankle_dorsiflexion", *(f"{0.01 * i:.2f},0.1,0.2,0.3" for i in range(20))]
+    rows[4 if "0.03" in cell else 2] = f"{cell},0.2,0.3"
+    (tmp_path / "t.csv").write_text("\n".join(rows), encoding="utf-8")
+    with pytest.raises(SpecError) as caught:
+        mbdkit.inverse({"mbdkit": 1, "model": {"name": "leg"}, "motion": {"file": str(tmp_path / "t.csv")}})
+    assert message in str(caught.value).replace(f"{tmp_path}/", "")
+
+
+def test_an_unknown_criterion_is_refused() -> None:
+    with pytest.raises(SpecError, match="accept"):
+        leg(accept=["residual"])
+
+
+REDUCED = {
+    3: ("degrees", "outliers"),
+    5: ("frame_of_load", "wrong_foot", "filled_gap"),
+    6: ("scale_of_plate", "sign_of_load"),
+}
+"""Some of the faults of `python -m tests.benchmarks.data_faults`, by number of the data set."""
+
+
+@pytest.mark.parametrize("number", REDUCED)
+def test_faults_of_random_data_sets_are_refused_or_flagged(number: int) -> None:
+    assert set(REDUCED[number]) <= set(FAULTS)
+    found = outcomes(number, REDUCED[number])
+    assert found[""].word == "same", found[""].told
+    assert all(one.word in ("refused", "flagged") for name, one in found.items() if name), found
