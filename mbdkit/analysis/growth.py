@@ -157,7 +157,8 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     duration = float(time[-1] - time[0])
     fits = tuple(
         sorted(
-            (_fit(law, found, count, len(y), duration) for law, found in residuals.items()), key=lambda fit: fit.aicc
+            (_fit(law, residual, count, len(y), duration) for law, residual in residuals.items()),
+            key=lambda fit: fit.aicc,
         )
     )
     exponent, error = _exponent(s, y)

@@ -178,7 +178,7 @@ class Workload:
             "end": self.end,
             "elements": [asdict(element) for element in self.elements],
             "phases": [asdict(phase) for phase in self.phases],
-            "cycles": {name: _cycle_data(one) for name, one in self.cycles.items()},
+            "cycles": {name: _cycle_data(cycle) for name, cycle in self.cycles.items()},
         }
 
     def text(self) -> str:
@@ -280,9 +280,9 @@ def _series_of(run: Run) -> list[_Series]:
         else:
             carries = np.max(np.abs(torque)) > ROUND_OFF * np.max(force)
             found.append(_Series(name, "joint", "N", force, torque if carries else None, **errors))
-    for name, one in run.actuators.items():
-        error = None if bars is None else one.value_error
-        found.append(_Series(name, "actuator", one.units, one.value, power=one.power, error=error))
+    for name, actuator in run.actuators.items():
+        error = None if bars is None else actuator.value_error
+        found.append(_Series(name, "actuator", actuator.units, actuator.value, power=actuator.power, error=error))
     return found
 
 

@@ -356,10 +356,14 @@ def _raw_misalignment(run: Run) -> str:
 def _actuators(run: Run) -> str:
     """Return the largest value of each actuator, with its error bar, and its time, the largest first."""
     peaks, known = [], run.accuracy is not None
-    for name, one in run.actuators.items():
-        row = int(np.argmax(np.abs(one.value)))
-        value = plus_minus(float(one.value[row]), float(one.value_error[row])) if known else f"{one.value[row]:.4g}"
-        peaks.append((abs(float(one.value[row])), f"{name} {value} {one.units} at {run.time[row]:.4g} s"))
+    for name, actuator in run.actuators.items():
+        row = int(np.argmax(np.abs(actuator.value)))
+        value = (
+            plus_minus(float(actuator.value[row]), float(actuator.value_error[row]))
+            if known
+            else f"{actuator.value[row]:.4g}"
+        )
+        peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4g} s"))
     peaks.sort(key=lambda peak: -peak[0])
     return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (
         f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
@@ -404,11 +408,11 @@ def _elements(run: Run) -> list[str]:
 def _gradients(run: Run) -> list[tuple[str, str]]:
     """Return a line for each derivative of a measure, and one where its check fails or it has none."""
     lines: list[tuple[str, str]] = []
-    for name, found in run.gradients.items():
-        texts = [found["reason"]] if "reason" in found else []
-        for parameter, value in found.get("derivatives", {}).items():
+    for name, gradient in run.gradients.items():
+        texts = [gradient["reason"]] if "reason" in gradient else []
+        for parameter, value in gradient.get("derivatives", {}).items():
             texts.append(f"by {parameter}: {'undefined' if value is None else f'{value:.6g}'}")
-        check = found.get("check", {"agrees": True})
+        check = gradient.get("check", {"agrees": True})
         if not check["agrees"]:
             texts.append(f"the check DISAGREES: {check['derivative']:.6g}, by differences {check['extrapolated']:.6g}")
         lines += [("" if lines or i else "gradients", f"{name} {text}") for i, text in enumerate(texts)]

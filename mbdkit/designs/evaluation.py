@@ -207,7 +207,7 @@ class Evaluator:
 
     def __init__(self, spec: DesignSpec, source: Source | None = None, compared: str = ""):
         self.spec, self.runs, self.failures, self.gradients, self.why_differences = spec, 0, 0, 0, ""
-        self.names = tuple(one.name for one in spec.defined_measures())
+        self.names = tuple(defined_measure.name for defined_measure in spec.defined_measures())
         specs = spec.compared_specs[compared] if compared else spec.specs
         self.scenarios = tuple(ScenarioRuns(one) for one in specs.values())
         changes = spec.compare[compared] if compared else {}
@@ -231,7 +231,7 @@ class Evaluator:
     @property
     def first(self) -> np.ndarray:
         """The start (n,) of the variables."""
-        return self.point({name: one.first for name, one in self.spec.variables.items()})
+        return self.point({name: variable.first for name, variable in self.spec.variables.items()})
 
     def point(self, variables: Mapping[str, float]) -> np.ndarray:
         """Return the point (n,) of values of the variables."""

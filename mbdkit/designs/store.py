@@ -119,7 +119,9 @@ def written_out(spec: DesignSpec) -> dict[str, Any]:
     if not spec.scenarios:
         return data | {"base": bases[""]}
     data.pop("base", None)
-    data["scenarios"] = {name: {"base": bases[name], "weight": one.weight} for name, one in spec.scenarios.items()}
+    data["scenarios"] = {
+        name: {"base": bases[name], "weight": scenario.weight} for name, scenario in spec.scenarios.items()
+    }
     return data
 
 

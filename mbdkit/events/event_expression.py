@@ -47,7 +47,7 @@ class CompiledExpression(NamedTuple):
 
     value: Function
     phases: tuple[Function, ...]
-    kinks: tuple[Function, ...]
+    breaks: tuple[Function, ...]
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class RunExpression:
     def compiled(self, places: Mapping[Quantity, int]) -> CompiledExpression:
         """Return the expression and its parts that determine how densely it must be sampled; see `function`."""
         phases: list[Function] = []
-        kinks: list[Function] = []
+        breaks: list[Function] = []
 
         def step(name: str, number: float, *operands: Function) -> Function:
             if name == "const":
@@ -110,12 +110,12 @@ class RunExpression:
                 phases.append(_total(*operands))
             if operation.switch and not operation.jumps:
                 is_first = operation.switch == "first"
-                kinks.append(_total(operands[0] if is_first else _applied(operator.sub, *operands)))
+                breaks.append(_total(operands[0] if is_first else _applied(operator.sub, *operands)))
             if name == "powi":
                 return _applied(lambda base: base ** int(number), *operands)
             return _applied(operation.number, *operands)
 
-        return CompiledExpression(_total(execute(self.program, step)), tuple(phases), tuple(kinks))
+        return CompiledExpression(_total(execute(self.program, step)), tuple(phases), tuple(breaks))
 
 
 def _applied(function: Callable[..., float], of: Function, other: Function | None = None) -> Function:

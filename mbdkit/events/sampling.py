@@ -58,7 +58,7 @@ def refined(
     values_at: Callable[[float], Values],
     scalar: Scalar,
     phases: Sequence[Scalar],
-    kinks: Sequence[Scalar],
+    breaks: Sequence[Scalar],
     largest: float,
 ) -> list[tuple[float, float]]:
     """Return samples (position in the step, value) of a scalar by position, with samples added where they are needed.
@@ -71,7 +71,7 @@ def refined(
         Evaluates the quantities at a position, by dense output.
     scalar
         The scalar of the event as a function of the quantities.
-    phases, kinks
+    phases, breaks
         Arguments of the periodic functions in the scalar, and arguments of its `abs`, `min` and `max`: the derivative
         of the scalar is discontinuous where one of the latter changes sign.
     largest
@@ -86,8 +86,8 @@ def refined(
 
     for phase in phases:
         _divide(known, at, phase)
-    for kink in kinks:
-        _mark_kinks(known, values_at, kink)
+    for argument in breaks:
+        _mark_break(known, values_at, argument)
     places = sorted(known)
     found = {place: scalar(known[place]) for place in places}
 
@@ -129,11 +129,11 @@ def _divide(known: dict[float, Values], at: Callable[[float], Values], phase: Sc
             todo += pairwise(places)
 
 
-def _mark_kinks(known: dict[float, Values], values_at: Callable[[float], Values], kink: Scalar) -> None:
-    """Add samples where `kink` changes sign."""
+def _mark_break(known: dict[float, Values], values_at: Callable[[float], Values], argument: Scalar) -> None:
+    """Add samples where `argument` changes sign."""
     for a, b in list(pairwise(sorted(known))):
-        if kink(known[a]) * kink(known[b]) < 0.0:
-            place = _root(lambda theta: kink(values_at(theta)), a, b)
+        if argument(known[a]) * argument(known[b]) < 0.0:
+            place = _root(lambda theta: argument(values_at(theta)), a, b)
             if a < place < b:
                 known[place] = values_at(place)
 

@@ -241,8 +241,8 @@ class Watch:
         self._values, self._ended = rows[-1], step.v1
         points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
         shown = []
-        for number, (value, phases, kinks) in enumerate(self._expressions):
-            samples = refined(points, self._values_inside, value, phases, kinks, self._largest[number])
+        for number, (value, phases, breaks) in enumerate(self._expressions):
+            samples = refined(points, self._values_inside, value, phases, breaks, self._largest[number])
             self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
             shown.append(samples)
         return shown

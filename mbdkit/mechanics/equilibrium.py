@@ -295,7 +295,7 @@ class _Search:
         # damping has a lower bound, because a multiple of a vanishing value would grow too slowly.
         idle, damping = 0, self.size(self.x) / LONGEST
         while self.tried < MOST_STEPS:
-            if self.imbalance <= max(BALANCED * self.force, self.blur) or (idle >= PATIENCE and self.settled):
+            if self.imbalance <= max(BALANCED * self.force, self.blur) or (idle >= PATIENCE and self.is_balanced):
                 break
             before = self.imbalance
             taken = self.step(damping)
@@ -305,7 +305,7 @@ class _Search:
                 continue
             damping *= 0.1
             idle = 0 if self.imbalance < 0.5 * before else idle + 1
-        if self.settled:
+        if self.is_balanced:
             return Rest(self.q, self.lam, self.x, self.tried)
         return None
 
@@ -357,7 +357,7 @@ class _Search:
         return False
 
     @property
-    def settled(self) -> bool:
+    def is_balanced(self) -> bool:
         """Whether the remaining imbalance is small enough to be rounding error."""
         return self.imbalance <= max(STALLED * self.force, MUCH * self.blur)
 
@@ -375,7 +375,7 @@ class _Search:
         half, end = (self.closed(self.q + part * s) for part in (0.5, 1.0))
         work = self.work(self.q, half, end)
         there = self.balance(end)
-        near = self.settled and there[2] < 0.5 * before  # this close, the work is smaller than its rounding error
+        near = self.is_balanced and there[2] < 0.5 * before  # this close, the work is smaller than its rounding error
         if not (work >= 0.1 * promised or near):
             return False
         self.q = end

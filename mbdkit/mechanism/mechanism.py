@@ -711,12 +711,12 @@ class Mechanism(HtmlView):
         if self.beams:
             spec["beams"] = {name: _plain(beam) for name, beam in self.beams.items()}
         for kind, elements in self.elements.items():
-            if own := {name: one for name, one in elements.items() if name not in parts}:
+            if own := {name: element for name, element in elements.items() if name not in parts}:
                 spec[kind] = {name: _with_type(one) for name, one in own.items()}
         if self.coordinates:
             spec["coordinates"] = {
-                name: one.of if one == NamedCoordinate(of=one.of) else _plain(one)
-                for name, one in self.coordinates.items()
+                name: coordinate.of if coordinate == NamedCoordinate(of=coordinate.of) else _plain(coordinate)
+                for name, coordinate in self.coordinates.items()
             }
         if self.assembly != Assembly():
             spec["assembly"] = _plain(self.assembly)

@@ -53,25 +53,25 @@ def check_coordinates(
     markers: Container[str],
 ) -> None:
     """Raise a SpecError for the first coordinate whose quantity does not exist."""
-    for name, one in coordinates.items():
+    for name, coordinate in coordinates.items():
         key = f"model.coordinates.{name}"
-        if one.scale == 0:
+        if coordinate.scale == 0:
             raise SpecError("should not be zero", key=f"{key}.scale")
-        owner, _, quantity = one.of.rpartition(".")
+        owner, _, quantity = coordinate.of.rpartition(".")
         offered = [
             *(OF_JOINT if owner in joints else ()),
             *(OF_BODY if owner in bodies and owner != GROUND else ()),
             *(OF_MARKER if owner in markers else ()),
         ]
         if quantity in offered:
-            _check_relative(one, bodies, f"{key}.relative_to")
+            _check_relative(coordinate, bodies, f"{key}.relative_to")
             continue
         if offered:
             hint = did_you_mean(quantity, offered) or f"; there are {listed(dict.fromkeys(offered))}"
             raise SpecError(f"'{owner}' has no '{quantity}'{hint}", key=f"{key}.of")
         raise SpecError(
-            f"'{one.of}' is not a quantity of a joint, body or marker; write JOINT.angle, BODY.x, BODY.y, BODY.angle, "
-            "MARKER.x or MARKER.y",
+            f"'{coordinate.of}' is not a quantity of a joint, body or marker; write JOINT.angle, BODY.x, BODY.y, "
+            "BODY.angle, MARKER.x or MARKER.y",
             key=f"{key}.of",
         )
 

@@ -284,20 +284,20 @@ class Quantities:
     def values(self, q: np.ndarray) -> np.ndarray:
         """Return the values (T, K)."""
         out = np.empty((len(q), len(self)))
-        for index, one in enumerate(self.quantities):
-            out[:, index] = one.value(q)
+        for index, quantity in enumerate(self.quantities):
+            out[:, index] = quantity.value(q)
         return out
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the Jacobian (T, K, n)."""
         out = np.zeros((len(q), len(self), q.shape[1]))
-        for index, one in enumerate(self.quantities):
-            one.add_gradient(q, out[:, index])
+        for index, quantity in enumerate(self.quantities):
+            quantity.add_gradient(q, out[:, index])
         return out
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the second time derivatives (T, K) where the accelerations of the coordinates are zero."""
         out = np.empty((len(q), len(self)))
-        for index, one in enumerate(self.quantities):
-            out[:, index] = one.curvature(q, v)
+        for index, quantity in enumerate(self.quantities):
+            out[:, index] = quantity.curvature(q, v)
         return out

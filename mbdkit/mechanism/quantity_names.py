@@ -84,7 +84,7 @@ class QuantityNames:
         kinds = [plural for plural, singular in _PREFIXES.items() if kind in (plural, singular)]
         wanted = kinds[0] if kinds and rest else None
         element = rest if wanted else element
-        found = {plural: one for plural, one in self._matches(element, axis).items() if wanted in (None, plural)}
+        found = {plural: match for plural, match in self._matches(element, axis).items() if wanted in (None, plural)}
         if len(found) > 1:
             some = listed((f"{plural}.{element}.{axis}" for plural in found), "or")
             raise SpecError(f"'{name}' is ambiguous: write {some}", key=key)

@@ -289,4 +289,4 @@ class Kind:
     def attributes(self) -> Mapping[str, Attribute]:
         """Quantities of expressions by name; empty if expressions do not have the kind."""
         recorded = (column for column in self.columns if isinstance(column, Recorded))
-        return {found.name: found for one in recorded for found in one.attributes if self.example}
+        return {attribute.name: attribute for one in recorded for attribute in one.attributes if self.example}

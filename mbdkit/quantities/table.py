@@ -393,7 +393,7 @@ def quantities_of_events() -> str:
     """Return the quantities that expressions of events may contain, as an enumeration of kinds."""
     kinds = []
     for kind in KINDS:
-        names = [name for name, one in kind.attributes.items() if one.in_events]
+        names = [name for name, attribute in kind.attributes.items() if attribute.in_events]
         if not names or not (kind.is_bare or kind.is_chosen):
             continue
         owner = f"{kind.word}.NAME" if kind.one and not kind.is_bare else "NAME" if kind.one else kind.word

@@ -103,11 +103,11 @@ def front_charts(design: Design, units: Mapping[str, str]) -> Iterator[Figure]:
         lines = tuple(
             Line(
                 label,
-                np.array([one.goals[first] for one in found]),
-                np.array([one.goals[second] for one in found]),
+                np.array([point.goals[first] for point in chosen]),
+                np.array([point.goals[second] for point in chosen]),
                 kind if label == "front" else "points",
             )
-            for label, found in points.items()
+            for label, chosen in points.items()
         )
         caption = (
             f"Pareto front: no point has less of {'both' if len(pairs) == 1 else 'all'} goals. The best point is "

@@ -120,10 +120,11 @@ def _compared(design: Design, one: Comparison) -> Claim:
 
 def _tables(design: Design) -> Iterator[Table]:
     """Yield the tables of variables, of goals and limits in each scenario, of comparisons, and of a Pareto front."""
+    start, best = design.start.variables, design.best.variables
     rows: list[tuple[Cell, ...]] = [
-        (key_words(name), one.bounds[0], design.start.variables[name], design.best.variables[name], one.bounds[1],
+        (key_words(name), variable.bounds[0], start[name], best[name], variable.bounds[1],
          variable_unit(design, name), design.side(name))
-        for name, one in design.spec.variables.items()
+        for name, variable in design.spec.variables.items()
     ]  # fmt: skip
     names = ("variable", "lower bound", "start", "best", "upper bound", "unit", "at a bound")
     yield Table("variables", "Variables", tuple(map(Column, names)), tuple(rows))

@@ -121,7 +121,7 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
     poses = run.array("trajectory/position")
     frames = [NamedPose.of(mechanism, list(run.bodies), poses[row], np.asarray(run.time)) for row in rows]
     arrows = [list(_arrows(run, frame, row)) for frame, row in zip(frames, rows, strict=True)]
-    longest = max((float(np.hypot(*force)) for found in arrows for *_, force in found), default=0.0)
+    longest = max((float(np.hypot(*force)) for arrow in arrows for *_, force in arrow), default=0.0)
     boxes = [_box(frame) for frame in frames]
     low, high = min(float(box[:, 1].min()) for box in boxes), max(float(box[:, 1].max()) for box in boxes)
     broadest = max(float(np.ptp(box[:, 0])) for box in boxes)
@@ -137,7 +137,7 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
         centre = float(canvas.px(np.array([pitch * index, low]))[0])
         _text(canvas, centre, canvas.height - 26.0, f"{float(run.time[rows[index]]):.4g} s", "middle")
     draw_scale_bar(canvas)
-    _key(canvas, longest, scale, {kind for found in arrows for kind, *_ in found})
+    _key(canvas, longest, scale, {kind for arrow in arrows for kind, *_ in arrow})
     return canvas.svg()
 
 
@@ -163,8 +163,8 @@ def _cycle(run: Run) -> tuple[float, float] | None:
 def _covered(boxes: list[Array], arrows: list[list[Arrow]], shifts: list[Array], scale: float) -> Array:
     """Return the points (P, 2) [m] of all frames and the ends of their arrows, side by side, and room for the key."""
     points = [box + shift for box, shift in zip(boxes, shifts, strict=True)]
-    for found, shift in zip(arrows, shifts, strict=True):
-        points += [(point + scale * force + shift)[None] for _, point, force in found]
+    for arrow, shift in zip(arrows, shifts, strict=True):
+        points += [(point + scale * force + shift)[None] for _, point, force in arrow]
     found_points = np.concatenate(points)
     low, high = found_points.min(axis=0), found_points.max(axis=0)
     return np.vstack([found_points, [low[0], high[1] + KEY * (high[1] - low[1])]])

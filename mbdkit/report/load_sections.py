@@ -93,7 +93,9 @@ def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
     letters = 22 if width > NARROW else 19
     parts, y = [], 8.0
     for unit in ("N", "N m"):
-        chosen = sorted((one for one in elements if one.load.units == unit), key=lambda one: -one.load.peak)[:BARS]
+        chosen = sorted(
+            (element for element in elements if element.load.units == unit), key=lambda one: -one.load.peak
+        )[:BARS]
         most = max((one.load.peak for one in chosen), default=0.0) or 1.0
         for one in chosen:
             long, short = ((width - left - right) * size / most for size in (one.load.peak, one.load.rms))

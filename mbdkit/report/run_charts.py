@@ -50,7 +50,7 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
         *component_charts(run),
         *(chart for chart in recorded if chart.y.unit not in _OF_MOTION),
     ]
-    charts += [*of_kinds.pop("trajectory"), *moving, *(chart for found in of_kinds.values() for chart in found)]
+    charts += [*of_kinds.pop("trajectory"), *moving, *(chart for of_kind in of_kinds.values() for chart in of_kind)]
     charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)
     colors = _colors(run)

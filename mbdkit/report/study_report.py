@@ -130,7 +130,11 @@ def runs_table(study: Study) -> Table:
         units = {key: axis_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
     is_timed = any(not math.isnan(value(point, "wall_median_s")) for point in points)
     usual = [*_COLUMNS, *(_TIMED if is_timed else _TIMED_ONCE)]
-    asked = [one for one in measure_columns(study) if one[1] not in {name for _, name in usual}]
+    asked = [
+        measure_column
+        for measure_column in measure_columns(study)
+        if measure_column[1] not in {name for _, name in usual}
+    ]
     shown = [
         (column, name)
         for column, name in (*asked, *usual)

@@ -193,7 +193,7 @@ class SimulatedRun:
         self.interrupted = True
 
     @property
-    def is_settled(self) -> bool:
+    def is_final(self) -> bool:
         """Whether smaller steps are useless: the accuracy is reached, or the user or a limit has ended the run."""
         if self.interrupted or (self.failure is not None and self.failure.code in _FINAL):
             return True

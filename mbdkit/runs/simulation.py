@@ -224,20 +224,20 @@ def _with_accuracy(
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
-        with _finished_or_abandoned(prepare(choice.settle(spec), choice=choice)) as simulation:
+        with _finished_or_abandoned(prepare(choice.applied_to(spec), choice=choice)) as simulation:
             simulation.integrate(progress)
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
-            following = None if simulation.is_settled else _following(spec, workspace, simulation, len(tried))
+            following = None if simulation.is_final else _following(spec, workspace, simulation, len(tried))
             simulation.tried = [one for _, one in tried]
-            if simulation.is_settled or (following is None and best is choice):
+            if simulation.is_final or (following is None and best is choice):
                 simulation.finish()
                 return simulation
         prepare = partial(prepare, notify=_silent)  # warnings are shown only once
         if following is None:
             # the best attempt is repeated, because only one archive is written at a time; equal settings give equal
             # results
-            with _finished_or_abandoned(prepare(best.settle(spec), choice=best)) as simulation:
+            with _finished_or_abandoned(prepare(best.applied_to(spec), choice=best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [one for _, one in tried]
                 simulation.finish()

@@ -53,13 +53,16 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
             set_value(document, assignment)
         spec = DesignSpec(**document.data)
         spec._document = document
-        spec._specs = {name: _scenario_spec(spec, name, one, folder) for name, one in spec.situations.items()}
+        spec._specs = {
+            name: _scenario_spec(spec, name, situation, folder) for name, situation in spec.situations.items()
+        }
         for compared, settings in spec.compare.items():
             changes = {
                 path_text(("compare", compared, key)): (parse_key(key), value) for key, value in settings.items()
             }
             spec._compared_specs[compared] = {
-                name: _scenario_spec(spec, name, one, folder, changes) for name, one in spec.situations.items()
+                name: _scenario_spec(spec, name, situation, folder, changes)
+                for name, situation in spec.situations.items()
             }
     except SpecError as error:
         raise document.place(error) from None

@@ -106,5 +106,5 @@ def _unit(holder: Any, path: Path) -> str:
 def _field(holder: BaseModel, key: str) -> tuple[str, str]:
     """Return the name of the field that a key sets, and its description."""
     fields = type(holder).model_fields
-    name = {one.alias: name for name, one in fields.items()}.get(key, key)
+    name = {field.alias: name for name, field in fields.items()}.get(key, key)
     return name, description(type(holder), name)

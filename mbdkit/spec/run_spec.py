@@ -220,7 +220,7 @@ class RunSpec(ModelSpec):
         """Whether method or step are still to be chosen for the requested accuracy."""
         return self.accuracy is not None and self.choose != "nothing"
 
-    def settled(self, integrator: dict[str, Any], step: float | None) -> RunSpec:
+    def with_choice(self, integrator: dict[str, Any], step: float | None) -> RunSpec:
         """Return this spec with the method and step that were chosen for its accuracy.
 
         Parameters
@@ -235,6 +235,9 @@ class RunSpec(ModelSpec):
         spec = type(self)(**data | {"integrator": integrator, "time": time, "choose": "nothing"})
         spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
         return spec
+
+    settled: ClassVar[Any] = with_choice
+    """Earlier name of `with_choice`."""
 
     def with_model(self, model: BaseModel) -> RunSpec:
         """Return this spec with other parameters of its model, which are valid.

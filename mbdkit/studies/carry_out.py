@@ -30,9 +30,9 @@ from mbdkit.studies import member_table
 from mbdkit.studies.execute import Execution, Options, Progress
 from mbdkit.studies.executor_pool import Engine, checked_executor
 from mbdkit.studies.folder_lock import Shard
-from mbdkit.studies.sampled_values import settled_sample
+from mbdkit.studies.sampled_values import with_sample_values
 from mbdkit.studies.study import Study
-from mbdkit.studies.study_blocks import settled_store
+from mbdkit.studies.study_blocks import with_store
 from mbdkit.studies.study_folder import StudyFolder
 
 _LOG = logger_of(__name__)
@@ -237,8 +237,8 @@ def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, option
         keep = _TemporaryFolder()
         out = keep.path
     folder = StudyFolder(Path(out))
-    spec = settled_sample(spec, folder, overwrite=options.overwrite)
-    spec = settled_store(spec, folder, overwrite=options.overwrite)
+    spec = with_sample_values(spec, folder, overwrite=options.overwrite)
+    spec = with_store(spec, folder, overwrite=options.overwrite)
     try:
         is_shown = options.progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:

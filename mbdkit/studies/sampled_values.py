@@ -67,7 +67,7 @@ def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
     return np.asarray(np.clip(points, _SMALLEST, 1.0 - 2.0**-53))
 
 
-def settled_sample(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
+def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
     """Return a study with the table of the values of its sample; other studies are returned unchanged.
 
     The table in the folder is used if it belongs to the same study, so that a study continues with the same values even
@@ -81,12 +81,12 @@ def settled_sample(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = Fa
     if there is not None and there.members is not None and there.members.sha256 != digest:
         untabled = there.with_members(None).stored_as(None)
         if untabled.sha256() == spec.stored_as(None).sha256():
-            settled = spec.with_members(there.members)
-            settled._folder = folder.path
-            return settled
-    settled = spec.with_members(Members(runs=spec.sample.runs, sha256=digest))
-    settled._columns = columns
-    return settled
+            tabled = spec.with_members(there.members)
+            tabled._folder = folder.path
+            return tabled
+    tabled = spec.with_members(Members(runs=spec.sample.runs, sha256=digest))
+    tabled._columns = columns
+    return tabled
 
 
 def _study_in(folder: StudyFolder) -> StudySpec | None:

@@ -32,7 +32,7 @@ ROWS = 1000
 """Assumed number of recorded rows of a run if it depends on step-size control."""
 
 
-def settled_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
+def with_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
     """Return a study with the `store` that applies if it has none: that of its folder, or the one for its size."""
     if spec.store is not None:
         return spec

@@ -14,14 +14,14 @@ from mbdkit.events.sampling import INSIDE, refined
 Scalar = Callable[[float], float]
 
 
-def looked_at(scalar: Scalar, phases: Sequence[Scalar] = (), kinks: Sequence[Scalar] = ()) -> tuple[int, int]:
+def looked_at(scalar: Scalar, phases: Sequence[Scalar] = (), breaks: Sequence[Scalar] = ()) -> tuple[int, int]:
     """Return how often a scalar of theta changes sign between samples, and the number of samples."""
 
     def of_values(function: Scalar) -> Callable[[Sequence[float]], float]:
         return lambda values: function(values[0])
 
     points = [(theta, [theta]) for theta in (0.0, *INSIDE, 1.0)]
-    parts = [[of_values(function) for function in part] for part in (phases, kinks)]
+    parts = [[of_values(function) for function in part] for part in (phases, breaks)]
     found = refined(points, lambda theta: [theta], of_values(scalar), *parts, 0.0)
     assert found == sorted(found)
     assert all(value == scalar(theta) for theta, value in found)
@@ -67,7 +67,7 @@ def test_a_scalar_that_touches_zero_takes_few_samples() -> None:
 def test_a_narrow_dip_is_found(depth: float) -> None:
     assert looked_at(lambda x: (x - 0.37) ** 2 - depth)[0] == 2
     assert looked_at(lambda x: math.cosh(x - 0.37) - 1 - depth)[0] == 2
-    assert looked_at(lambda x: abs(x - 0.37) - depth, kinks=[lambda x: x - 0.37])[0] == 2
+    assert looked_at(lambda x: abs(x - 0.37) - depth, breaks=[lambda x: x - 0.37])[0] == 2
 
 
 def test_periods_are_told_by_the_phase() -> None:

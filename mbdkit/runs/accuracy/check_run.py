@@ -156,8 +156,10 @@ def check_by_pilots(
     begin = time.perf_counter()
     tolerances = [*(pilot.setting for pilot in pilots), setting]
     coarser = [pilot.rows(rows.time) for pilot in pilots]
-    settled = int(np.searchsorted(rows.time[:-1], pilots[-1].time[: FIRST_STEPS + 1][-1]))
-    errors = estimate_from_coarser(rows, coarser, tolerances, units_of(workspace, rows), spec.accuracy or 0.0, settled)
+    equal_until = int(np.searchsorted(rows.time[:-1], pilots[-1].time[: FIRST_STEPS + 1][-1]))
+    errors = estimate_from_coarser(
+        rows, coarser, tolerances, units_of(workspace, rows), spec.accuracy or 0.0, equal_until
+    )
     text = listed([f"{pilot.setting:.2g}" for pilot in pilots], "and")
     runs = "a coarser run" if len(pilots) == 1 else "coarser runs"
     method = f"Difference from {runs} of the same method with tolerance{'s' * (len(pilots) > 1)} {text}, extrapolated"

@@ -119,13 +119,13 @@ class Candidate:
             canonical(spec.integrator), claims.adaptive, FOLLOWS if claims.adaptive else float(claims.order or 2)
         )
 
-    def settle(self, spec: RunSpec, setting: float, size: float) -> RunSpec:
+    def applied_to(self, spec: RunSpec, setting: float, size: float) -> RunSpec:
         """Return the spec with this method and a setting; absolute tolerances are relative to small mechanisms."""
         has_default = isinstance(spec.integrator, ControlledOptions)  # follows rtol and the size of the mechanism
         if not self.adaptive:
-            return spec.settled(dict(self.integrator), setting)
+            return spec.with_choice(dict(self.integrator), setting)
         tolerances = {"rtol": setting, "atol": None if has_default else _rounded(setting * min(1.0, size))}
-        return spec.settled({**self.integrator, **tolerances}, spec.time.step if spec.choose == "step" else None)
+        return spec.with_choice({**self.integrator, **tolerances}, spec.time.step if spec.choose == "step" else None)
 
     def name(self, setting: float) -> str:
         """Return name and setting, such as ``dop853 in adaptive steps with tolerance 1e-08``."""
@@ -173,9 +173,9 @@ class Choice:
         """Method and setting, as the start of a sentence."""
         return self.candidate.name(self.setting)
 
-    def settle(self, spec: RunSpec) -> RunSpec:
+    def applied_to(self, spec: RunSpec) -> RunSpec:
         """Return the spec with the chosen method and setting."""
-        return self.candidate.settle(spec, self.setting, self.size)
+        return self.candidate.applied_to(spec, self.setting, self.size)
 
     def tightened(self, spec: RunSpec, asked: float, reached: float) -> Choice:
         """Return the choice for another attempt.
@@ -215,7 +215,7 @@ def choose_method(
     """
     first = Candidate.of(spec)
     search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)
-    if first.adaptive and not spec.events and can_be_recorded(first.settle(spec, LOOSEST, search.measure.size)):
+    if first.adaptive and not spec.events and can_be_recorded(first.applied_to(spec, LOOSEST, search.measure.size)):
         found = search.ladder(first)
         if found is not None:
             return found
@@ -255,7 +255,7 @@ class _Search:
 
     def pilot(self, candidate: Candidate, setting: float, most_steps: int | None = None) -> PilotRun:
         """Run a pilot."""
-        spec = candidate.settle(self.spec, setting, self.measure.size)
+        spec = candidate.applied_to(self.spec, setting, self.measure.size)
         pilot = run_pilot(spec, setting, self.workspace, most_steps or self.spec.limits.max_steps)
         self.work += pilot.work
         return pilot
@@ -269,7 +269,7 @@ class _Search:
         runs: list[RecordedPilot] = []
         setting = min(max(_rounded(self.asked), APART * TIGHTEST), LOOSEST)
         while True:
-            spec = candidate.settle(self.spec, setting, self.measure.size)
+            spec = candidate.applied_to(self.spec, setting, self.measure.size)
             try:
                 run = RecordedPilot(spec, setting, self.workspace, FIRST_STEPS, self.progress)
             except SingularSystemError:

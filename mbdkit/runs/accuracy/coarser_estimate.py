@@ -52,7 +52,7 @@ def estimate_from_coarser(
     tolerances: Sequence[float],
     units: Units,
     asked: float,
-    settled: int,
+    equal_until: int,
 ) -> ErrorEstimate:
     """Estimate the errors of a run.
 
@@ -68,7 +68,7 @@ def estimate_from_coarser(
         Natural units of the mechanism.
     asked
         Requested accuracy; see `EXPECTED`.
-    settled
+    equal_until
         Row up to which the runs may have taken the same first steps, so that their differences contain no information.
 
     Returns
@@ -78,7 +78,7 @@ def estimate_from_coarser(
     """
 
     def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:
-        return _Quantity(values, tolerances, unit, size, asked, settled)
+        return _Quantity(values, tolerances, unit, size, asked, equal_until)
 
     return assemble(main, (*coarser, main), units, estimated)
 
@@ -117,7 +117,7 @@ class _Quantity:
         unit: float,
         size: float,
         asked: float,
-        settled: int,
+        equal_until: int,
     ):
         self._values, self._tolerances = values, tolerances
         main = values[-1]
@@ -134,7 +134,7 @@ class _Quantity:
         # one factor for all times, because that of small differences in the first steps varies randomly
         last = np.maximum(np.sum(self._seen, axis=0) - 1, 0)[None]
         self._factor = np.broadcast_to(np.take_along_axis(factor, last, axis=0), factor.shape)
-        self._settled = settled
+        self._equal_until = equal_until
 
     @property
     def known(self) -> np.ndarray:
@@ -152,7 +152,7 @@ class _Quantity:
 
     def _estimates(self, difference: np.ndarray, axes: tuple[slice | None, ...]) -> np.ndarray:
         estimate = self._factor[axes] * np.maximum.accumulate(difference, axis=0)
-        estimate[1 : self._settled] = np.fmax(estimate[1 : self._settled], estimate[self._settled])
+        estimate[1 : self._equal_until] = np.fmax(estimate[1 : self._equal_until], estimate[self._equal_until])
         return np.where(self._seen[axes], np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)
 
     def order(self, count: int) -> float:

@@ -66,7 +66,7 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     Parameters
     ----------
     spec
-        The spec with the candidate: `RunSpec.settled`.
+        The spec with the candidate: `RunSpec.with_choice`.
     setting
         Tolerance or step, for `PilotRun.setting`.
     workspace
@@ -140,7 +140,7 @@ class RecordedPilot:
     Parameters
     ----------
     spec
-        The spec with the method and its tolerance: `RunSpec.settled`.
+        The spec with the method and its tolerance: `RunSpec.with_choice`.
     setting
         The tolerance.
     workspace
