@@ -37,7 +37,7 @@ _KINDS = frozenset({"<f8", "<i8", "<c16", "|u1"})
 
 @dataclass(frozen=True)
 class StoredRows:
-    """Location in a ``.part`` of the rows of a growing array.
+    """Where a ``.part`` file contains the rows of a growing array.
 
     Parameters
     ----------

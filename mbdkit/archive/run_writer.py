@@ -128,7 +128,7 @@ class SharedForces:
 
 
 class RunWriter(ABC):
-    """Takes the rows of one run: appends them, and finishes or abandons the run.
+    """Base class of writers, which store the rows of one run as they are recorded.
 
     Parameters
     ----------

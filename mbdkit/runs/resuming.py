@@ -201,7 +201,7 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any])
         same = "use such a processor" if [key for key, *_ in other] == ["processor"] else "install the same"
         raise _refused(part, f"it began with {listed(told, 'and')}", hint=f"{same}, or {_ANEW}")
     if spec.run_id() != run_id:
-        raise _refused(part, "this version reads its spec in another way")
+        raise _refused(part, "this version interprets its spec differently")
     return spec
 
 
