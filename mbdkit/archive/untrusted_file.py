@@ -105,17 +105,22 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
     return file
 
 
+def is_sparse(path: Path) -> bool:
+    """Return whether a large file has almost no data, so that reading its bytes would take long for nothing."""
+    status = os.stat(path)
+    # File systems that compress store less than the size; those that do not count blocks report 0.
+    on_disk = 512 * getattr(status, "st_blocks", 0)
+    return bool(on_disk) and status.st_size > FREE and status.st_size > 1000 * on_disk
+
+
 class _Inspection:
     """Visits every object of a file by its low-level identifier, without reading values."""
 
     def __init__(self, file: h5py.File, path: Path, objects: int):
         self.path, self.objects = path, objects
         self.file = file
-        status = os.stat(path)
-        self.size = status.st_size
-        # File systems that compress store less than the size; those that do not count blocks report 0.
-        on_disk = 512 * getattr(status, "st_blocks", 0)
-        if on_disk and self.size > FREE and self.size > 1000 * on_disk:
+        self.size = os.stat(path).st_size
+        if is_sparse(path):
             raise self.refused(f"it has {self.size:,} bytes, almost all of them holes")
         self.stored = self.unpacked = self.text = 0
         self.seen: set[int] = set()

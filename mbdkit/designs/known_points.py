@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+from mbdkit.archive.untrusted_file import check_regular
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import replacing
 from mbdkit.base.text import counted, shown
@@ -26,7 +27,7 @@ def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
     """
     try:
         data = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     version = data.get(name) if isinstance(data, dict) else None
     if isinstance(version, int) and version > 1:
@@ -34,6 +35,9 @@ def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
         raise SpecError(message, file=path)
     return data if version == 1 else {}
 
+
+NOT_READ = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+"""Exceptions that data raise which are not those of a design."""
 
 VERSION = "mbdkit_points"
 """Name of the format version in the first line of the file."""
@@ -74,6 +78,8 @@ class PointFile:
             If the system refuses to read or write it.
         """
         try:
+            if self.path.exists() and not self.path.is_dir():
+                check_regular(self.path)
             text = self.path.read_bytes() if self.path.exists() else b""
         except OSError as error:
             raise _refused(error, self.path) from error
@@ -118,7 +124,7 @@ class PointFile:
                 return None
             values = [data["values"][name] for name in self._names]
             return json.dumps([data["scenario"], data["settings"]]), outcome_of(data | {"values": values})
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except NOT_READ:
             return None
 
 

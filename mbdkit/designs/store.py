@@ -18,7 +18,7 @@ from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.designs.design import Design
 from mbdkit.designs.evaluation import ScenarioRuns
-from mbdkit.designs.known_points import read_versioned
+from mbdkit.designs.known_points import NOT_READ, read_versioned
 from mbdkit.designs.point import DesignPoint
 from mbdkit.designs.trust import check_of
 from mbdkit.inverse_dynamics.inverse_run import compute_run
@@ -81,7 +81,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         data = read_versioned(self.result.read_bytes(), VERSION, self.result)
         try:
             return Design.from_dict(spec, data)
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except NOT_READ:
             raise SpecError("this is not the result of the design.yaml beside it", file=self.result) from None
 
     def write(self, design: Design) -> list[Path]:

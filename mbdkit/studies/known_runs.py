@@ -15,6 +15,7 @@ from mbdkit.archive.fingerprint import data_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.untrusted_file import is_sparse
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.runs.integrals import functionals_of
 from mbdkit.spec import RunSpec
@@ -120,8 +121,11 @@ class KnownRuns(KnownFiles[str]):
     def file_sha256(self, run_id: str) -> str:
         """Return the SHA-256 of the bytes of the archive of a run; empty if it cannot be read."""
         if run_id not in self._hashes:
+            path = self.folder.archive(run_id)
             try:
-                with self.folder.archive(run_id).open("rb") as file:
+                if not path.is_file() or is_sparse(path):
+                    return ""
+                with path.open("rb") as file:
                     self._hashes[run_id] = hashlib.file_digest(file, "sha256").hexdigest()
             except OSError:
                 return ""

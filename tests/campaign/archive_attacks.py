@@ -39,13 +39,16 @@ READERS: dict[str, tuple[str, ...]] = {
 """The commands that read an archive."""
 
 
-def command_in_child(*arguments: str | Path, folder: Path, seconds: float = 10.0) -> Ending:
-    """Run ``mbdkit ARGUMENTS`` in a fork of this process, which has imported everything already."""
+def command_in_child(
+    *arguments: str | Path, folder: Path, seconds: float = 10.0, prepare: Callable[[], None] = lambda: None
+) -> Ending:
+    """Run ``mbdkit ARGUMENTS`` in a fork of this process, which has imported everything already, after `prepare()`."""
 
     def call() -> tuple[int, str, str]:
         from mbdkit.cli import main
 
         os.chdir(folder)
+        prepare()
         sys.argv = ["mbdkit", *map(str, arguments)]
         status = 0
         with (

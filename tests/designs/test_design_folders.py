@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -243,7 +244,11 @@ def test_files_of_a_later_version_are_refused(whole: Path, tmp_path: Path) -> No
         mbdkit.load_design(folder)
 
 
-@pytest.mark.parametrize("damage", ["flip", "cut", "zeros", "other"])
+def with_sum(data: dict[str, Any]) -> str:
+    return json.dumps(data | {"crc32": zlib.crc32(json.dumps(data).encode())})
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "zeros", "other", "deep", "large"])
 def test_damaged_points_are_computed_again(whole: Path, tmp_path: Path, damage: str) -> None:
     points, told = lines(whole), []  # type: list[str], list[str]
     line = points[3]
@@ -253,6 +258,8 @@ def test_damaged_points_are_computed_again(whole: Path, tmp_path: Path, damage: 
         "cut": line[: len(line) // 2],
         "zeros": "\0" * 40,
         "other": '{"scenario": ""}',
+        "deep": "[" * 1_000_000,
+        "large": with_sum({"scenario": "", "settings": {}, "values": {"goal": 10**400}, "verdict": "", "reason": ""}),
     }[damage]
     folder = begun(whole, tmp_path / "copy", "\n".join([*points[:3], harmed, *points[4:]]) + "\n")
     seen: list[int] = []
@@ -274,6 +281,18 @@ def test_the_report_of_a_folder_needs_no_spec_and_no_new_runs_the_second_time(wh
     assert command("report", str(folder)).exit_code == 2
     assert command("report", str(folder), "--overwrite").exit_code == 0
     assert lines(folder) == points
+
+
+def test_files_that_are_no_files_of_a_design_are_refused_in_a_sentence(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "copy")
+    (tmp_path / "copy" / "design.json").write_text("[" * 1_000_000)
+    with pytest.raises(SpecError, match=r"this is not the result of the design\.yaml beside it"):
+        mbdkit.load_design(tmp_path / "copy")
+    folder = begun(whole, tmp_path / "begun", "")
+    (folder / "points.jsonl").unlink()
+    os.mkfifo(folder / "points.jsonl")
+    with pytest.raises(SpecError, match="this is not a regular file but a pipe"):
+        mbdkit.design(tuned(), out=folder)
 
 
 def test_the_report_of_a_design_without_a_result_says_how_to_get_one(whole: Path, tmp_path: Path) -> None:

@@ -71,6 +71,21 @@ def test_a_run_that_cannot_be_written_is_missing_and_computed_by_the_next_call(
     assert index_hash(begun) == index_hash(finished.folder)
 
 
+@pytest.mark.parametrize("kind", ["pipe", "holes"])
+def test_what_cannot_be_hashed_is_not_waited_for(finished, small, begun, kind):
+    study = mbdkit.study(small, out=begun)
+    victim = study.points[1].path
+    if kind == "holes":
+        with victim.open("r+b") as file:
+            file.truncate(1 << 42)  # hashing 4 TiB takes an hour
+    else:
+        victim.unlink()
+        os.mkfifo(victim)
+    again = mbdkit.study(small, out=begun)
+    assert again.computed == 1
+    assert again.points[1].status == ("complete" if kind == "holes" else "missing")
+
+
 def test_the_command_ends_with_exit_status_3_and_says_why(finished, small, begun, monkeypatch):
     spec = begun.parent / "spec.json"
     spec.write_text(json.dumps(small))
