@@ -97,8 +97,9 @@ class Target:
     """
 
     def __init__(self, path: Path, *, overwrite: bool, part: Path | None = None):
-        self.path = check_target(path, overwrite=overwrite)
-        self.part = part_path(path) if part is None else part
+        self._path = check_target(path, overwrite=overwrite)
+        self._part = part_path(path) if part is None else part
+        self._folder, self._process = os.getcwd(), os.getpid()  # a plugin may change the former, and fork
         self.overwrite = overwrite
         self.is_kept = False  # whether `drop` keeps the .part
         self._torn = False  # whether a write is in progress or has failed halfway
@@ -106,6 +107,30 @@ class Target:
         self._handle: int | None = os.open(self.part, os.O_RDWR)
         self._lock()
         remove_checkpoint(self.part)  # removes that removes that of an earlier file of this name
+
+    @property
+    def path(self) -> Path:
+        """Final name of the archive, as it was given unless the working folder has changed since."""
+        return self._from_here(self._path)
+
+    @property
+    def part(self) -> Path:
+        """Name of the file at present."""
+        return self._from_here(self._part)
+
+    def _from_here(self, path: Path) -> Path:
+        with contextlib.suppress(OSError):  # the working folder has been removed
+            if path.is_absolute() or os.getcwd() == self._folder:
+                return path
+        return Path(self._folder) / path
+
+    def _end_if_forked(self) -> None:
+        """End the process if it is a fork of the one that writes the archive, and has returned from a plugin.
+
+        Two processes that write one file damage it, and the copy of a run is not what anybody asked for.
+        """
+        if os.getpid() != self._process:
+            os._exit(1)
 
     def _create(self) -> h5py.File:
         # Exclusive creation: if two runs start at the same time, only one of them can create the .part.
@@ -172,6 +197,7 @@ class Target:
         A full disk raises OSError before the block starts. If a write failed within HDF5 instead, all data written
         before would be lost, because HDF5 cannot roll a write back.
         """
+        self._end_if_forked()
         handle = self._open_handle()
         end = os.fstat(handle).st_size
         if hasattr(os, "posix_fallocate"):
@@ -213,6 +239,7 @@ class Target:
         MbdkitError
             If the .part cannot be renamed; it keeps its name.
         """
+        self._end_if_forked()
         if sys.platform == "win32":  # an open file cannot be renamed there
             self.file.close()
         remove_checkpoint(self.part)
@@ -230,17 +257,29 @@ class Target:
 
     def close(self) -> None:
         """Close the archive, under either name, and release the lock; discard a write that failed halfway."""
+        self._end_if_forked()
         if self._torn and self.file and hasattr(os, "memfd_create"):
             # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
             # memory lets the write succeed.
             nowhere = os.memfd_create("mbdkit")
             os.dup2(nowhere, self.file.id.get_vfd_handle())
             os.close(nowhere)
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            self._unlock(self.file.id.get_vfd_handle())
         with contextlib.suppress(OSError, RuntimeError):
             self.file.close()
         if self._handle is not None:
+            self._unlock(self._handle)
             os.close(self._handle)
             self._handle = None
+
+    def _unlock(self, handle: int) -> None:
+        """Unlock an open file; closing it would not if a fork has it open, such as a process that a plugin has left."""
+        if sys.platform != "win32":
+            import fcntl
+
+            with contextlib.suppress(OSError):
+                fcntl.flock(handle, fcntl.LOCK_UN)
 
     def drop(self) -> None:
         """Close and remove the .part and its checkpoint, unless they have taken the place of others."""
@@ -257,7 +296,7 @@ class Target:
             os.replace(self.part, part)
         except OSError as error:
             raise ResourceError(f"{self.part} cannot be renamed to {part} ({cause(error)})") from error
-        self.part, self.is_kept = part, True
+        self._part, self.is_kept = part, True
 
 
 def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:

@@ -1,8 +1,8 @@
 """Attack mbdkit as a hostile or unlucky world would: `python -m tests.campaign [ATTACK ...]`.
 
 Without options this is the whole campaign, which takes hours. ``--share 0.01`` makes a hundredth of the cases of each
-attack, at least one. Every case is repeated exactly by ``ATTACK --seed S --case INDEX``. The exit status is 1 if
-anything did not hold.
+attack, at least one, and large cases a hundredth as large. Every case is repeated exactly by ``ATTACK --seed S --case
+INDEX``. The exit status is 1 if anything did not hold.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 
 import tests.campaign
 
+from . import size_attacks
 from .attack import Attack
 
 
@@ -59,6 +60,7 @@ def main() -> None:
         for attack in chosen:
             print(f"{attack.name:16}{attack.cases:7}  {attack.summary}")
         return
+    size_attacks.SIZE = min(1.0, asked.share)
     failed = 0
     for attack in chosen:
         cases = range(max(1, math.ceil(attack.cases * asked.share))) if asked.case is None else [asked.case]

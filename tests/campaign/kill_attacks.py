@@ -105,13 +105,19 @@ RESUMED: tuple[dict[str, Any], ...] = (
 """Runs of about a second: explicit and implicit, through singular positions, with events, projections, step control."""
 
 
-def _start_forking(folder: Path, *arguments: str) -> int:
-    """Start a command as `_start` does, whose workers are forks."""
-    return _start(folder, *arguments, forks=True)
+def start_forking(folder: Path, *arguments: str) -> int:
+    """Start a command as `start_command` does, whose workers are forks."""
+
+    def forked_workers() -> None:
+        mbdkit.studies.pool.subprocess = SimpleNamespace(Popen=ForkedWorker, PIPE=None)  # type: ignore[assignment]
+
+    return start_command(folder, *arguments, prepare=forked_workers)
 
 
-def _start(folder: Path, *arguments: str, forks: bool = False) -> int:
-    """Start a command in a fork and return the id of the process; the file `flushed` tells of its first flush."""
+def start_command(folder: Path, *arguments: str, prepare: Callable[[], None] = lambda: None) -> int:
+    """Start a command in a fork, after `prepare()`, and return the id of its process; the file `flushed` tells of its
+    first flush.
+    """
     child = os.fork()
     if child:
         return child
@@ -121,8 +127,7 @@ def _start(folder: Path, *arguments: str, forks: bool = False) -> int:
         with open(".said", "wb") as said:
             os.dup2(said.fileno(), 1)
             os.dup2(said.fileno(), 2)
-        if forks:
-            mbdkit.studies.pool.subprocess = SimpleNamespace(Popen=ForkedWorker, PIPE=None)  # type: ignore[assignment]
+        prepare()
         mbdkit.archive.writer.FLUSH_INTERVAL = FLUSH
         write_more = mbdkit.archive.writer.ArchiveWriter._write_more
 
@@ -148,16 +153,16 @@ def _start(folder: Path, *arguments: str, forks: bool = False) -> int:
         os._exit(status)
 
 
-def _said(folder: Path) -> str:
+def said(folder: Path) -> str:
     with contextlib.suppress(OSError):
         return (folder / ".said").read_text(errors="replace")[-300:]
     return ""
 
 
-def _finish(folder: Path, *arguments: str, start: Callable[..., int] = _start) -> list[str]:
+def finish(folder: Path, *arguments: str, start: Callable[..., int] = start_command) -> list[str]:
     """Run a command to its end, which must be a success."""
     status, *_ = wait_for(start(folder, *arguments), time.monotonic() + PATIENCE)
-    return [] if status == 0 else [f"`mbdkit {' '.join(arguments)}` ended with {status}: {_said(folder)}"]
+    return [] if status == 0 else [f"`mbdkit {' '.join(arguments)}` ended with {status}: {said(folder)}"]
 
 
 def _write_spec(folder: Path, spec: dict[str, Any]) -> None:
@@ -209,7 +214,7 @@ def _whole_blocks() -> tuple[str, float]:
             compute_block(folder / "out", block)
         _write_spec(folder, BLOCKS)
         start = time.monotonic()
-        found = _finish(folder, *_STUDY_IN_BLOCKS, "-o", "forked", start=_start_forking)
+        found = finish(folder, *_STUDY_IN_BLOCKS, "-o", "forked", start=start_forking)
         taken = time.monotonic() - start
         hashes = {_index_hash(folder / one) for one in ("out", "forked")}
         assert not found, found
@@ -244,7 +249,7 @@ def kill_run(random: np.random.Generator, folder: Path) -> list[str]:
     """Kill a run, and run it again."""
     _write_spec(folder, RUN)
     whole, seconds = _whole_run()
-    child = _start(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
+    child = start_command(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
     time.sleep(random.uniform(0, 1.3 * seconds))
     os.kill(child, signal.SIGKILL)
     wait_for(child, time.monotonic() + PATIENCE)
@@ -262,7 +267,7 @@ def kill_run(random: np.random.Generator, folder: Path) -> list[str]:
         except MbdkitError as error:
             if (folder / "flushed").exists():
                 found.append(f"the .part cannot be read: {error}")
-    found += _finish(folder, "run", "spec.json", "-o", "run.h5", "--quiet", "--overwrite")
+    found += finish(folder, "run", "spec.json", "-o", "run.h5", "--quiet", "--overwrite")
     if not found:
         if _left(folder) != ["run.h5"]:
             found.append(f"the second run left {', '.join(_left(folder))}")
@@ -279,25 +284,25 @@ def resume(random: np.random.Generator, folder: Path) -> list[str]:
     _write_spec(folder, spec)
     arguments = ["run", "spec.json", "-o", "run.h5", "--quiet"]
     for _ in range(int(random.integers(1, 4))):
-        child = _start(folder, *arguments)
+        child = start_command(folder, *arguments)
         time.sleep(random.uniform(0, seconds))
         os.kill(child, signal.SIGKILL)
         status, *_ = wait_for(child, time.monotonic() + PATIENCE)
         if status not in (-signal.SIGKILL, 0):
-            return [f"`mbdkit {' '.join(arguments)}` ended with {status}: {_said(folder)}"]
+            return [f"`mbdkit {' '.join(arguments)}` ended with {status}: {said(folder)}"]
         if (folder / "run.h5").exists():
             break
         if (folder / "run.h5.part").exists():
             arguments = ["run", "--resume", "run.h5.part", "--quiet"]
             if not (folder / "checkpoint").exists():  # the run had none yet, and says so
-                status, *_ = wait_for(_start(folder, *arguments), time.monotonic() + PATIENCE)
+                status, *_ = wait_for(start_command(folder, *arguments), time.monotonic() + PATIENCE)
                 if status == 0:
                     break
-                said = _said(folder)
-                if status != 2 or "Traceback" in said:
-                    return [f"a run without checkpoint was resumed with exit status {status}: {said}"]
+                told = said(folder)
+                if status != 2 or "Traceback" in told:
+                    return [f"a run without checkpoint was resumed with exit status {status}: {told}"]
                 arguments = ["run", "spec.json", "-o", "run.h5", "--quiet"]
-    if not (folder / "run.h5").exists() and (found := _finish(folder, *arguments)):
+    if not (folder / "run.h5").exists() and (found := finish(folder, *arguments)):
         return found
     left = set(_left(folder))
     if {name for name in left if not name.startswith("run.h5.resumed.part")} != {"run.h5"}:
@@ -313,7 +318,7 @@ def stop_run(random: np.random.Generator, folder: Path) -> list[str]:
     """Stop a run by SIGTERM, in half of the cases sent twice as `timeout` does."""
     _write_spec(folder, RUN)
     _, seconds = _whole_run()
-    child = _start(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
+    child = start_command(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
     time.sleep(random.uniform(0, 1.3 * seconds))
     sent = time.monotonic()
     os.kill(child, signal.SIGTERM)
@@ -325,7 +330,7 @@ def stop_run(random: np.random.Generator, folder: Path) -> list[str]:
     if left == [] and status in (130, -signal.SIGTERM):
         return []  # it had not begun
     if status not in (0, 130):
-        found.append(f"it ended with exit status {status}, {time.monotonic() - sent:.1f} s later: {_said(folder)}")
+        found.append(f"it ended with exit status {status}, {time.monotonic() - sent:.1f} s later: {said(folder)}")
     if left != ["run.h5"]:
         return [*found, f"it left {', '.join(left) or 'nothing'}"]
     found += check(folder / "run.h5")
@@ -351,7 +356,7 @@ def _study_problems(folder: Path) -> list[str]:
 def _repeated_problems(folder: Path) -> list[str]:
     """Repeat a study that was disturbed, and compare it with the undisturbed one."""
     hashes, _ = _whole_study()
-    found = _finish(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    found = finish(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
     if found:
         return found
     study = mbdkit.load_study(folder / "out")
@@ -367,7 +372,7 @@ def _study_begun(random: np.random.Generator, folder: Path) -> int:
     """Start a study with two workers, wait for a random part of the time that it takes, and return its process."""
     _write_spec(folder, STUDY)
     _, seconds = _whole_study()
-    child = _start(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    child = start_command(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
     time.sleep(random.uniform(0, seconds))
     return child
 
@@ -393,7 +398,7 @@ def kill_blocks(random: np.random.Generator, folder: Path) -> list[str]:
     found: list[str] = []
     kept: dict[str, int] = {}
     for _ in range(int(random.integers(1, 4))):
-        child = _start_forking(folder, *arguments)
+        child = start_forking(folder, *arguments)
         time.sleep(random.uniform(0, seconds))
         if random.random() < 1 / 3:
             _kill_worker(child, random)
@@ -401,13 +406,13 @@ def kill_blocks(random: np.random.Generator, folder: Path) -> list[str]:
         os.kill(child, signal.SIGKILL)
         status, *_ = wait_for(child, time.monotonic() + PATIENCE)
         if status not in (-signal.SIGKILL, 0):
-            found.append(f"`mbdkit {' '.join(arguments)}` ended with {status}: {_said(folder)}")
+            found.append(f"`mbdkit {' '.join(arguments)}` ended with {status}: {said(folder)}")
         _wait_for_workers(runs)
         found += [f"{name} was computed twice" for name, when in kept.items() if _written(runs / name) != when]
         blocks = sorted(runs.glob("block-*.h5"))
         found += [f"{path.name}: {problem}" for path in blocks if path.name not in kept for problem in check(path)]
         kept = {path.name: _written(path) for path in blocks}
-    if found := found or _finish(folder, *arguments, start=_start_forking):
+    if found := found or finish(folder, *arguments, start=start_forking):
         return found
     found += [f"{name} was computed twice" for name, when in kept.items() if _written(runs / name) != when]
     if _index_hash(folder / "out") != whole:
@@ -440,7 +445,7 @@ def stop_study(random: np.random.Generator, folder: Path) -> list[str]:
     status, *_ = wait_for(child, time.monotonic() + PATIENCE)
     found = []
     if status not in (0, 130) and (folder / "out").exists():
-        found.append(f"it ended with exit status {status}: {_said(folder)}")
+        found.append(f"it ended with exit status {status}: {said(folder)}")
     if list((folder / "out" / "runs").glob("*.part")):
         found.append("it left an unfinished archive")
     there = {path.stem for path in (folder / "out" / "runs").glob("*.h5")}
@@ -459,7 +464,7 @@ def kill_worker(random: np.random.Generator, folder: Path) -> list[str]:
     _kill_worker(child, random)
     status, *_ = wait_for(child, time.monotonic() + PATIENCE)
     if status != 0:
-        return [f"it ended with exit status {status}: {_said(folder)}"]
+        return [f"it ended with exit status {status}: {said(folder)}"]
     study = mbdkit.load_study(folder / "out")
     if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:
         return ["the study differs from the undisturbed one"]
@@ -472,13 +477,15 @@ def begin_parts(random: np.random.Generator, folder: Path) -> list[str]:
     hashes, _ = _whole_study()
     children = []
     for part in ("1/2", "2/2"):
-        children.append(_start(folder, "study", "spec.json", "-o", "out", "--workers", "1", "--quiet", "--shard", part))
+        children.append(
+            start_command(folder, "study", "spec.json", "-o", "out", "--workers", "1", "--quiet", "--shard", part)
+        )
         time.sleep(random.uniform(0, 0.005))
     found = []
     for part, child in enumerate(children, start=1):
         status, *_ = wait_for(child, time.monotonic() + PATIENCE)
         if status != 0:
-            found.append(f"part {part} ended with exit status {status}: {_said(folder)}")
+            found.append(f"part {part} ended with exit status {status}: {said(folder)}")
     if not found:
         study = mbdkit.load_study(folder / "out")
         if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:

@@ -6,19 +6,24 @@ import os
 
 import pytest
 
+from . import size_attacks
 from .__main__ import attacks, problems
 
 MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "3"))
 """Largest number of cases of an attack; attacks that have few cases in all take long for each."""
 
 
-SLOW = {"begin-parts", "block-flips", "cache", "full-cache", "kill-blocks", "kill-study", "kill-worker"}
+SLOW = {
+    *("begin-parts", "block-flips", "bodies", "cache", "forbidden", "full-cache", "kill-blocks", "kill-study"),
+    *("kill-worker", "long-run", "members"),
+}
 """Attacks that take many seconds for one case."""
 
 
 @pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in attacks()])
-def test_attack_is_held(name: str) -> None:
+def test_attack_is_held(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(size_attacks, "SIZE", 0.01)
     attack = attacks()[name]
     for index in range(min(MOST, max(1, attack.cases // 400))):
         assert not problems(attack, 20261121, index), f"python -m tests.campaign {name} --seed 20261121 --case {index}"
