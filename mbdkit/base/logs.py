@@ -7,6 +7,7 @@ details. Warnings about plugins and the cache go to the logger `mbdkit` itself, 
 from __future__ import annotations
 
 import logging
+import sys
 
 
 def logger_of(module: str) -> logging.Logger:
@@ -17,3 +18,8 @@ def logger_of(module: str) -> logging.Logger:
     logger = logging.getLogger(module)
     logger.addHandler(logging.NullHandler())
     return logger
+
+
+def to_stderr(message: str) -> None:
+    """Print a message to stderr, like progress."""
+    print(message, file=sys.stderr, flush=True)

@@ -52,8 +52,8 @@ def mbdkit(
 
     Environment: MBDKIT_PLUGINS=a,b loads only plugins of these distributions (no
     plugins if empty); MBDKIT_DISABLE_PLUGINS=a,b excludes them; MBDKIT_STRICT_PLUGINS=1
-    makes a plugin that cannot be loaded an error; MBDKIT_CACHE_DIR is the folder for
-    compiled code.
+    makes a plugin that cannot be loaded an error; MBDKIT_PROCESSOR=x86-64-v2 uses the
+    machine code for a lower level of processors.
     """
 
 

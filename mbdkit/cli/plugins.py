@@ -100,21 +100,19 @@ def plugins_verify(
 
 @plugins_app.command("doctor")
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
-    """Show the plugins and the version of Numba in use, and any problems.
+    """Show the plugins, the machine code in use, and any problems.
 
-    Exit status 4 if a plugin could not be loaded. With a version of Numba that was not
-    tested, or with MBDKIT_PLAIN_NUMBA=1, kernels are compiled without using Numba's
-    internals, which takes longer but gives the same results.
+    Exit status 4 if a plugin could not be loaded.
     """
-    from mbdkit.engine.jit.numba_version import numba_report, numba_text
+    from mbdkit.engine.native.library import code_report, code_text
     from mbdkit.registry import describe
     from mbdkit.registry.manager import load_installed
 
     installed = load_installed()
     if as_json:
-        show_json({**describe.diagnosis(installed), "numba": numba_report()})
+        show_json({**describe.diagnosis(installed), "machine_code": code_report()})
     else:
-        show(f"{describe.diagnosis_text(installed)}\n{numba_text()}")
+        show(f"{describe.diagnosis_text(installed)}\n{code_text()}")
     if not describe.is_sound(installed):
         raise typer.Exit(terminal.PLUGIN_FAILED)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from mbdkit.base.errors import ResourceError, RunError
 from mbdkit.designs.evaluation import Job, Outcome, ScenarioRuns, in_this_process
-from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.native.levels import WIDTH
 from mbdkit.runs.batch import CHUNK
 from mbdkit.spec import DesignSpec, InverseSpec
 from mbdkit.studies.executor_pool import Engine

@@ -15,6 +15,7 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.logs import to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.inverse_dynamics.inverse_run import compute_run
@@ -24,7 +25,6 @@ from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.varied_specs import VariedSpecs, varied_inverse
-from mbdkit.stepping.warm_up import to_stderr
 
 Settings = Sequence[tuple[Path, Any]]
 """Key paths and their values."""

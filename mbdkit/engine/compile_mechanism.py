@@ -13,7 +13,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, ElementState, ForceElement, Row
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
-from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
+from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
 from mbdkit.engine.kernels.constraints import KINDS
@@ -312,7 +312,7 @@ class _Forces:
             "spring_points": np.array(self.spring_points, dtype=float).reshape(-1, 6),
             "couplings": np.array(self.couplings, dtype=np.int64).reshape(-1, 2),
             "linear": np.array(self.linear, dtype=float).reshape(-1, 3),
-            "laws": np.array(self.law_rows, dtype=np.int64).reshape(-1, 3),
+            "laws": np.array(self.law_rows, dtype=np.int64).reshape(-1, 4),
             "states": np.array(self.state_rows, dtype=np.int64).reshape(-1, 3),
             "law_parameters": np.array(self.law_parameters, dtype=float),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
@@ -358,7 +358,7 @@ class _Forces:
             self.state_rows.append((segment, begin + 1 + names.index(state.name), number))
         for one in (compiled, *rates):
             self.laws.append((name, one))
-            self.law_rows.append((one.address, begin, one.claims))
+            self.law_rows.append((one.address, begin, one.claims, one.program))
         self.law_parameters += block
 
     def add_load(self, name: str, load: AppliedLoad) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
-from mbdkit.engine.jit.law_compiler import CompiledLaw
+from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.mechanism.values import Motion
 

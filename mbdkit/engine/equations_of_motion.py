@@ -13,16 +13,14 @@ from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
-from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.workspace import Workspace
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from scipy.sparse import csr_array
 
     from mbdkit.mechanism.mechanism import Mechanism
@@ -388,26 +386,3 @@ class EquationsOfMotion:
 
     def _not_finite(self) -> StepError:
         return StepError("not-finite", self._workspace.unusable() or "numbers overflowed")
-
-
-def call_everything(p: EquationsOfMotion, check: Callable[[], None] = lambda: None) -> None:
-    """Call all kernels used by methods written in Python, so that they are compiled and loaded.
-
-    Parameters
-    ----------
-    p
-        Equations of any mechanism. The calls are counted in its counters.
-    check
-        Function that is called between the kernels, for example to stop the compilation.
-    """
-    a, lam = p.accelerations(p.t0, p.q0, p.v0)
-    check()
-    p.residual(p.t0, p.q0, p.v0, a, lam)
-    p.constraints(p.t0, p.q0)
-    p.powers(p.t0, p.q0, p.v0, lam)
-    p.arrive(p.t0, p.q0, p.v0, np.zeros(0))
-    p.recorded_multipliers(p.t0, p.q0, lam)
-    check()
-    for mass in (1.0, 1.0 + 0.0j):
-        p.iteration_matrix(p.t0, p.q0, p.v0, a, lam, mass=mass).solve(a, lam)
-        check()

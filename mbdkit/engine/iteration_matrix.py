@@ -9,7 +9,6 @@ import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.elimination_order import SingularSystemError, new_factors
-from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.equations import (
     DAMPING,
     GAMMA_V,
@@ -24,6 +23,7 @@ from mbdkit.engine.kernels.equations import (
     solve_real,
 )
 from mbdkit.engine.kernels.system import KKT_TOLERANCE
+from mbdkit.engine.native.bundle import PinnedBundle
 
 if TYPE_CHECKING:
     from mbdkit.engine.counters import Counters

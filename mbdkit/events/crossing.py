@@ -9,8 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
-from scipy.optimize import brentq
-
 ACCURACY = 1e-13
 """Accuracy of the time of a crossing, relative to the larger of the time and 1 s."""
 
@@ -147,6 +145,8 @@ def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float
 
     def function(place: float) -> float:
         return ends[place] if place in ends else _defined(exact, place)
+
+    from scipy.optimize import brentq  # loaded only if an event is located
 
     theta = float(brentq(function, a, b, xtol=max(accuracy, _ROUNDING), rtol=4 * _ROUNDING))
     return None if abs(function(theta)) > POLE * max(smallest) else theta

@@ -23,7 +23,6 @@ from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import brentq
 
 INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated first."""
@@ -141,6 +140,8 @@ def _mark_break(known: dict[float, Values], values_at: Callable[[float], Values]
 def _root(function: Callable[[float], float], a: float, b: float) -> float:
     """Return a root between `a` and `b`, where the signs differ; `b` if the function is not finite on the way."""
     try:
+        from scipy.optimize import brentq  # loaded only if an event is located
+
         return float(brentq(function, a, b, xtol=1e-13))
     except (RuntimeError, ValueError):
         return b

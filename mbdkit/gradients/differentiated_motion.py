@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mbdkit.engine.jit.dual_arrays import Duals, new_duals
+from mbdkit.engine.native.number_arrays import Duals, new_duals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.gradients.differentiated_states import DifferentiatedStates, joined_states
 from mbdkit.gradients.evaluated_states import StateEvaluator

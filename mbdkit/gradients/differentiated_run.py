@@ -10,8 +10,8 @@ import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.jit.dual_types import DIRECTIONS
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched

@@ -11,11 +11,11 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.jit.bundle import PinnedBundle
-from mbdkit.engine.jit.dual_arrays import Duals
 from mbdkit.engine.kernels.dual_observe import observe_duals
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.number_arrays import Duals
 from mbdkit.gradients.differentiated_states import DifferentiatedStates
 from mbdkit.gradients.parameter_differences import CENTRAL, weights
 from mbdkit.stepping.differentiated_stepper import DifferentiatedSteps

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.jit.law_compiler import CompiledLaw, bind_law
+from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw
 from mbdkit.stepping.dual_run import Seeds
 
@@ -136,7 +136,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             continue
         sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
         bound, _ = bind_law(own.law, _named(compiled, given) | sides, name)
-        rows[row, 0], laws[row] = bound.address, (name, bound)
+        rows[row, 0], rows[row, 3], laws[row] = bound.address, bound.program, (name, bound)
         names = [parameter for parameter, _ in bound.parameters]  # in alphabetical order
         own_places = np.array([k for k, one in enumerate(names) if one not in sides], dtype=np.int64)
         held = np.ones(len(names))

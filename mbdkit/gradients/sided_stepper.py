@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mbdkit.base.errors import StepError
-from mbdkit.engine.jit.bundle import PinnedBundle
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.gradients.differentiated_states import DifferentiatedStates

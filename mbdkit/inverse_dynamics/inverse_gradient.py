@@ -20,10 +20,10 @@ from scipy.integrate import cumulative_simpson
 
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.engine.jit.bundle import PinnedBundle
-from mbdkit.engine.jit.dual_types import DIRECTIONS
 from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.arithmetic import DIRECTIONS
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.gradients.differentiated_expressions import (
     Definitions,
     Measures,

@@ -18,7 +18,6 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.preparation import build
 from mbdkit.spec import InverseSpec, RunSpec, load_spec
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.stepping.warm_up import ensure_compiled
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a spec requires but these analyses do not use; added to a bare `Mechanism`."""
@@ -45,7 +44,6 @@ class AssembledMechanism:
             If a motion of the model does not cover these times, or the joints cannot be closed.
         """
         mechanism = spec.mechanism()
-        ensure_compiled()
         try:
             mechanism.check_span(start, end)
             workspace, _ = workspace_at_start(mechanism, start, end)

@@ -8,14 +8,14 @@ from itertools import islice
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, SpecError
+from mbdkit.base.logs import to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import one_line
 from mbdkit.engine.consistent_start import Starts
-from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.native.levels import WIDTH
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.warm_up import to_stderr
 
 
 @dataclass(frozen=True)

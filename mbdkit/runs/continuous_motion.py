@@ -14,7 +14,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from scipy.optimize import minimize_scalar
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.kernels.observe import Observed
@@ -247,6 +246,8 @@ class Sampled:
         """Return time and value of the largest value of ``sign * x`` between two times."""
         if not end - begin > 2.0 * PEAK * step:
             return None
+        from scipy.optimize import minimize_scalar  # takes a quarter of a second to load
+
         found = minimize_scalar(
             lambda t: -sign * float(self.at(np.array([t]))[0]),
             bounds=(begin, end), method="bounded", options={"xatol": PEAK * step},

@@ -16,9 +16,9 @@ from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts
 from mbdkit.engine.formulation import FORMULATIONS
-from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
@@ -44,7 +44,6 @@ from mbdkit.stepping.lane_stepper import (
     suits_lanes,
     topology_of,
 )
-from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
 
@@ -168,7 +167,7 @@ class LaneRuns:
         started = []
         for spec in specs:
             try:
-                started.append(self._started(spec, notify))
+                started.append(self._started(spec))
             except (Exception, SystemExit):
                 started.append(None)
         sizes = _sizes(started)
@@ -184,7 +183,7 @@ class LaneRuns:
         seconds = (time.perf_counter() - begin) / max(1, len(members))
         return [None if member is None else replace(member, seconds=seconds) for member in members]
 
-    def _started(self, spec: RunSpec, notify: Callable[[str], None]) -> _Started | None:
+    def _started(self, spec: RunSpec) -> _Started | None:
         """Compute the consistent initial state of a run; None if it cannot be vectorized. Raises the errors of a single
         run.
         """
@@ -193,7 +192,6 @@ class LaneRuns:
             return None
         check_jumps(spec)
         cautions = caution(spec, method)
-        ensure_compiled(notify)
         start = self._starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
         return _Started(spec, method, cautions, start)
 

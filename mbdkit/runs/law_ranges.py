@@ -146,7 +146,11 @@ class LawRanges:
             self._observer.workspace.mechanism.initial_states, (len(nodes.time), 1)
         )  # lengths do not depend on z
         singular = self._observer.observe(
-            nodes.time, np.ascontiguousarray(nodes.q), np.ascontiguousarray(nodes.v), observed, z=z
+            np.ascontiguousarray(nodes.time),
+            np.ascontiguousarray(nodes.q),
+            np.ascontiguousarray(nodes.v),
+            observed,
+            z=z,
         )
         known = slice(None if singular is None else singular.row)
         self._between.append(self._arguments(nodes.time[known], observed.forces[known]))

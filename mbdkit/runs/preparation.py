@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +25,6 @@ from mbdkit.runs.corners import corner_warnings, stops_of
 from mbdkit.runs.warnings import spec_warnings
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Failure, Guards, Timetable
-from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 
 
 def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
@@ -47,15 +45,11 @@ def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
     return (*([unstable] if unstable else []), *spec_warnings(spec), *corner_warnings(spec))
 
 
-def build(
-    spec: RunSpec, notify: Callable[[str], None] = to_stderr, starts: Starts | None = None
-) -> tuple[Workspace, AssembledState]:
+def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, AssembledState]:
     """Compile the mechanism of a spec and make its initial state consistent.
 
     Parameters
     ----------
-    notify
-        Called with a message before long operations.
     starts
         Cache of compiled mechanisms for further runs, if given.
 
@@ -73,7 +67,6 @@ def build(
     """
     mechanism = spec.mechanism()
     check_measures(spec)
-    ensure_compiled(notify)
     try:
         workspace, start = workspace_at_start(
             mechanism,

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from mbdkit.base.command_words import command_line
+from mbdkit.engine.native.library import code_id
 from mbdkit.registry.catalogue import Registered
 from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
@@ -17,8 +18,8 @@ from mbdkit.spec.model_spec import ModelSpec
 
 @cache
 def _versions() -> dict[str, str]:
-    packages = ("mbdkit", "numpy", "scipy", "numba", "llvmlite", "h5py", "pydantic", "pluggy")
-    return {name: version(name) for name in packages}
+    packages = ("mbdkit", "numpy", "scipy", "h5py", "pydantic", "pluggy")
+    return {**{name: version(name) for name in packages}, "machine_code": code_id()}
 
 
 _EMULATING = ("NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")

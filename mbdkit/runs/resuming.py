@@ -28,6 +28,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
+from mbdkit.base.logs import to_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
 from mbdkit.base.text import listed, shown
 from mbdkit.engine.assembly import AssembledState
@@ -42,11 +43,10 @@ from mbdkit.runs.run_checkpoint import INTERVAL, Continuation, why_without
 from mbdkit.runs.simulated_run import Progress
 from mbdkit.runs.simulation import simulate_on
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit.stepping.warm_up import to_stderr
 
 PART = f"{SUFFIX}.part"
 
-_NEEDED = ("mbdkit", "numpy", "scipy", "numba", "llvmlite", "processor")
+_NEEDED = ("mbdkit", "numpy", "scipy", "machine_code", "processor")
 """Entries of the provenance that, besides the plugins, must be equal for bitwise identical results."""
 
 _ANEW = "run it anew"

@@ -21,7 +21,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.interrupts import interrupts_noted
-from mbdkit.base.logs import logger_of
+from mbdkit.base.logs import logger_of, to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.progress_bars import in_notebook, progress_bar
 from mbdkit.base.text import one_line, shown
@@ -49,7 +49,6 @@ from mbdkit.runs.simulated_run import Progress, SimulatedRun
 from mbdkit.runs.warnings import start_warnings
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
-from mbdkit.stepping.warm_up import to_stderr
 
 _Start = tuple[Workspace, AssembledState]
 
@@ -220,7 +219,7 @@ def _with_accuracy(
     If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
     """
     check_jumps(spec)
-    workspace, _ = build(spec, notify)
+    workspace, _ = build(spec)
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
@@ -302,7 +301,7 @@ def _prepared(
         higher_layers.check_gradients(spec, method)
     cautions = caution(spec, method)
     _warn(cautions, notify)
-    workspace, start = build(spec, notify, starts)
+    workspace, start = build(spec, starts)
     moves = start_warnings(spec, start)
     _warn(moves, notify)
     if _LOG.isEnabledFor(logging.DEBUG):

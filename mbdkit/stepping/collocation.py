@@ -12,9 +12,9 @@ import numpy as np
 
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import classes_of
-from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.equations import GAMMA_V, STIFFNESS
 from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.stepping import collocation_constrained, collocation_index1
 from mbdkit.stepping.collocation_stages import (
     FIXED_POINT,

@@ -34,7 +34,6 @@ import numpy as np
 
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
-from mbdkit.engine.jit.decorators import entry, inlined, subkernel
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_states
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
 from mbdkit.engine.kernels.projection import STAGNANT, position_rows, rate_rows
@@ -49,6 +48,7 @@ from mbdkit.engine.kernels.system import (
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.functions import entry, inlined, subkernel
 from mbdkit.stepping.collocation_stages import (
     StageEquations,
     StageKernels,

@@ -19,8 +19,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbdkit.engine.jit.decorators import entry, inlined, subkernel
-from mbdkit.engine.jit.lane_types import any_of
 from mbdkit.engine.kernels.applied_forces import take_states
 from mbdkit.engine.kernels.system import (
     OK,
@@ -30,6 +28,8 @@ from mbdkit.engine.kernels.system import (
     solve_accelerations,
 )
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.arithmetic import any_of
+from mbdkit.engine.native.functions import entry, inlined, subkernel
 from mbdkit.stepping.collocation_stages import NEWTON, StageEquations, StageKernels, load_stages
 from mbdkit.stepping.collocation_step import (
     choose_tangent_state,

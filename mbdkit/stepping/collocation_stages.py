@@ -11,18 +11,18 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
 from mbdkit.engine.formulation import INDEX_1, Formulation
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, State
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.system import Scatter
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import inlined
 from mbdkit.engine.workspace import example_workspace
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.stepping.convergence import IterationLimit, new_limit
 from mbdkit.stepping.stage_polynomials import collocation_polynomials
 
 if TYPE_CHECKING:
-    from mbdkit.engine.jit.entry import Entry
+    from mbdkit.engine.native.kernel import Entry
     from mbdkit.engine.workspace import Workspace
 
 NEWTON, FIXED_POINT = range(2)

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import entry, inlined, subkernel
-from mbdkit.engine.jit.lane_types import any_of, is_refused, renewed, usable
 from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
+from mbdkit.engine.native.arithmetic import any_of, is_refused, renewed, usable
+from mbdkit.engine.native.functions import entry, inlined, subkernel
 from mbdkit.stepping.collocation_stages import NEWTON, load_stages, solves_multipliers
 from mbdkit.stepping.convergence import stays_near
 from mbdkit.stepping.element_states import add_up_states

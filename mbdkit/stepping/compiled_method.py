@@ -10,8 +10,8 @@ import numpy as np
 from mbdkit.stepping.convergence import MOST_EXTENDED, MOST_ITERATIONS, IterationLimit
 
 if TYPE_CHECKING:
-    from mbdkit.engine.jit.bundle import PinnedBundle
-    from mbdkit.engine.jit.entry import Entry
+    from mbdkit.engine.native.bundle import PinnedBundle
+    from mbdkit.engine.native.kernel import Entry
     from mbdkit.engine.workspace import Workspace
     from mbdkit.stepping.run_state import RunState
 

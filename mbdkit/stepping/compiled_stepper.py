@@ -11,9 +11,9 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.jit.bundle import PinnedBundle
 from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import step_loop

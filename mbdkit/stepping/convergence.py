@@ -7,7 +7,7 @@ only if round-off explains the remaining change. Otherwise it fails.
 
 Linear and angular quantities are always compared separately, because their units have no common size.
 
-The tests of index 1 serve single runs and runs in lanes (`mbdkit.engine.jit.lane_types`), where they return masks.
+The tests of index 1 serve single runs and runs in lanes (`mbdkit.engine.compiler.lane_types`), where they return masks.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import any_of, where
 from mbdkit.engine.kernels.cross_sections import beam_levels
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS
+from mbdkit.engine.native.arithmetic import any_of, where
+from mbdkit.engine.native.functions import subkernel
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace

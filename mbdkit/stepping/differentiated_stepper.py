@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit.engine.jit.bundle import PinnedBundle
-from mbdkit.engine.jit.law_compiler import law_for_duals
+from mbdkit.engine.force_laws import law_for_duals
 from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.dual_system import new_dual_solver
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -44,7 +44,8 @@ def dual_laws(workspace: Workspace) -> np.ndarray:
     """
     laws = workspace.mechanism.topology.laws.copy()
     for row, (name, law) in enumerate(workspace.mechanism.laws):
-        laws[row, 0] = law_for_duals(law, name).address
+        for_duals = law_for_duals(law, name)
+        laws[row, 0], laws[row, 3] = for_duals.address, for_duals.program
     return laws
 
 

@@ -1,7 +1,7 @@
 """Arrays of a run that is differentiated: its state with derivatives by parameters, and the rows that are recorded.
 
 The run itself is advanced like any other. After each of its steps, a kernel repeats the step with dual numbers
-(`mbdkit.engine.jit.dual_types`), from the same base state, which gives the derivatives of the discrete solution.
+(`mbdkit.engine.compiler.dual_types`), from the same base state, which gives the derivatives of the discrete solution.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.dual_arrays import Duals, new_complex_duals, new_duals
-from mbdkit.engine.jit.dual_types import larger_derivatives, largest_quotient, value_of, with_value
 from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.dual_observe import DualStates
 from mbdkit.engine.kernels.dual_system import DualSolver, new_dual_solver
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import DIVERGED, OK, Engine, Scratch, Topology, solve_system, solved_rows
+from mbdkit.engine.native.arithmetic import larger_derivatives, largest_quotient, value_of, with_value
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import subkernel
+from mbdkit.engine.native.number_arrays import Duals, new_complex_duals, new_duals
 from mbdkit.engine.workspace import Workspace, example_workspace, scratch_of
 from mbdkit.stepping.run_state import MODIFIED
 

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit import dual_complex  # noqa: F401  arithmetic that the kernels of this module use
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
-from mbdkit.engine.jit.dual_arrays import new_duals
-from mbdkit.engine.jit.dual_types import with_value
 from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.engine.native.arithmetic import with_value
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import inlined, kernel, subkernel
+from mbdkit.engine.native.number_arrays import new_duals
 from mbdkit.engine.workspace import example_workspace
 from mbdkit.stepping import collocation_constrained, collocation_index1, explicit
 from mbdkit.stepping.collocation_stages import (
@@ -54,7 +53,7 @@ load_dual_explicit = bundle_loader(_example)
 
 
 @kernel
-def explicit_step(dual, run, method, t, h, row):
+def explicit_step(dual: int, run: int, method: int, t: float, h: float, row: int) -> int:
     """Differentiate the step of size `h` from `t` that a run has taken; return a status.
 
     Parameters
@@ -279,7 +278,7 @@ _CONSTRAINED = _Formulation(_constrained_changes, _constrained_sizes, collocatio
 
 
 @kernel
-def index1_step(dual, run, method, plain, t, h, row):
+def index1_step(dual: int, run: int, method: int, plain: int, t: float, h: float, row: int) -> int:
     """Differentiate the step of size `h` from `t` that a run has taken on the index-1 equations; return a status.
 
     Parameters
@@ -293,6 +292,6 @@ def index1_step(dual, run, method, plain, t, h, row):
 
 
 @kernel
-def constrained_step(dual, run, method, plain, t, h, row):
+def constrained_step(dual: int, run: int, method: int, plain: int, t: float, h: float, row: int) -> int:
     """Differentiate a step on the constraints themselves: index 2, index 3 or ggl; see `index1_step`."""
     return _step(dual, run, method, plain, t, h, row, _CONSTRAINED)

@@ -13,12 +13,11 @@ those of a stiff element would amplify the round-off of z.
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import overload
 
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import LaneReal
 from mbdkit.engine.kernels.applied_forces import path_rate, pathway_lengths, state_rate
 from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
+from mbdkit.engine.native.arithmetic import is_lanes
+from mbdkit.engine.native.functions import overload, subkernel
 
 MOST_ITERATIONS = 50
 DIFFERENCE = 1e-7
@@ -62,7 +61,7 @@ def _solve_states(c, m, t, h):
 
 @overload(solve_states)
 def _of_kind(c, m, t, h):
-    if isinstance(h, LaneReal):
+    if is_lanes(h):
         return lambda c, m, t, h: OK
     return lambda c, m, t, h: _solve_states(c, m, t, h)
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
-from mbdkit.engine.jit.decorators import entry, subkernel
-from mbdkit.engine.jit.lane_types import any_of
 from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
+from mbdkit.engine.native.arithmetic import any_of
+from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.native.functions import entry, subkernel
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, keep_node, load_run_state
 from mbdkit.stepping.stage_polynomials import dense_gains, weights_at

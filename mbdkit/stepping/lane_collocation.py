@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import inlined, kernel
-from mbdkit.engine.jit.lane_arrays import new_lanes
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.lu import Pattern
 from mbdkit.engine.kernels.system import Scatter
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import inlined, kernel
+from mbdkit.engine.native.number_arrays import new_lanes
 from mbdkit.engine.workspace import Workspace, example_workspace
 from mbdkit.methods.kinds import ImplicitRungeKutta
 from mbdkit.stepping.collocation import CompiledCollocation
@@ -176,6 +176,6 @@ load_lane_collocation = bundle_loader(_example)
 
 
 @kernel
-def drive_collocation(address):
+def drive_collocation(address: int) -> int:
     """Take the steps of a fully implicit method; see `mbdkit.stepping.lane_loop.drive`."""
     return drive(load_lane_collocation(address), _take_step)

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import kernel, subkernel
-from mbdkit.engine.jit.lane_arrays import new_lanes
-from mbdkit.engine.jit.lane_types import any_of, below, number_in, put_in, where
-from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.system import prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import add_compensated, stays_finite
+from mbdkit.engine.native.arithmetic import any_of, below, number_in, put_in, where
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import kernel, subkernel
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.native.number_arrays import new_lanes
 from mbdkit.stepping.explicit import add_up_stages, estimate_errors, evaluate_point, evaluate_stages
 from mbdkit.stepping.lane_loop import lose, observe_row, watch_branches
 from mbdkit.stepping.lane_run import LaneRun, example_lane_run, load_guards
@@ -299,7 +299,7 @@ def _most_rows(s):
 
 
 @kernel
-def accelerate(address):
+def accelerate(address: int) -> None:
     """Compute the accelerations of the initial states of the runs into the first stage."""
     c = load_lane_control(address).run
     m = c.method
@@ -308,7 +308,7 @@ def accelerate(address):
 
 
 @kernel
-def drive_controlled(address):
+def drive_controlled(address: int) -> int:
     """Take steps until all runs in a `LaneControl` have ended or the buffer is full; return ENDED or FULL.
 
     In the first case, the values of the recorded states are computed.

@@ -1,9 +1,9 @@
 """Vectorized runs: the loop over fixed steps, and the values of the recorded states.
 
 Several runs of mechanisms with the same topology advance together, one in each SIMD lane
-(`mbdkit.engine.jit.lane_types`). Parameters, initial states, steps and loads may differ, the number of steps may not.
-The functions of a step are those of single runs, compiled for lanes; only the loop over steps is simpler, because it
-does not depend on the lane. A lane in which an exceptional case occurs (a value that is not finite, a small pivot, a
+(`mbdkit.engine.compiler.lane_types`). Parameters, initial states, steps and loads may differ, the number of steps may
+not. The functions of a step are those of single runs, compiled for lanes; only the loop over steps is simpler, because
+it does not depend on the lane. A lane in which an exceptional case occurs (a value that is not finite, a small pivot, a
 guard) is *lost*: it remains in the loop, but its run is repeated alone.
 """
 
@@ -11,9 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
-from mbdkit.engine.jit.lane_types import number_in, where
-from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.acting import joint_values
 from mbdkit.engine.kernels.applied_forces import state_rates, take_states
 from mbdkit.engine.kernels.misalignment import raise_misalignments
@@ -21,6 +18,9 @@ from mbdkit.engine.kernels.observe import describe
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import prepare, solve_accelerations
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
+from mbdkit.engine.native.arithmetic import number_in, where
+from mbdkit.engine.native.functions import inlined, kernel, subkernel
+from mbdkit.engine.native.levels import WIDTH
 from mbdkit.stepping.explicit import add_up_stages, evaluate_stages
 from mbdkit.stepping.lane_run import load_guards, load_lane_run
 from mbdkit.stepping.run_state import ITERATIONS
@@ -163,6 +163,6 @@ def _take_explicit_step(c, m, t, h, n):
 
 
 @kernel
-def drive_explicit(address):
+def drive_explicit(address: int) -> int:
     """Take the steps of an explicit method; see `drive`."""
     return drive(load_lane_run(address), _take_explicit_step)

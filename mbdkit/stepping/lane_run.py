@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.lane_arrays import new_lanes
-from mbdkit.engine.jit.lane_complex import new_complex_lanes
-from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS
 from mbdkit.engine.kernels.system import LaneSolver, Scratch, Topology
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.native.number_arrays import new_complex_lanes, new_lanes
 from mbdkit.engine.workspace import Workspace, example_workspace, scratch_of
 from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.methods.kinds import ExplicitRungeKutta

@@ -14,11 +14,12 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.jit.bundle import JIT_DISABLED, PinnedBundle
-from mbdkit.engine.jit.lane_arrays import Lanes, new_lanes
-from mbdkit.engine.jit.lane_width import WIDTH
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import Topology
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.native.library import IN_PYTHON
+from mbdkit.engine.native.number_arrays import Lanes, new_lanes
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, Method
 from mbdkit.stepping.interface import StepEvidence, Timetable
@@ -108,7 +109,7 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
     """
     is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
-        not JIT_DISABLED
+        not IN_PYTHON
         and method.traits.has_lanes
         and (method.traits.is_explicit or not mechanism.states)
         and (is_fixed or method.traits.tolerances is not None)

@@ -22,8 +22,6 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
-from mbdkit.engine.jit.decorators import entry, subkernel
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
@@ -37,6 +35,8 @@ from mbdkit.engine.kernels.system import (
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.native.functions import entry, subkernel
 from mbdkit.methods.lobatto_pair import coefficients
 from mbdkit.stepping.collocation_stages import StageKernels
 from mbdkit.stepping.collocation_step import keep_stages

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.entry import call_entry
 from mbdkit.engine.kernels.projection import (
     EPS,
     FEW_ROUNDINGS,
@@ -20,6 +18,8 @@ from mbdkit.engine.kernels.projection import (
 )
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, solve_system, solved_rows
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.calls import call_entry
+from mbdkit.engine.native.functions import subkernel
 from mbdkit.stepping.run_plan import NO_PROJECTION, SYMMETRIC
 from mbdkit.stepping.run_state import MODIFIED, PROJECTIONS, load_run_state
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +12,9 @@ from mbdkit.base.errors import MbdkitError, StepError
 from mbdkit.base.text import one_line
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import Counters
-from mbdkit.engine.equations_of_motion import EquationsOfMotion, call_everything
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import vector
-from mbdkit.engine.workspace import Workspace, example_workspace
+from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.impulse import impulse
@@ -36,12 +35,6 @@ from mbdkit.stepping.step_watch import StepWatch
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-
-@cache
-def _load_kernels() -> None:
-    """Load the kernels of the equations of motion once per process, before the first step is timed."""
-    call_everything(EquationsOfMotion(example_workspace()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +116,7 @@ class PythonStepper:
         self.time = timetable.start
         self._before = self.now
         self._nodes = KeptNodes(workspace.mechanism.size, workspace.scratch.sides)
-        _load_kernels()
-        self._watch = StepWatch.loaded(workspace, timetable.guards, self.worst_pairs, method.hint)
+        self._watch = StepWatch(workspace, timetable.guards, self.worst_pairs, method.hint)
 
     @property
     def evidence(self) -> StepEvidence:

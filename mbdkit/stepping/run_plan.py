@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import bundle_loader
+from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.stabilization import NONE
 from mbdkit.stepping.interface import Guards, Timetable
 from mbdkit.stepping.step_control import ControlData, control_data

@@ -1,6 +1,6 @@
 """State, work arrays and results of a run, shared by the compiled step loop and all compiled methods.
 
-The arrays are stored in a bundle (`mbdkit.engine.jit.bundle`), whose address is passed to the kernels.
+The arrays are stored in a bundle (`mbdkit.engine.native.bundle`), whose address is passed to the kernels.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.bundle_types import STATE, Record, State
 from mbdkit.engine.kernels.system import Scratch, Solver, Topology
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import subkernel
 from mbdkit.engine.workspace import example_workspace
 from mbdkit.stepping.step_guards import GuardState, new_guard_state
 

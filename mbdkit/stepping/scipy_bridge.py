@@ -89,7 +89,7 @@ class SciPyStepper:
         self._passed = 0  # stops
         self._stopped = False
         self.impacts: list[Impact] = []
-        self._watch = StepWatch.loaded(workspace, timetable.guards, self.worst_pairs, "tighter tolerances may help")
+        self._watch = StepWatch(workspace, timetable.guards, self.worst_pairs, "tighter tolerances may help")
         self.solver: Any = None
         self.y = y0
         workspace.clamp_motions(*timetable.sides(0))

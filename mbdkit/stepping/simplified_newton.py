@@ -6,10 +6,10 @@ each pair of conjugate eigenvalues is solved for; the other contributes the conj
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import inlined
 from mbdkit.engine.kernels.lu import Factors, factorize, substitute
 from mbdkit.engine.kernels.system import OK, REPIVOT_STAGES, gather_values
 from mbdkit.engine.kernels.vectors import fill_rows
+from mbdkit.engine.native.functions import inlined
 from mbdkit.stepping.run_state import FACTORIZATIONS, JACOBIANS
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba.extending import overload
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.lane_types import LaneMask, any_of, is_refused, renewed, usable, where
 from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.engine.native.arithmetic import any_of, is_lanes, is_refused, renewed, usable, where
+from mbdkit.engine.native.functions import inlined, overload, subkernel
 from mbdkit.stepping.convergence import (
     FEWEST_WITH_ONE_TANGENT,
     SLOW,
@@ -53,14 +52,14 @@ def _hold_finished(c, m, active):
 
 @overload(hold_counts)
 def _counts(c, m, wanted):
-    if isinstance(wanted, LaneMask):
+    if is_lanes(wanted):
         return lambda c, m, wanted: _hold_counts(c, m, wanted)
     return lambda c, m, wanted: None
 
 
 @overload(hold_finished)
 def _finished(c, m, active):
-    if isinstance(active, LaneMask):
+    if is_lanes(active):
         return lambda c, m, active: _hold_finished(c, m, active)
     return lambda c, m, active: None
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import renewed
 from mbdkit.engine.kernels.vectors import fill
+from mbdkit.engine.native.arithmetic import renewed
+from mbdkit.engine.native.functions import subkernel
 
 
 @subkernel

@@ -12,7 +12,7 @@ oscillations of the step size at the limit of stability of an explicit method. T
 (``EXPO1``); DOP853 has 0.2 there, but beta = 0 by default. RADAU5 and SciPy's Radau use Gustafsson's predictive
 controller instead, which also takes the sizes of the last two steps into account.
 
-The compiled functions accept numbers and lanes (`mbdkit.engine.jit.lane_types`).
+The compiled functions accept numbers and lanes (`mbdkit.engine.compiler.lane_types`).
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import where
 from mbdkit.engine.kernels.observe import first_order_rates
+from mbdkit.engine.native.arithmetic import where
+from mbdkit.engine.native.functions import subkernel
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism

@@ -21,13 +21,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import where
 from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, pathway_lengths, potential_energy
 from mbdkit.engine.kernels.cross_sections import evaluate_sections
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import OK, prepare
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.arithmetic import where
+from mbdkit.engine.native.functions import subkernel
 from mbdkit.engine.singularity import new_vectors
 from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
 

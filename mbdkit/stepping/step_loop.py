@@ -1,6 +1,6 @@
 """The compiled step loop of every compiled method, with fixed or controlled step size.
 
-A method provides two compiled functions (`mbdkit.engine.jit.entry`) that receive two addresses: `run`, of the
+A method provides two compiled functions (`mbdkit.engine.native.kernel`) that receive two addresses: `run`, of the
 bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's own bundle.
 
 ``attempt(run, method, t, h, want_error)``
@@ -23,12 +23,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import kernel, subkernel
-from mbdkit.engine.jit.entry import call_entry
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.projection import mass_norm, project_positions, project_velocities
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_rows, prepare
 from mbdkit.engine.kernels.vectors import add_compensated, copy, stays_finite
+from mbdkit.engine.native.calls import call_entry
+from mbdkit.engine.native.functions import kernel, subkernel
 from mbdkit.stepping.interface import SAME_TIME
 from mbdkit.stepping.projected_step import project, take
 from mbdkit.stepping.run_plan import NEAR_SINGULARITY, NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
@@ -429,13 +429,13 @@ def _has_room(c):
 
 
 @kernel
-def look_inside(run, method, dense, t, h, theta):
+def look_inside(run: int, method: int, dense: int, t: float, h: float, theta: float) -> int:
     """Evaluate dense output of the last attempt into ``point_q, point_v``; return a status."""
     return call_entry(dense, run, method, t, h, theta)
 
 
 @kernel
-def drive(run, method, attempt, dense, plan, budget):
+def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: int) -> tuple[int, int]:
     """Attempt up to `budget` steps; return (status, rows written).
 
     Parameters

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
-from mbdkit.engine.jit.decorators import kernel
 from mbdkit.engine.kernels.system import OK, load_engine, prepare, solve_accelerations
+from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.native.functions import kernel
 from mbdkit.engine.workspace import example_workspace
 from mbdkit.stepping.interface import Failure, Guards, Impact, StepEvidence
 from mbdkit.stepping.run_plan import GuardLimits, guard_limits
@@ -73,7 +72,7 @@ load_step = bundle_loader(lambda: _new_step(example_workspace(), Guards(), np.ze
 
 
 @kernel
-def watch_step(engine, watched, begin, end, projected):
+def watch_step(engine: int, watched: int, begin: float, end: float, projected: bool) -> int:
     """Apply the guards to a step from `begin` to `end` [s]; return a status."""
     h, s = load_engine(engine), load_step(watched)
     guards, limits = s.guards, s.limits
@@ -97,14 +96,6 @@ def watch_step(engine, watched, begin, end, projected):
     return limit_status(guards, s.worst, limits)
 
 
-@cache
-def _load_kernel() -> None:
-    """Load the kernel once per process, before the first step is timed."""
-    workspace = example_workspace()
-    none = np.zeros(3)
-    StepWatch(workspace, Guards(), np.zeros(0), "").step((0.0, 0.0), none, none, none, none, np.zeros(2))
-
-
 class StepWatch:
     """Applies the guards of the compiled step loop to steps in Python.
 
@@ -125,12 +116,6 @@ class StepWatch:
         self._step = _new_step(workspace, guards, worst)
         self._pinned = PinnedBundle(self._step)
         self._n = workspace.mechanism.size - 3
-
-    @classmethod
-    def loaded(cls, workspace: Workspace, guards: Guards, worst: np.ndarray, hint: str) -> StepWatch:
-        """Return a watch whose kernel is compiled and loaded."""
-        _load_kernel()
-        return cls(workspace, guards, worst, hint)
 
     def forget_energy(self) -> None:
         """Compute the energy at the start of the next step again, because an impulse has changed the velocities."""

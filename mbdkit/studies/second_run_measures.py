@@ -126,7 +126,7 @@ def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
     MbdkitError
         If the spec is invalid or a plugin fails.
     """
-    workspace, _ = build(spec, notify)
+    workspace, _ = build(spec)
     table = _timetable(spec)
     if table is None:
         return Reversal(math.nan, math.nan, "too-short: the run has no full step.")

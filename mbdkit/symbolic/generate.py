@@ -42,7 +42,7 @@ because projections and Baumgarte's terms change them.
 # fmt: off
 from math import sqrt
 
-from mbdkit.engine.jit.decorators import subkernel
+from mbdkit.engine.native.functions import subkernel
 '''
 
 _LEVELS = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,7 +13,8 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.engine.jit.law_compiler import bind_law
+from mbdkit.engine.force_laws import bind_law
+from mbdkit.engine.native.calls import LAW
 from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import ForceLawPlugin
@@ -110,10 +110,10 @@ class ForceLawUnderTest:
         """Return force, derivatives by length and rate, and potential (N, 4) at lengths, rates and times (N, 3)."""
         bound, numbers = self.compiled
         out = np.zeros((len(places), 4))
-        function = ctypes.CFUNCTYPE(None, *[ctypes.c_double] * 3, ctypes.c_void_p, ctypes.c_void_p)(bound.address)
+        function = LAW(bound.address)
         given, to, width = numbers.ctypes.data, out.ctypes.data, out.strides[0]
         for row, (length, rate, time) in enumerate(places.tolist()):
-            function(length, rate, time, given, to + row * width)
+            function(bound.program, length, rate, time, given, to + row * width)
         return out
 
     @cached_property

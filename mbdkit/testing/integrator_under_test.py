@@ -124,7 +124,7 @@ class IntegratorUnderTest:
 
     def workspace(self, model: Mapping[str, Any]) -> Workspace:
         """Return the arrays and the solver of a model, at an initial state that satisfies its constraints."""
-        return build(self.spec(model, {"end": 1.0, "step": 0.5}), _say_nothing)[0]
+        return build(self.spec(model, {"end": 1.0, "step": 0.5}))[0]
 
     def stepper(
         self,

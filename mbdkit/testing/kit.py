@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from mbdkit.base.logs import to_stderr
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.manager import registry
-from mbdkit.stepping.warm_up import ensure_compiled, to_stderr
 from mbdkit.testing import (
     contract_checks,
     counter_checks,
@@ -111,7 +111,6 @@ def verify(
         There is no such plugin, or its options are invalid.
     """
     under_test = plugin_under_test(kind, name, options or {}, installed)
-    ensure_compiled(notify)
     checks = list(checks_of(kind, quick=quick))
     results: list[Result] = []
     for number, check in enumerate(checks):

@@ -66,7 +66,7 @@ class ModelUnderTest:
 
     def equations(self) -> EquationsOfMotion:
         """Return the equations at the consistent start."""
-        return EquationsOfMotion(build(self.spec(0.01), lambda message: None)[0])
+        return EquationsOfMotion(build(self.spec(0.01))[0])
 
 
 @check("model.options")
@@ -104,7 +104,7 @@ def mass(model: ModelUnderTest) -> Result:
 @check("model.start")
 def start(model: ModelUnderTest) -> Result:
     """Its start satisfies all constraints in position and velocity, without a large correction."""
-    workspace, assembled = build(model.spec(0.01), lambda message: None)
+    workspace, assembled = build(model.spec(0.01))
     equations = EquationsOfMotion(workspace)
     t, q, v = equations.t0, equations.q0, equations.v0
     residual = float(np.max(np.abs(equations.constraints(t, q)), initial=0.0))
@@ -152,7 +152,7 @@ def _share(found: np.ndarray, exact: np.ndarray) -> float:
 @check("model.drivers")
 def drivers(model: ModelUnderTest) -> Result:
     """Rate and acceleration of each driver's motion are the derivatives of its value and rate."""
-    compiled = build(model.spec(0.01), lambda message: None)[0].mechanism
+    compiled = build(model.spec(0.01))[0].mechanism
     driven = {name for name, joint in model.mechanism().joints.items() if isinstance(joint, Driver)}
     if not driven:
         raise Skip("it has no drivers")

@@ -35,9 +35,6 @@ class Case:
         """Run the check."""
         import pytest
 
-        from mbdkit.stepping.warm_up import ensure_compiled
-
-        ensure_compiled()
         result = self.check.run(_under_test(self.kind, self.plugin, self.options))
         if result.outcome == "skip":
             pytest.skip(result.cause)

@@ -24,6 +24,7 @@ import numpy as np
 import mbdkit
 from mbdkit.archive import layout
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.native.levels import WIDTH, is_able, this_platform
 from mbdkit.quantities.array import TEXT
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
@@ -175,7 +176,8 @@ def main() -> None:
     if not asked.here:
         options = ["--only", asked.only, "--threads", *map(str, asked.threads)]
         command = [sys.executable, "-m", "tests.benchmarks.drawn_runs", "--here", *options]
-        codes = [subprocess.run(command, env=os.environ | {"MBDKIT_LANES": width}).returncode for width in "248"]
+        levels = [level.name for level in this_platform().levels if is_able(level)]
+        codes = [subprocess.run(command, env=os.environ | {"MBDKIT_PROCESSOR": level}).returncode for level in levels]
         sys.exit(max(codes))
     variants = [name for name in VARIANTS if asked.only in name]
     differing = False
@@ -184,7 +186,7 @@ def main() -> None:
             count, failed, found = compare(variants, threads, Path(folder))
             again = remade(Path(folder), 17)
         print(
-            f"{os.environ.get('MBDKIT_LANES', 'default')} lanes, {threads} threads: {count} runs of {len(variants)} "
+            f"{WIDTH} lanes, {threads} threads: {count} runs of {len(variants)} "
             f"methods, {failed} failed; {len(found)} differences; {again} made again",
             *found,
             sep="\n    ",

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.runs.batch import Refused, simulate_batch

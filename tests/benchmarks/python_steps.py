@@ -17,7 +17,6 @@ from mbdkit.methods.kinds import ExplicitRungeKutta
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
 from mbdkit.stepping.start import start_method
-from mbdkit.stepping.warm_up import ensure_compiled
 from tests.stepping.step_methods import RungeKutta
 
 from .timing import duration, take_turns
@@ -34,7 +33,6 @@ class _Standing(StepMethod):
 
 def python_steps(console: Console) -> None:
     """Print the cost of a step in Python, and of each call to the equations."""
-    ensure_compiled()
     at_start, _ = workspace_at_start(load_spec("double-pendulum").mechanism())
 
     def stepped(method: Any) -> Callable[[], float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import subprocess
 import sys
 import tempfile
@@ -23,18 +22,15 @@ time: {end: 5.0, step: 0.01}
 """
 
 
-def timed(arguments: list[str], folder: Path, cache: Path | None = None) -> float:
-    """Return the seconds that a Python process with `arguments` takes, with an own cache folder if one is given."""
-    environment = dict(os.environ)
-    if cache is not None:
-        environment["MBDKIT_CACHE_DIR"] = str(cache)
+def timed(arguments: list[str], folder: Path) -> float:
+    """Return the seconds that a Python process with `arguments` takes."""
     start = time.perf_counter()
-    subprocess.run([sys.executable, *arguments], check=True, capture_output=True, cwd=folder, env=environment)
+    subprocess.run([sys.executable, *arguments], check=True, capture_output=True, cwd=folder)
     return time.perf_counter() - start
 
 
 def startup(console: Console) -> None:
-    """Print the times of whole processes, and of the first one with an empty cache."""
+    """Print the times of whole processes."""
     table = Table(title=f"Start-up: whole processes, medians of {REPEATS}")
     table.add_column("what")
     table.add_column("time", justify="right")
@@ -55,8 +51,4 @@ def startup(console: Console) -> None:
         bare = timings["python -c pass"].median
         for what, timing in timings.items():
             table.add_row(what, duration(timing.median), duration(max(timing.median - bare, 0.0)))
-        cache = folder / "cache"
-        cache.mkdir()
-        table.add_row("the same, empty cache (compiles, once)", duration(timed(run, folder, cache)), "")
-        table.add_row("the same again, that cache", duration(timed(run, folder, cache)), "")
     console.print(table)

@@ -18,7 +18,6 @@ from mbdkit.spec import example_names, load_spec
 from mbdkit.spec.loading import example_text
 from mbdkit.spec.study_loading import load_study_spec, study_names
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
-from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.studies.planned_points import plan_points
 
 from .attack import LONGEST_MESSAGE, Attack, in_child
@@ -192,7 +191,6 @@ def _load_and_run(file: Path, runs: bool) -> None:
 
 
 def _spec(random: Random, folder: Path) -> list[str]:
-    ensure_compiled()
     data = copy.deepcopy(_specs()[random.integers(len(_specs()))])
     for key in ("check", "accuracy"):
         data.pop(key, None)
@@ -354,7 +352,6 @@ BOMBS: dict[str, Callable[[], str | bytes]] = {
 
 
 def _bomb(random: Random, folder: Path) -> list[str]:
-    ensure_compiled()
     study_names()
     name = list(BOMBS)[random.integers(len(BOMBS))]
     return [f"{name}: {problem}" for problem in bomb(name, folder)]

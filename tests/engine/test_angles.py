@@ -2,47 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import mpmath
 import numpy as np
 import pytest
 
-from mbdkit.engine.jit.bundle import PinnedBundle, bundle_loader
-from mbdkit.engine.jit.decorators import kernel
-from mbdkit.engine.jit.lane_arrays import new_lanes
-from mbdkit.engine.jit.lane_width import WIDTH
-from mbdkit.engine.kernels.angles import FAR, cosine_and_sine
+import mbdkit
+from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.kernels.angles import FAR
+from mbdkit.engine.kernels.observe import constraints_at
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.spec import load_spec
 
-
-class Angles(NamedTuple):
-    x: np.ndarray
-    cosine: np.ndarray
-    sine: np.ndarray
-
-
-load_numbers = bundle_loader(lambda: Angles(*np.zeros((3, 1))))
-load_lanes = bundle_loader(lambda: Angles(new_lanes(1), new_lanes(1), new_lanes(1)))
-
-
-@kernel
-def by_numbers(address):
-    c = load_numbers(address)
-    for i in range(len(c.x)):
-        c.cosine[i], c.sine[i] = cosine_and_sine(c.x[i])
-
-
-@kernel
-def by_lanes(address):
-    c = load_lanes(address)
-    for i in range(len(c.x)):
-        c.cosine[i], c.sine[i] = cosine_and_sine(c.x[i])
+BODIES = 100
 
 
 def evaluated(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    bundle = Angles(np.ascontiguousarray(x), np.zeros(len(x)), np.zeros(len(x)))
-    by_numbers(PinnedBundle(bundle).address)
-    return bundle.cosine, bundle.sine
+    """Return cosine and sine of angles, as the kernels compute them for the bodies of a mechanism."""
+    m = mbdkit.Mechanism()
+    for i in range(BODIES):
+        m.body(f"b{i}", mass=1.0, inertia=1.0)
+    workspace, _ = workspace_at_start(m)
+    scratch, found = workspace.scratch, np.zeros((2, len(x)))
+    for first in range(0, len(x), BODIES):
+        part = x[first : first + BODIES]
+        q = np.zeros(3 * (BODIES + 1))
+        q[2 : 3 * len(part) : 3] = part
+        constraints_at(workspace.mechanism.topology, scratch, 0.0, q, np.zeros_like(q))
+        found[:, first : first + len(part)] = scratch.cs[: len(part)].T
+    return found[0], found[1]
 
 
 def drawn(scale: float, count: int = 2000) -> np.ndarray:
@@ -84,9 +73,8 @@ def test_angles_that_are_not_finite_have_no_cosine() -> None:
 
 def test_lanes_have_the_bits_of_numbers() -> None:
     # near and far angles side by side in one vector as well
-    x = np.concatenate([drawn(scale, 256) for scale in (1e-6, 10.0, 1e3, FAR)] + [np.array([1e7, 0.3, -2e9, 1.0] * 64)])
-    bundle = Angles(*(new_lanes(len(x) // WIDTH) for _ in range(3)))
-    bundle.x[...] = x.reshape(-1, WIDTH)
-    by_lanes(PinnedBundle(bundle).address)
-    for found, expected in zip(bundle[1:], evaluated(x), strict=True):
-        np.testing.assert_array_equal(np.asarray(found).ravel(), expected)
+    angles = [*np.concatenate([drawn(scale, 8) for scale in (1e-6, 10.0, 1e3, FAR)]).tolist(), 1e7, 0.3, -2e9, 1.0]
+    time = {"end": 0.02, "step": 0.01}
+    specs = [load_spec("pendulum", (f"model.angle={x!r}",), integrator={"name": "rk4"}, time=time) for x in angles]
+    for spec, together in zip(specs, simulate_batch(specs), strict=True):
+        assert together.data_sha256 == mbdkit.run(spec).data_sha256

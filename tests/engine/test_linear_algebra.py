@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -67,12 +66,11 @@ class Blocks:
 
     def factor(self) -> int:
         top: Any = SimpleNamespace(pairs=self.pairs, rows=self.rows, weight=self.weight)
-        with mock.patch.object(schur, "diagonal_block", schur.diagonal_block.py_func):
-            return int(schur.factor.py_func(top, self.jac, self.schedule))
+        return int(schur.factor(top, self.jac, self.schedule))
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         x = b.copy()
-        schur.solve.py_func(self.schedule, x)
+        schur.solve(self.schedule, x)
         return x
 
     def dense(self) -> np.ndarray:
@@ -184,14 +182,14 @@ def test_sparse_lu_solves_real_and_complex_systems(dtype: type, n: int, m: int, 
         matrix = np.zeros_like(sparse.matrix)
         matrix[sparse.row, sparse.column] = values
         factors.a[position] = values * pattern.weight[position]
-        assert lu.factorize.py_func(pattern, factors) == -1
+        assert lu.factorize(pattern, factors) == -1
         b = rng.normal(size=n + m).astype(dtype)
         x, r = np.zeros((2, n + m), dtype)
-        lu.substitute.py_func(pattern, factors, b, x)
+        lu.substitute(pattern, factors, b, x)
         expected = np.linalg.solve(matrix, b)
         bound = 1e-12 * max(1.0, 1e-3 * np.linalg.cond(matrix)) * np.abs(expected).max()
         np.testing.assert_allclose(x, expected, rtol=0, atol=bound)
-        worst = lu.residual.py_func(pattern, factors, b, x, r)
+        worst = lu.residual(pattern, factors, b, x, r)
         np.testing.assert_allclose(r, b - matrix @ x, rtol=0, atol=1e-12 * np.abs(x).max())
         assert worst < 1e-10
 
@@ -204,7 +202,7 @@ def test_pivots_that_have_worn_out_are_reported() -> None:
     factors.a[position] = sparse.values * pattern.weight[position]
     first = (sparse.row == pattern.row_of[0]) & (sparse.column == pattern.column_of[0])
     factors.a[position[first]] = 0.0
-    assert lu.factorize.py_func(pattern, factors) == 0
+    assert lu.factorize(pattern, factors) == 0
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf])

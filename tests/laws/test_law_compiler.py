@@ -1,4 +1,4 @@
-"""Machine code of a force law belongs to this law in its present form, in this process and in later ones."""
+"""The program of a force law belongs to this law, however much it looks like another one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PROGRAM = """\
 import ctypes
 from pydantic import BaseModel
 from mbdkit import ExpressionLaw
-from mbdkit.engine.jit.law_compiler import bind_law
+from mbdkit.engine.force_laws import bind_law
 from acme.laws import FORCES
 
 class Options(BaseModel):
@@ -22,8 +22,8 @@ real, pointer = ctypes.c_double, ctypes.POINTER(ctypes.c_double)
 for force in FORCES:
     compiled, values = bind_law(ExpressionLaw(force), Options(), "acme")
     results = (real * 4)()
-    function = ctypes.CFUNCTYPE(None, real, real, real, pointer, pointer)(compiled.address)
-    function(2.0, 0.0, 0.0, (real * len(values))(*values), results)
+    function = ctypes.CFUNCTYPE(None, ctypes.c_int64, real, real, real, pointer, pointer)(compiled.address)
+    function(compiled.program, 2.0, 0.0, 0.0, (real * len(values))(*values), results)
     print(results[0])
 """
 
@@ -80,7 +80,7 @@ def forces(folder: Path, files: dict[str, str]) -> list[float]:
         path = folder / "acme" / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(text)
-    environment = os.environ | {"PYTHONPATH": str(folder), "MBDKIT_CACHE_DIR": str(folder / "cache")}
+    environment = os.environ | {"PYTHONPATH": str(folder)}
     command = [sys.executable, "-B", "-c", PROGRAM]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -89,10 +89,3 @@ def forces(folder: Path, files: dict[str, str]) -> list[float]:
 
 def test_laws_that_look_alike_keep_their_own_forces(tmp_path: Path) -> None:
     assert forces(tmp_path, LIKE) == [2.0, 8.0] * 4  # s and s^3 at s = 2
-    assert forces(tmp_path, LIKE) == [2.0, 8.0] * 4  # loaded from the cache
-
-
-def test_a_law_of_a_namespace_package_follows_a_change_in_another_file(tmp_path: Path) -> None:
-    laws = FORCE.format(head="from acme.constants import POWER", power="POWER") + "\nFORCES = [force]\n"
-    assert forces(tmp_path, {"laws.py": laws, "constants.py": "POWER = 1\n"}) == [2.0]
-    assert forces(tmp_path, {"laws.py": laws, "constants.py": "POWER = 3\n"}) == [8.0]

@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit import ExpressionLaw, ForceLawPlugin, FunctionLaw, Mechanism, PluginError, SpecError
-from mbdkit.engine.jit.law_compiler import bind_law
+from mbdkit.engine.force_laws import bind_law
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 from tests.spec_texts import changed, mechanism, place

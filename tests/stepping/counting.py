@@ -1,6 +1,6 @@
 """Counts, in a process of its own without compilation, what a run does, and prints it beside what the run says.
 
-Run as ``python counting.py STAGES SOLVER``, with ``NUMBA_DISABLE_JIT=1``. STAGES 0 stands for RK4.
+Run as ``python counting.py STAGES SOLVER``, with ``MBDKIT_KERNELS=python``. STAGES 0 stands for RK4.
 """
 
 from __future__ import annotations
@@ -14,12 +14,10 @@ import mbdkit
 from mbdkit.engine.kernels import system
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import collocation_index1, collocation_step, explicit, simplified_newton
-from mbdkit.stepping.warm_up import ensure_compiled
 
 
 def main(stages: int, solver: str) -> None:
     counts: Counter[str] = Counter()
-    ensure_compiled(lambda message: None)  # what it runs through every kernel is not to be counted
 
     def counted(name: str, function: Any) -> Any:
         def wrapper(*arguments: Any, **options: Any) -> Any:

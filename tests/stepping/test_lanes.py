@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbdkit.engine.jit.lane_width import WIDTH
+from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.mechanism import Mechanism

@@ -42,7 +42,7 @@ class Element:
 
     def _call(self, kernel: str, q: Any, *arguments: Any) -> None:
         cs = np.column_stack([np.cos(q[2::3]), np.sin(q[2::3])])
-        function = getattr(element_kernels, f"{self.kind}_{kernel}").py_func
+        function = getattr(element_kernels, f"{self.kind}_{kernel}")
         if self.center is not None:  # the first of the arrays is that of the motions
             arguments = (*arguments[:-1], (self.center_at(q), *arguments[-1][1:]))
         before, after = arguments[:-1], arguments[-1]

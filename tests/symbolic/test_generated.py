@@ -54,7 +54,7 @@ def test_a_mask_names_exactly_the_entries_that_its_kernel_writes(
     kind: str, kernel: str, place: int, masks: dict[str, tuple[int, ...]]
 ) -> None:
     # expected: nothing but the mask loses the NaN that the outputs are full of before
-    function = getattr(element_kernels, f"{kind}_{kernel}").py_func
+    function = getattr(element_kernels, f"{kind}_{kernel}")
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     inputs = {"k": 0, "a": 0, "b": 1, "m": 0}
     rng = np.random.default_rng(3)

@@ -9,7 +9,6 @@ import pytest
 
 import mbdkit
 from mbdkit.registry.catalogue import Registry
-from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.testing import Result, checks_of, verify
 from mbdkit.testing.kit import plugin_under_test
 
@@ -174,7 +173,6 @@ WRONG |= {
 def outcome(kind: Any, installed: Registry, name: str) -> Result:
     """Return what one check says of a plugin."""
     assert not installed.failures
-    ensure_compiled()  # a check has a minute, in which nothing should have to be compiled
     check = next(check for check in checks_of(kind) if check.name == name)
     return check.run(plugin_under_test(kind, "acme:mine", {}, installed))
 

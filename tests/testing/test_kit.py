@@ -12,7 +12,6 @@ import mbdkit
 import mbdkit.testing
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
-from mbdkit.stepping.warm_up import ensure_compiled
 from mbdkit.testing import Report, Result, checks_of, conformance
 from mbdkit.testing.kit import plugin_under_test
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM
@@ -51,7 +50,6 @@ def test_every_integrator_of_mbdkit_is_verified(name: str, options: dict[str, An
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), FULL, ids=lambda x: str(x))
 def test_the_slow_checks_find_no_fault_either(name: str, options: dict[str, Any]) -> None:
-    ensure_compiled()
     integrator = plugin_under_test("integrator", f"mbdkit:{name}", options)
     found = [check.run(integrator) for check in checks_of("integrator") if check.slow]
     assert found
@@ -119,7 +117,6 @@ def test_a_warning_is_no_failure_and_a_failure_is_named() -> None:
 
 
 def test_a_property_that_is_not_claimed_is_measured_but_does_not_pass() -> None:
-    ensure_compiled()
     rk4 = plugin_under_test("integrator", "mbdkit:rk4", {})  # neither symmetric nor symplectic
     names = ["tableau.symmetry", "tableau.symplecticity", "geometry.quadratic-invariants", "geometry.symplectic-form"]
     found = [check.run(rk4) for check in checks_of("integrator") if check.name in names]

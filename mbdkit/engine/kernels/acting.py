@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import subkernel
-from mbdkit.engine.jit.lane_types import hypot_of_each, where
-from mbdkit.engine.jit.law_calls import HAS_POTENTIAL
 from mbdkit.engine.kernels.applied_forces import PATHWAYS, TORQUE, path_rate, point_force
+from mbdkit.engine.native.arithmetic import hypot_of_each, where
+from mbdkit.engine.native.calls import HAS_POTENTIAL
+from mbdkit.engine.native.functions import subkernel
 
 ANGLE, TRAVEL = range(2)
 """Kinds of the coordinate of a joint: relative angle, or distance along a line of the first body."""

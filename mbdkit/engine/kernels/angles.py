@@ -12,11 +12,18 @@ platforms in the last bit.
 
 from __future__ import annotations
 
-from numba.extending import overload
-
-from mbdkit.engine.jit.decorators import inlined
-from mbdkit.engine.jit.dual_types import DualNumber, chain, value_of
-from mbdkit.engine.jit.lane_types import any_of, below, cosine_of_each, nearest, sine_of_each, where
+from mbdkit.engine.native.arithmetic import (
+    any_of,
+    below,
+    chain,
+    cosine_of_each,
+    is_dual,
+    nearest,
+    sine_of_each,
+    value_of,
+    where,
+)
+from mbdkit.engine.native.functions import inlined, overload
 
 FAR = 1e5
 """Angle [rad] above which the reduction is not exact."""
@@ -39,7 +46,7 @@ def cosine_and_sine(x):
 
 @overload(cosine_and_sine)
 def _typed(x):
-    if isinstance(x, DualNumber):
+    if is_dual(x):
         return _of_dual
     return lambda x: _cosine_and_sine(x)
 

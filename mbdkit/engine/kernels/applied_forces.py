@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.lane_types import any_of, is_refused, put_in_place, renewed, where
-from mbdkit.engine.jit.law_calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.cross_sections import add_beam_forces, beam_tangents
 from mbdkit.engine.kernels.vectors import fill
+from mbdkit.engine.native.arithmetic import any_of, is_refused, put_in_place, renewed, where
+from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE, call_law
+from mbdkit.engine.native.functions import inlined, subkernel
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY = range(len(PATHWAYS))
@@ -97,7 +97,8 @@ def evaluate_tension(top, w, k, rate):
         tension[k, 2] = damping
         tension[k, 3] = 0.5 * stiffness * stretch * stretch
     else:
-        call_law(top.laws[law, 0], length, rate, w.time[0], w.law_values, top.laws[law, 1], tension, k)
+        code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
+        call_law(code, program, length, rate, w.time[0], w.law_values, first, tension, k)
         is_law_at_fault = (abs(length) < np.inf) & (abs(rate) < np.inf) & (not abs(tension[k, 0]) < np.inf)
         if is_refused(not is_law_at_fault):
             w.faulty[0] = law
@@ -117,7 +118,8 @@ def state_rate(top, w, i, length, rate, t):
     The length and the rate of the pathway of its element are given.
     """
     law, spare = top.states[i, 2], len(top.springs)
-    call_law(top.laws[law, 0], length, rate, t, w.law_values, top.laws[law, 1], w.tension, spare)
+    code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
+    call_law(code, program, length, rate, t, w.law_values, first, w.tension, spare)
     return w.tension[spare, 0]
 
 
@@ -264,7 +266,8 @@ def powers(top, w, v, lam):
         claims = laws[law, 2]
         if claims & HAS_POTENTIAL != 0:
             spare = len(springs)
-            call_law(laws[law, 0], w.s[k, 0], 0.0, w.time[0], w.law_values, laws[law, 1], tension, spare)
+            code, program, first = laws[law, 0], laws[law, 3], laws[law, 1]
+            call_law(code, program, w.s[k, 0], 0.0, w.time[0], w.law_values, first, tension, spare)
             rest -= tension[spare, 0]
         if claims & PASSIVE != 0:
             lost += rest * rate

@@ -11,27 +11,25 @@ collects the arrays by these declarations, so that there is no other list of the
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args
 
 import numpy as np
+
+from mbdkit.engine.native.bundle import fields_of
 
 RealVector = Annotated[np.ndarray, np.float64, 1]
 RealMatrix = Annotated[np.ndarray, np.float64, 2]
 IntVector = Annotated[np.ndarray, np.int64, 1]
 IntMatrix = Annotated[np.ndarray, np.int64, 2]
+RealCube = Annotated[np.ndarray, np.float64, 3]
+RealTensor = Annotated[np.ndarray, np.float64, 4]
+ComplexVector = Annotated[np.ndarray, np.complex128, 1]
 NumberVector = Annotated[np.ndarray, None, 1]
 """Vector of real or complex numbers; the dtype is the same for all such fields of a bundle."""
 
 STATE, RECORD = "state", "record"
 State = Annotated[np.ndarray, STATE]
 Record = Annotated[np.ndarray, RECORD]
-
-
-@cache
-def _fields_of(bundle: Any) -> tuple[Any, ...]:
-    """Return the annotations of the fields of a bundle, which take long to evaluate."""
-    return tuple(get_type_hints(bundle, include_extras=True).values())
 
 
 def example_of(bundle: Any, number: type = np.float64) -> Any:
@@ -45,7 +43,7 @@ def example_of(bundle: Any, number: type = np.float64) -> Any:
         The dtype of `NumberVector` fields.
     """
     values = []
-    for kind in _fields_of(bundle):
+    for kind in fields_of(bundle):
         if isinstance(kind, type):
             values.append(example_of(kind, number))
         else:
@@ -62,7 +60,7 @@ def kept(bundle: Any, *roles: str) -> dict[str, np.ndarray]:
     """
     arrays: dict[str, np.ndarray] = {}
     cls: Any = type(bundle)
-    for name, value, kind in zip(bundle._fields, bundle, _fields_of(cls), strict=True):
+    for name, value, kind in zip(bundle._fields, bundle, fields_of(cls), strict=True):
         is_wanted = any(role in getattr(kind, "__metadata__", ()) for role in roles)
         if isinstance(value, tuple):
             inner = _leaves(value) if is_wanted else kept(value, *roles)

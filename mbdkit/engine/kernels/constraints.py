@@ -7,7 +7,6 @@ solver needs no code for other block sizes.
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.element_kernels import (
     CONSTRAINT_KINDS,
@@ -15,6 +14,7 @@ from mbdkit.engine.kernels.element_kernels import (
     constraint_positions,
     constraint_tangents,
 )
+from mbdkit.engine.native.functions import subkernel
 
 __all__ = ["KINDS", "constraint_accelerations", "constraint_positions", "constraint_tangents", "turn_bodies"]
 

@@ -9,9 +9,9 @@ turns.
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
 from mbdkit.engine.kernels.angles import cosine_and_sine
 from mbdkit.engine.kernels.element_kernels import section_forces, section_tangents
+from mbdkit.engine.native.functions import inlined, subkernel
 
 STATE, PARAMETERS = 10, 16
 """Numbers of values per cross-section in ``Scratch.section`` and ``Topology.section_parameters``."""

@@ -6,9 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import kernel
-from mbdkit.engine.jit.dual_arrays import new_duals
 from mbdkit.engine.kernels.acting import joint_values
 from mbdkit.engine.kernels.applied_forces import applied_forces
 from mbdkit.engine.kernels.bundle_types import example_of
@@ -24,6 +21,9 @@ from mbdkit.engine.kernels.system import (
     prepare,
     solve_accelerations,
 )
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import kernel
+from mbdkit.engine.native.number_arrays import new_duals
 
 
 class DualStates(NamedTuple):
@@ -64,7 +64,7 @@ load_dual_states = bundle_loader(_example)
 
 
 @kernel
-def observe_duals(address):
+def observe_duals(address: int) -> tuple[int, int]:
     """Evaluate the states of a `DualStates`; return a status and the number of states evaluated."""
     c = load_dual_states(address)
     top, w, out = c.top, c.w, c.observed
@@ -81,7 +81,7 @@ def observe_duals(address):
 
 
 @kernel
-def describe_duals(address):
+def describe_duals(address: int) -> None:
     """Evaluate the states of a `DualStates` whose accelerations and multipliers, of all rows, are given.
 
     These do not follow from the mechanism alone, as with actuators, whose forces are the residual.

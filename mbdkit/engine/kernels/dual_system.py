@@ -13,15 +13,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.dual_arrays import new_duals
-from mbdkit.engine.jit.dual_types import value_of, with_value
 from mbdkit.engine.kernels.bundle_types import IntMatrix
 from mbdkit.engine.kernels.lu import Factors, substitute
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import OK, Engine, by_pivots_or_schur, solve_system
+from mbdkit.engine.native.arithmetic import value_of, with_value
+from mbdkit.engine.native.functions import inlined, overload, subkernel
+from mbdkit.engine.native.number_arrays import new_duals
 
 
 class DualSolver(NamedTuple):

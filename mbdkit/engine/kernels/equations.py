@@ -11,10 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import inlined, kernel
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
-from mbdkit.engine.kernels.bundle_types import IntMatrix, NumberVector, RealMatrix, RealVector, example_of
+from mbdkit.engine.kernels.bundle_types import (
+    ComplexVector,
+    IntMatrix,
+    NumberVector,
+    RealMatrix,
+    RealVector,
+    example_of,
+)
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
 from mbdkit.engine.kernels.misalignment import raise_misalignments
 from mbdkit.engine.kernels.system import (
@@ -34,6 +39,8 @@ from mbdkit.engine.kernels.system import (
     unfold_multipliers,
 )
 from mbdkit.engine.kernels.vectors import BEYOND
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import inlined, kernel
 
 MASS, JACOBIAN, DAMPING, STIFFNESS, GAMMA_V, RESIDUAL_Q = range(6)
 """Classes of the terms of a `Matrix`: M; Phi_q and its transpose; C; K; d gamma/dv; d(Phi_q a - gamma)/dq.
@@ -137,7 +144,10 @@ def _evaluate_rows(eq, t, q, v):
 
 
 @kernel
-def solution_of(address, t, q, v, given, force, rows, x, mu):
+def solution_of(
+    address: int, t: float, q: RealVector, v: RealVector, given: bool, force: RealVector, rows: RealVector,
+    x: RealVector, mu: RealVector,
+) -> int:  # fmt: skip
     """Solve ``M x + Phi_q^T mu = force``, ``Phi_q x = rows`` at a state; return a status.
 
     If `given` is false, the right-hand side is that of the mechanism, Q and gamma, and `force` and `rows` are ignored.
@@ -163,7 +173,10 @@ def solution_of(address, t, q, v, given, force, rows, x, mu):
 
 
 @kernel
-def residual_of(address, t, q, v, a, lam, with_forces, out):
+def residual_of(
+    address: int, t: float, q: RealVector, v: RealVector, a: RealVector, lam: RealVector, with_forces: bool,
+    out: RealVector,
+) -> int:  # fmt: skip
     """Write ``M a + Phi_q^T lam - Q``, or ``M a + Phi_q^T lam`` without forces, into `out` (n,); return a status."""
     eq = load_equations(address)
     top, w = eq.top, eq.w
@@ -200,7 +213,9 @@ def residual_of(address, t, q, v, a, lam, with_forces, out):
 
 
 @kernel
-def rows_of(address, t, q, v, phi, rate, gamma):
+def rows_of(
+    address: int, t: float, q: RealVector, v: RealVector, phi: RealVector, rate: RealVector, gamma: RealVector
+) -> int:  # fmt: skip
     """Write Phi, ``Phi_q v + Phi_t`` and gamma, each (m,), and leave the Jacobian in ``w.jac``; return a status."""
     eq = load_equations(address)
     top, w = eq.top, eq.w
@@ -219,7 +234,9 @@ def rows_of(address, t, q, v, phi, rate, gamma):
 
 
 @kernel
-def tangents_of(address, t, q, v, a, lam):
+def tangents_of(
+    address: int, t: float, q: RealVector, v: RealVector, a: RealVector, lam: RealVector
+) -> int:  # fmt: skip
     """Evaluate all terms of a `Matrix` into ``w.source``; return a status."""
     eq = load_equations(address)
     _put(eq.q, q)
@@ -238,7 +255,7 @@ def tangents_of(address, t, q, v, a, lam):
 
 
 @kernel
-def powers_of(address, t, q, v, lam):
+def powers_of(address: int, t: float, q: RealVector, v: RealVector, lam: RealVector) -> tuple[float, float]:
     """Return the power of loads, drivers and active laws, and the dissipated power [W], for multipliers `lam` (m,)."""
     eq = load_equations(address)
     _put(eq.q, q)
@@ -251,7 +268,7 @@ def powers_of(address, t, q, v, lam):
 
 
 @kernel
-def pair_multipliers_of(address, t, q, lam, out):
+def pair_multipliers_of(address: int, t: float, q: RealVector, lam: RealVector, out: RealMatrix) -> None:
     """Write the multipliers of all rows into `out` (P, 2); redundant directions carry no force."""
     eq = load_equations(address)
     _put(eq.q, q)
@@ -261,7 +278,7 @@ def pair_multipliers_of(address, t, q, lam, out):
 
 
 @kernel
-def arrive_at(address, t, q, v, worst):
+def arrive_at(address: int, t: float, q: RealVector, v: RealVector, worst: RealVector) -> bool:
     """Update the largest squared misalignments `worst` (P,) with those of a state; return whether it is finite.
 
     A coordinate or rate of `BEYOND` or more counts as not finite.
@@ -303,7 +320,7 @@ def _solve(m, force, rows, x, mu):
 
 
 @kernel
-def factorize_real(source, matrix, coefficients):
+def factorize_real(source: RealVector, matrix: int, coefficients: RealVector) -> int:
     """Factorize the sum of the terms in `source` with `coefficients` (6,), one per class.
 
     Returns the position of the pivot that became too small, or -1; see `mbdkit.engine.kernels.lu.factorize`.
@@ -312,18 +329,22 @@ def factorize_real(source, matrix, coefficients):
 
 
 @kernel
-def factorize_complex(source, matrix, coefficients):
+def factorize_complex(source: RealVector, matrix: int, coefficients: ComplexVector) -> int:
     """Factorize a matrix with complex coefficients; see `factorize_real`."""
     return _factorize(source, load_complex(matrix), coefficients)
 
 
 @kernel
-def solve_real(matrix, force, rows, x, mu):
+def solve_real(
+    matrix: int, force: RealVector, rows: RealVector, x: RealVector, mu: RealVector
+) -> float:  # fmt: skip
     """Solve a factorized system with one step of refinement; return the largest relative residual."""
     return _solve(load_real(matrix), force, rows, x, mu)
 
 
 @kernel
-def solve_complex(matrix, force, rows, x, mu):
+def solve_complex(
+    matrix: int, force: ComplexVector, rows: ComplexVector, x: ComplexVector, mu: ComplexVector
+) -> float:  # fmt: skip
     """Solve a factorized complex system; see `solve_real`."""
     return _solve(load_complex(matrix), force, rows, x, mu)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import kernel
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
+from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealVector
 from mbdkit.engine.kernels.equations import load_equations
 from mbdkit.engine.kernels.observe import reactions_of
 from mbdkit.engine.kernels.system import (
@@ -24,20 +24,21 @@ from mbdkit.engine.kernels.system import (
     solved_rows,
     unfold_multipliers,
 )
+from mbdkit.engine.native.functions import kernel
 
 
 class Frames(NamedTuple):
     """Terms of the equations of motion at T states; n = 3 B coordinates, m independent rows of the constraints."""
 
-    phi: np.ndarray
+    phi: RealMatrix
     """(T, m) constraint residuals Phi."""
-    rate: np.ndarray
+    rate: RealMatrix
     """(T, m) time derivatives of the residuals, Phi_q v + Phi_t."""
-    gamma: np.ndarray
+    gamma: RealMatrix
     """(T, m) right-hand side of ``Phi_q a = gamma``."""
-    jacobian: np.ndarray
+    jacobian: RealCube
     """(T, m, n) Jacobian Phi_q."""
-    force: np.ndarray
+    force: RealMatrix
     """(T, n) generalized applied forces Q, gravity included."""
 
     @staticmethod
@@ -50,13 +51,13 @@ class Frames(NamedTuple):
 class Reactions(NamedTuple):
     """Constraint forces at T states; P is the number of pairs of constraint rows."""
 
-    lam: np.ndarray
+    lam: RealCube
     """(T, P, 2) multipliers of all rows; redundant directions carry no force."""
-    reactions: np.ndarray
+    reactions: RealCube
     """(T, P, 3) force (x, y) and torque of each pair on its second body, at its joint point [N, N m]."""
-    residual: np.ndarray
+    residual: RealCube
     """(T, P, 2) constraint residuals Phi of all rows."""
-    powers: np.ndarray
+    powers: RealMatrix
     """(T, 2) power of loads, drivers and active laws of the model, and the dissipated power [W]."""
 
     @staticmethod
@@ -67,7 +68,9 @@ class Reactions(NamedTuple):
 
 
 @kernel
-def evaluate_frames(address, times, q, v, with_forces, out):
+def evaluate_frames(
+    address: int, times: RealVector, q: RealMatrix, v: RealMatrix, with_forces: bool, out: Frames
+) -> None:  # fmt: skip
     """Evaluate states `q`, `v` (T, n) at `times` (T,) into `out` (Frames), whose Jacobian must be zero on entry.
 
     ``out.force`` is written only with forces.
@@ -108,7 +111,9 @@ def evaluate_frames(address, times, q, v, with_forces, out):
 
 
 @kernel
-def reactions_in_frames(address, times, q, v, lam, out):
+def reactions_in_frames(
+    address: int, times: RealVector, q: RealMatrix, v: RealMatrix, lam: RealMatrix, out: Reactions
+) -> None:  # fmt: skip
     """Evaluate the constraint forces of the multipliers `lam` (T, m) of the independent rows into `out` (Reactions).
 
     The other arguments are those of `evaluate_frames`.

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from mbdkit.engine.jit.decorators import inlined
-from mbdkit.engine.jit.lane_types import is_refused, usable, where
 from mbdkit.engine.kernels.bundle_types import IntVector, NumberVector, RealVector
+from mbdkit.engine.native.arithmetic import is_refused, usable, where
+from mbdkit.engine.native.functions import inlined
 
 WORN = 1e-6
 """If a pivot shrinks to this fraction of its size when it was chosen, new pivots are chosen."""

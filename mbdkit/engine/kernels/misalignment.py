@@ -6,9 +6,9 @@ adds the squares of the pairs of a joint and takes the root at the end of a run.
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.lane_types import where
 from mbdkit.engine.kernels.system import evaluate_positions, prepare
+from mbdkit.engine.native.arithmetic import where
+from mbdkit.engine.native.functions import inlined, subkernel
 
 
 def squared_misalignment(x, y):

@@ -13,13 +13,11 @@ derivative, y, and its derivative. The second derivatives of the derivatives are
 
 from __future__ import annotations
 
-from numba.extending import overload
-
-from mbdkit.engine.jit.decorators import kernel, subkernel
-from mbdkit.engine.jit.lane_arrays import LaneArray
-from mbdkit.engine.jit.lane_types import LaneReal, number_in, put_in
-from mbdkit.engine.jit.lane_width import WIDTH
-from mbdkit.engine.jit.operation_rules import chosen_rule, compiled_rule
+from mbdkit.engine.kernels.bundle_types import IntVector, RealCube, RealMatrix, RealVector
+from mbdkit.engine.native.arithmetic import is_lanes, number_in, put_in
+from mbdkit.engine.native.functions import kernel, overload, subkernel
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.native.operation_rules import chosen_rule, compiled_rule
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.program import MAX_DEPTH
 
@@ -138,7 +136,7 @@ def motions(t, count, ptr, ops, values, stack, u):
 
 @overload(motions)
 def _motions(t, count, ptr, ops, values, stack, u):
-    evaluate = _motions_in_lanes if isinstance(t, LaneReal) else evaluate_motions
+    evaluate = _motions_in_lanes if is_lanes(t) else evaluate_motions
     return lambda t, count, ptr, ops, values, stack, u: evaluate(t, count, ptr, ops, values, stack, u)
 
 
@@ -190,12 +188,14 @@ def centers(q, bodies, ptr, ops, values, stack, u):
 
 @overload(centers)
 def _centers(q, bodies, ptr, ops, values, stack, u):
-    evaluate = _centers_in_lanes if isinstance(q, LaneArray) else _centers_one_by_one
+    evaluate = _centers_in_lanes if is_lanes(q) else _centers_one_by_one
     return lambda q, bodies, ptr, ops, values, stack, u: evaluate(q, bodies, ptr, ops, values, stack, u)
 
 
 @kernel
-def motions_at(times, ptr, ops, values, stack, u):
+def motions_at(
+    times: RealVector, ptr: IntVector, ops: IntVector, values: RealVector, stack: RealMatrix, u: RealCube
+) -> None:  # fmt: skip
     """Evaluate every program at `times` (T,) into `u` (T, motions, 3); see `evaluate_motions`."""
     for row in range(len(times)):
         evaluate_motions(times[row], len(ptr) - 1, ptr, ops, values, stack, u[row])

@@ -6,14 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import kernel, subkernel
 from mbdkit.engine.kernels.acting import force_values, joint_values, marker_values
 from mbdkit.engine.kernels.applied_forces import potential_energy, state_rates, take_states
+from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealTensor, RealVector
 from mbdkit.engine.kernels.constraints import constraint_positions, constraint_tangents
 from mbdkit.engine.kernels.cross_sections import beam_values
 from mbdkit.engine.kernels.singularity_kernels import singularity_distance
 from mbdkit.engine.kernels.system import (
     OK,
+    Scratch,
     Topology,
     constraint_rows,
     evaluate_powers,
@@ -25,6 +26,7 @@ from mbdkit.engine.kernels.system import (
     transferred,
 )
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.functions import kernel, subkernel
 
 
 @subkernel
@@ -70,31 +72,31 @@ def kinetic_energy(top, v):
 class Observed(NamedTuple):
     """Quantities computed from T states; P is the number of pairs of constraint rows, F of force elements."""
 
-    acc: np.ndarray
+    acc: RealMatrix
     """(T, 3 (B + 1)) accelerations of the index-1 system [m/s^2, rad/s^2], ground last."""
-    lam: np.ndarray
+    lam: RealCube
     """(T, P, 2) multipliers [N, N m]."""
-    phi: np.ndarray
+    phi: RealCube
     """(T, P, 2) constraint residuals Phi."""
-    phi_rate: np.ndarray
+    phi_rate: RealCube
     """(T, P, 2) rates of the residuals, Phi_q v + Phi_t."""
-    reactions: np.ndarray
+    reactions: RealCube
     """(T, P, 3) force (x, y) and torque of the first body on the second, at the joint point of the second."""
-    kinetic: np.ndarray
+    kinetic: RealVector
     """(T,) kinetic energy [J]."""
-    potential: np.ndarray
+    potential: RealVector
     """(T,) potential energy of gravity and springs [J]."""
-    singularity_distance: np.ndarray
+    singularity_distance: RealVector
     """(T,) distance to singularity, see `mbdkit.engine.singularity`."""
-    forces: np.ndarray
+    forces: RealCube
     """(T, F, 5) length, rate, value, power and potential of each force element; see `force_values`."""
-    joints: np.ndarray
+    joints: RealCube
     """(T, J, 6) coordinate, power of the driver, and reaction force (x, y) in the frames of both bodies."""
-    markers: np.ndarray
+    markers: RealCube
     """(T, K, 4) position (x, y) and velocity (x, y) of each marker."""
-    beams: np.ndarray
+    beams: RealCube
     """(T, E, 4) axial force, shear force and bending moment in the middle of each element, and its strain energy."""
-    state_rates: np.ndarray
+    state_rates: RealMatrix
     """(T, Z) derivatives of the first-order states of force elements by time."""
 
     @staticmethod
@@ -140,9 +142,9 @@ def describe(top, w, q, v, out, r):
 class SelfStress(NamedTuple):
     """Constraint forces that cause no acceleration, for T states and D redundant directions."""
 
-    lam: np.ndarray
+    lam: RealTensor
     """(T, D, P, 2) multipliers; 1 in the redundant direction itself."""
-    reactions: np.ndarray
+    reactions: RealTensor
     """(T, D, P, 3) reactions of these multipliers, as in `Observed`."""
 
     @staticmethod
@@ -156,7 +158,10 @@ class SelfStress(NamedTuple):
 
 
 @kernel
-def observe(engine, times, q, v, z, out, stress, near):
+def observe(
+    engine: int, times: RealVector, q: RealMatrix, v: RealMatrix, z: RealMatrix, out: Observed, stress: SelfStress,
+    near: RealMatrix,
+) -> tuple[int, int]:  # fmt: skip
     """Evaluate states one after another.
 
     Parameters
@@ -215,7 +220,7 @@ def observe(engine, times, q, v, z, out, stress, near):
 
 
 @kernel
-def observe_joints(engine, times, q, out):
+def observe_joints(engine: int, times: RealVector, q: RealMatrix, out: Observed) -> None:
     """Evaluate ``out.joints`` of states whose multipliers and reactions are known; arguments as of `observe`."""
     h = load_engine(engine)
     top, w = h.top, h.w
@@ -226,7 +231,9 @@ def observe_joints(engine, times, q, out):
 
 
 @kernel
-def tangents_at(engine, t, q, v, acc, lam):
+def tangents_at(
+    engine: int, t: float, q: RealVector, v: RealVector, acc: RealVector, lam: RealMatrix
+) -> int:  # fmt: skip
     """Solve for accelerations and multipliers of a state and evaluate all tangents; return a status."""
     h = load_engine(engine)
     top, w, solver = h.top, h.w, h.solver
@@ -238,7 +245,7 @@ def tangents_at(engine, t, q, v, acc, lam):
 
 
 @kernel
-def baumgarte_at(engine, t, q, v):
+def baumgarte_at(engine: int, t: float, q: RealVector, v: RealVector) -> float:
     """Return the largest Baumgarte term of a state [m/s^2, rad/s^2]; 0 without Baumgarte stabilization."""
     h = load_engine(engine)
     prepare(h.top, h.w, t, q)
@@ -246,7 +253,9 @@ def baumgarte_at(engine, t, q, v):
 
 
 @kernel
-def first_order_rates(engine, has_power, t, y, acc, lam, rates):
+def first_order_rates(
+    engine: int, has_power: bool, t: float, y: RealVector, acc: RealMatrix, lam: RealMatrix, rates: RealVector
+) -> int:  # fmt: skip
     """Write the right-hand side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
 
     `y` and `rates` are (6 B + 2,); `acc` (3, 3 (B + 1)) and `lam` (P, 2) are scratch arrays. If `has_power` is false,
@@ -269,7 +278,7 @@ def first_order_rates(engine, has_power, t, y, acc, lam, rates):
 
 
 @kernel
-def constraints_at(top, w, t, q, v):
+def constraints_at(top: Topology, w: Scratch, t: float, q: RealVector, v: RealVector) -> None:
     """Evaluate Phi, Phi_t, the Jacobian and gamma into ``w.phi``, ``w.phi_t``, ``w.jac`` and ``w.gamma``."""
     prepare(top, w, t, q)
     constraint_positions(top.pairs, top.pair_parameters, q, w.cs, w.u, w.phi, w.phi_t)
@@ -277,7 +286,9 @@ def constraints_at(top, w, t, q, v):
 
 
 @kernel
-def stiffness_at(top, w, t, q, rest, lam):
+def stiffness_at(
+    top: Topology, w: Scratch, t: float, q: RealVector, rest: RealVector, lam: RealMatrix
+) -> None:  # fmt: skip
     """Evaluate d(Phi_q^T lam)/dq of every pair into ``w.stiff``.
 
     `rest` (3 (B + 1),) is a vector of zeros, used for velocities and accelerations, on which this term does not depend.
@@ -287,7 +298,7 @@ def stiffness_at(top, w, t, q, rest, lam):
 
 
 @kernel
-def note_all(engine, times, q, worst):
+def note_all(engine: int, times: RealVector, q: RealMatrix, worst: RealVector) -> None:
     """Update `worst` (P,), the largest squared norm of each pair's Phi, with states `q` (T, 3 (B + 1)) at `times`."""
     h = load_engine(engine)
     top, w = h.top, h.w

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.jit.decorators import subkernel
 from mbdkit.engine.kernels.constraints import constraint_positions
 from mbdkit.engine.kernels.system import (
     DIVERGED,
@@ -20,6 +19,7 @@ from mbdkit.engine.kernels.system import (
     solved_rows,
 )
 from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.functions import subkernel
 
 EPS = float(np.finfo(float).eps)
 

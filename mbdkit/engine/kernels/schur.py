@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.lane_types import is_refused, usable
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
+from mbdkit.engine.native.arithmetic import is_refused, usable
+from mbdkit.engine.native.functions import inlined, subkernel
 
 TOO_SMALL = 1e-10
 """If elimination shrinks a pivot block to this fraction, ten digits have been lost and the pivoted solver is used."""

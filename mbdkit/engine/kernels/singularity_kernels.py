@@ -15,13 +15,13 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba.extending import overload
 
-from mbdkit.engine.jit.decorators import inlined, kernel, subkernel
-from mbdkit.engine.jit.lane_types import any_of, where
+from mbdkit.engine.kernels.bundle_types import RealMatrix, RealVector
 from mbdkit.engine.kernels.lu import substitute
 from mbdkit.engine.kernels.schur import diagonal_block
 from mbdkit.engine.kernels.system import load_engine, prepare, solved_rows
+from mbdkit.engine.native.arithmetic import any_of, where
+from mbdkit.engine.native.functions import inlined, kernel, overload, subkernel
 
 CLOSE = 0.03
 """Residual of the Ritz vector, relative to its Ritz value, at which the iteration ends; chosen. It bounds the relative
@@ -287,7 +287,7 @@ def singularity_distance(top, w, solver, near):
 
 
 @kernel
-def independent_jacobian(engine, t, q, v, near):
+def independent_jacobian(engine: int, t: float, q: RealVector, v: RealVector, near: RealMatrix) -> None:
     """Evaluate the Jacobian of the rows that are solved for into ``w.jac``, and the pairs' factors L into `near`."""
     h = load_engine(engine)
     top, w = h.top, h.w

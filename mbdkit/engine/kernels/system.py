@@ -18,11 +18,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba.extending import overload
-
-from mbdkit.engine.jit.bundle import bundle_loader
-from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.lane_types import any_of, renewed
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, force_tangents, powers
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.constraints import (
@@ -37,6 +32,9 @@ from mbdkit.engine.kernels.schur import Schur
 from mbdkit.engine.kernels.schur import factor as schur_factor
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.vectors import fill, fill_rows
+from mbdkit.engine.native.arithmetic import any_of, renewed
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
 """Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
@@ -85,8 +83,8 @@ class Topology(NamedTuple):
     linear: RealMatrix
     """(S, 3) stiffness, damping and free length of the linear springs."""
     laws: IntMatrix
-    """(W, 3) laws of all other springs: address of the compiled law, index of its first parameter in `law_parameters`,
-    claims (`mbdkit.engine.jit.law_calls`)."""
+    """(W, 4) laws of all other springs: address of the compiled law, index of its first parameter in `law_parameters`,
+    claims, and address of its program (`mbdkit.engine.native.calls`)."""
     law_parameters: RealVector
     """(N,) for each law its number of parameters, followed by their values; of a state, the initial value."""
     states: IntMatrix

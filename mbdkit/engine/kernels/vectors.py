@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mbdkit.engine.jit.decorators import inlined, subkernel
-from mbdkit.engine.jit.lane_types import renewed
+from mbdkit.engine.native.arithmetic import renewed
+from mbdkit.engine.native.functions import inlined, subkernel
 
 
 @subkernel

@@ -1,0 +1,132 @@
+"""``python -m mbdkit.engine.compiler``: build the machine code of the kernels.
+
+build
+    Build the stored libraries of this platform, or of ``--platform linux-aarch64`` and the like; with ``--only SYMBOL``
+    one library for the folder ``built``.
+check
+    Build them again and compare every byte with what is stored.
+laws
+    Generate the kernels of the packaged force laws; with ``--check``, compare them with what is there.
+list
+    List all symbols and whether their stored code is up to date.
+"""
+
+from __future__ import annotations
+
+import argparse
+import filecmp
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from mbdkit.engine.native import library
+from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_platform
+
+
+def main() -> int:
+    """Run a command; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m mbdkit.engine.compiler", description=__doc__.partition("\n")[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name in ("build", "check", "objects"):
+        command = commands.add_parser(name)
+        command.add_argument("--platform", type=_platform, default=this_platform())
+        if name == "build":
+            command.add_argument("--only")
+        if name == "objects":
+            command.add_argument("--into", type=Path, required=True)
+            command.add_argument("--levels", nargs="+", required=True)
+            command.add_argument("--symbols", nargs="+", required=True)
+    commands.add_parser("list")
+    commands.add_parser("laws").add_argument("--check", action="store_true")
+    given = parser.parse_args()
+    if given.command == "list":
+        return _list()
+    if given.command == "laws":
+        return _laws(check=given.check)
+    if given.command == "objects":
+        return _objects(given.platform, given.levels, given.symbols, given.into)
+    if given.command == "check":
+        return _check(given.platform)
+    if given.only:
+        from mbdkit.engine.compiler.libraries import build_one
+
+        print(build_one(given.only, given.platform, chosen_level()))
+        return 0
+    _build(given.platform, library.STORED / str(given.platform))
+    return 0
+
+
+def _platform(text: str) -> Platform:
+    system, _, architecture = text.partition("-")
+    if system not in ("linux", "macos", "windows") or architecture not in LEVELS:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a platform such as linux-x86_64 or macos-aarch64")
+    return Platform(system, architecture)
+
+
+def _build(target: Platform, into: Path, *, anew: bool = False) -> None:
+    from mbdkit.engine.compiler.libraries import build
+    from mbdkit.engine.compiler.lowering import symbols
+
+    build(target, symbols(), into, anew=anew)
+    size = sum(path.stat().st_size for path in into.iterdir())
+    print(f"{into}: {size / 1e6:.2f} MB")
+
+
+def _check(target: Platform) -> int:
+    stored = library.STORED / str(target)
+    with tempfile.TemporaryDirectory() as work:
+        again = Path(work) / "again"
+        _build(target, again, anew=True)
+        names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
+        _, different, missing = filecmp.cmpfiles(stored, again, names, shallow=False)
+    if different or missing:
+        print(f"the stored machine code is not what the sources say: {', '.join([*different, *missing])}")
+        return 1
+    print("the stored machine code is what the sources say, to the byte")
+    return 0
+
+
+def _laws(*, check: bool) -> int:
+    from mbdkit.engine.compiler.packaged_laws import TARGET, generated
+
+    text = generated()
+    if check:
+        is_fresh = TARGET.read_text(encoding="utf-8") == text
+        print(f"{TARGET.name} is {'fresh' if is_fresh else 'out of date'}")
+        return 0 if is_fresh else 1
+    TARGET.write_text(text, encoding="utf-8", newline="\n")
+    return 0
+
+
+def _list() -> int:
+    from mbdkit.engine.compiler.libraries import group_of
+    from mbdkit.engine.compiler.lowering import symbols
+
+    level = chosen_level()
+    for symbol in symbols():
+        state = "stored" if library.stored_file(symbol, level) else "differs from the sources"
+        print(f"{symbol:<45} {group_of(symbol):<12} {state}")
+    return 0
+
+
+def _objects(target: Platform, levels: list[str], names: list[str], into: Path) -> int:
+    from mbdkit.engine.compiler.libraries import object_path
+    from mbdkit.engine.compiler.lowering import prepare, symbols
+    from mbdkit.engine.compiler.object_code import emitted
+
+    makers = symbols()
+    prepare()
+    known = {level.name: level for level in target.levels}
+    for symbol in names:
+        module = makers[symbol]()
+        for level in levels:
+            path = object_path(into, target, symbol, level)
+            draft = path.with_suffix(f".{os.getpid()}")
+            draft.write_bytes(emitted(module, symbol, target, known[level]))
+            draft.replace(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,379 @@
+"""SIMD lanes: several runs in one pass of compiled code, each in one element of a vector of floating-point numbers.
+
+Kernels are compiled for the types of their arguments. If a bundle holds arrays of lanes instead of arrays of numbers
+(`mbdkit.engine.compiler.lane_arrays`), the same source becomes a kernel that advances `WIDTH` runs at once: every
+element of such an array is a vector of `WIDTH` doubles, one for each run, and arithmetic works lane by lane. Each
+operation on a vector rounds like the operation on a number, and nothing is reassociated or contracted, so that the
+result in a lane is bitwise identical to that of the single run.
+
+A comparison of vectors is a mask (`LaneMask`), on which Python cannot branch. Code that serves both widths uses `where`
+and ``&`` instead of branches, and the other functions of this module.
+
+This module uses the public API of Numba (``numba.extending``) and llvmlite. It also uses internals of Numba:
+`AbstractTemplate`, `infer_global` and `signature`.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import lower_cast
+from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, overload, register_model
+
+from mbdkit.engine.compiler.implementation import implement
+from mbdkit.engine.native.arithmetic import (
+    any_of,
+    below,
+    cosine_of_each,
+    hypot_of_each,
+    is_refused,
+    nearest,
+    number_in,
+    put_in,
+    put_in_place,
+    renewed,
+    sine_of_each,
+    usable,
+    where,
+)
+from mbdkit.engine.native.levels import WIDTH
+
+DOUBLE, _BIT = ir.DoubleType(), ir.IntType(1)
+VECTOR, _BITS = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(_BIT, WIDTH)
+
+
+class LaneReal(types.Type):
+    """Numba type of `WIDTH` doubles, one for each lane."""
+
+    arithmetic = "lanes"
+
+    def __init__(self) -> None:
+        super().__init__(name=f"LaneReal{WIDTH}")
+
+    def unify(self, typing_context: Any, other: Any) -> Any:
+        """Return this type for numbers, so that a variable may begin as ``0.0``."""
+        return self if is_operand(other, self) else None
+
+    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
+        """Allow numbers, which become equal in all lanes."""
+        return Conversion.safe if is_operand(other, self) else None
+
+
+class LaneMask(types.Type):
+    """Numba type of `WIDTH` truth values."""
+
+    arithmetic = "lanes"
+
+    def __init__(self) -> None:
+        super().__init__(name=f"LaneMask{WIDTH}")
+
+    def unify(self, typing_context: Any, other: Any) -> Any:
+        """Return this type for truth values, so that a variable may begin as ``True``."""
+        return self if isinstance(other, types.Boolean) else None
+
+    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
+        """Allow truth values, which become equal in all lanes."""
+        return Conversion.safe if isinstance(other, types.Boolean) else None
+
+
+class LaneComplex(types.Type):
+    """Numba type of `WIDTH` complex numbers; see `mbdkit.engine.compiler.lane_complex`."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"LaneComplex{WIDTH}")
+
+    def unify(self, typing_context: Any, other: Any) -> Any:
+        """Return this type for numbers and for real lanes."""
+        return self if is_operand(other, self) else None
+
+    def can_convert_from(self, typing_context: Any, other: Any) -> Any:
+        """Allow numbers, which become equal in all lanes, and real lanes."""
+        return Conversion.safe if is_operand(other, self) else None
+
+
+REAL, MASK, COMPLEX = LaneReal(), LaneMask(), LaneComplex()
+
+
+@register_model(LaneReal)
+class _RealModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any):
+        super().__init__(manager, kind, VECTOR)
+
+
+@register_model(LaneMask)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any):
+        super().__init__(manager, kind, _BITS)
+
+
+# --- numbers become equal in all lanes
+
+
+def _splat(builder: Any, value: Any, kind: ir.VectorType) -> Any:
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.IntType(32)(0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
+    return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), zeros)
+
+
+@lower_cast(types.Number, LaneReal)
+def _number_to_lanes(context, builder, given, wanted, value):
+    return _splat(builder, context.cast(builder, value, given, types.float64), VECTOR)
+
+
+@lower_cast(types.Boolean, LaneMask)
+def _truth_to_lanes(context, builder, given, wanted, value):
+    return _splat(builder, builder.trunc(value, _BIT) if value.type != _BIT else value, _BITS)
+
+
+# --- arithmetic and comparisons
+
+
+def is_operand(kind: Any, item: Any) -> bool:
+    """Return whether a value of type `kind` can be used as lanes of type `item`."""
+    if isinstance(item, LaneReal):
+        return isinstance(kind, LaneReal | types.Number) and not isinstance(kind, types.Complex)
+    return isinstance(kind, type(item) | LaneReal | types.Number)
+
+
+def _define(function: Any, arity: int, kind: Any, result: Any, code: Callable[..., Any]) -> None:
+    """Define `function` for arguments of the lane type `kind`, of which all but one may be plain values."""
+
+    def suits(one: Any) -> bool:
+        return isinstance(one, LaneMask | types.Boolean) if kind == MASK else is_operand(one, kind)
+
+    @infer_global(function)
+    class _Template(AbstractTemplate):
+        def generic(self, arguments: Any, keywords: Any) -> Any:
+            if len(arguments) != arity or not any(isinstance(one, type(kind)) for one in arguments):
+                return None
+            if not all(suits(one) for one in arguments):
+                return None
+            return signature(result, *(kind,) * arity)
+
+    @lower_builtin(function, *(kind,) * arity)
+    def _lower(context, builder, signature, arguments):
+        return code(builder, *arguments)
+
+
+for _names, _code in (
+    ((operator.add, operator.iadd), lambda b, x, y: b.fadd(x, y)),
+    ((operator.sub, operator.isub), lambda b, x, y: b.fsub(x, y)),
+    ((operator.mul, operator.imul), lambda b, x, y: b.fmul(x, y)),
+    ((operator.truediv, operator.itruediv), lambda b, x, y: b.fdiv(x, y)),
+):
+    for _function in _names:
+        _define(_function, 2, REAL, REAL, _code)
+for _function, _sign in (
+    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "=="),
+):  # fmt: skip
+    _define(_function, 2, REAL, MASK, lambda b, x, y, s=_sign: b.fcmp_ordered(s, x, y))
+_define(operator.ne, 2, REAL, MASK, lambda b, x, y: b.fcmp_unordered("!=", x, y))
+for _names, _code in (
+    ((operator.and_, operator.iand), lambda b, x, y: b.and_(x, y)),
+    ((operator.or_, operator.ior), lambda b, x, y: b.or_(x, y)),
+):
+    for _function in _names:
+        _define(_function, 2, MASK, MASK, _code)
+_define(operator.neg, 1, REAL, REAL, lambda b, x: b.fneg(x))
+# as for numbers: the second one if it is larger (smaller), else the first, also if one of them is NaN
+_define(max, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
+_define(min, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
+_define(operator.not_, 1, MASK, MASK, lambda b, x: b.not_(x))
+
+
+def _by_intrinsic(name: str) -> Callable[..., Any]:
+    def code(builder: Any, x: Any) -> Any:
+        kind = ir.FunctionType(VECTOR, [VECTOR])
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{WIDTH}f64")
+        return builder.call(function, [x])
+
+    return code
+
+
+_define(abs, 1, REAL, REAL, _by_intrinsic("fabs"))
+_define(math.sqrt, 1, REAL, REAL, _by_intrinsic("sqrt"))
+_define(np.sqrt, 1, REAL, REAL, _by_intrinsic("sqrt"))
+_define(math.floor, 1, REAL, REAL, _by_intrinsic("floor"))
+
+
+# --- functions for code that serves numbers and lanes
+
+
+@infer_global(where)
+class _Where(AbstractTemplate):
+    def generic(self, arguments: Any, keywords: Any) -> Any:
+        if len(arguments) != 3 or not isinstance(arguments[0], LaneMask | types.Boolean):
+            return None
+        if any(isinstance(one, LaneReal) for one in arguments[1:]) or isinstance(arguments[0], LaneMask):
+            return signature(REAL, MASK, REAL, REAL)
+        if not all(isinstance(one, types.Number) for one in arguments[1:]):
+            return None
+        return signature(types.float64, types.boolean, types.float64, types.float64)
+
+
+@lower_builtin(where, LaneMask, LaneReal, LaneReal)
+def _where_lanes(context, builder, signature, arguments):
+    return builder.select(*arguments)
+
+
+@lower_builtin(where, types.Boolean, types.Float, types.Float)
+def _where_number(context, builder, signature, arguments):
+    return builder.select(context.is_true(builder, types.boolean, arguments[0]), *arguments[1:])
+
+
+def _both_widths(function: Any, name: str) -> None:
+    """Define a function of one number, and of lanes, by an intrinsic function of LLVM."""
+    _define(function, 1, REAL, REAL, _by_intrinsic(name))
+
+    @infer_global(function)
+    class _Template(AbstractTemplate):
+        def generic(self, arguments: Any, keywords: Any) -> Any:
+            is_number = len(arguments) == 1 and isinstance(arguments[0], types.Float)
+            return signature(types.float64, types.float64) if is_number else None
+
+    @lower_builtin(function, types.Float)
+    def _lower(context, builder, signature, arguments):
+        kind = ir.FunctionType(DOUBLE, [DOUBLE])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.f64"), arguments)
+
+
+_both_widths(nearest, "rint")
+_both_widths(below, "floor")
+
+
+@implement(number_in)
+def _number_in(typing_context, x, lane):
+    """Return the number in one lane."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.extract_element(arguments[0], builder.trunc(arguments[1], ir.IntType(32)))
+
+    return types.float64(REAL, types.int64), generate
+
+
+@implement(put_in)
+def _put_in(typing_context, x, lane, number):
+    """Return lanes with another number in one of them."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.insert_element(arguments[0], arguments[2], builder.trunc(arguments[1], ir.IntType(32)))
+
+    return REAL(REAL, types.int64, types.float64), generate
+
+
+@overload(any_of, inline="always")
+def _any_of(condition):
+    if isinstance(condition, LaneMask):
+        return lambda condition: _any_lane(condition)
+    return lambda condition: condition
+
+
+def _any_lane_typing(typing_context, condition):
+    def generate(context, builder, signature, arguments):
+        word = ir.IntType(WIDTH)
+        return builder.icmp_unsigned("!=", builder.bitcast(arguments[0], word), word(0))
+
+    return types.boolean(condition), generate
+
+
+_any_lane: Any = intrinsic(_any_lane_typing)
+
+
+@overload(is_refused, inline="always")
+def _is_refused(sound):
+    if isinstance(sound, LaneMask):
+        return lambda sound: False
+    return lambda sound: not sound
+
+
+@overload(usable, inline="always")
+def _usable(x, sound):
+    if isinstance(sound, LaneMask):
+        return lambda x, sound: where(sound, x, np.nan)
+    return lambda x, sound: x
+
+
+@overload(renewed, inline="always")
+def _renewed(new, old, condition):
+    if isinstance(condition, LaneMask):
+        return lambda new, old, condition: where(condition, new, old)
+    return lambda new, old, condition: new
+
+
+@overload(put_in_place)
+def _put_in_place(values, place, x):
+    if isinstance(x, LaneReal):
+
+        def put(values, place, x):
+            for lane in range(WIDTH):
+                values[lane, place] = number_in(x, lane)
+
+    else:
+
+        def put(values, place, x):
+            values[place] = x
+
+    return put
+
+
+@infer_global(operator.pow)
+class _Power(AbstractTemplate):
+    def generic(self, arguments: Any, keywords: Any) -> Any:
+        base, exponent = arguments
+        is_power = isinstance(base, LaneReal) and isinstance(exponent, types.Integer | types.Float)
+        return signature(REAL, REAL, exponent) if is_power else None
+
+
+@lower_builtin(operator.pow, LaneReal, types.Integer)
+@lower_builtin(operator.pow, LaneReal, types.Float)
+def _power_of_lanes(context, builder, signature, arguments):
+    kind = context.typing_context.resolve_function_type(operator.pow, (types.float64, signature.args[1]), {})
+    power, result = context.get_function(operator.pow, kind), ir.Constant(VECTOR, ir.Undefined)
+    exponent = context.cast(builder, arguments[1], signature.args[1], kind.args[1])
+    for lane in map(ir.IntType(32), range(WIDTH)):
+        one = power(builder, [builder.extract_element(arguments[0], lane), exponent])
+        result = builder.insert_element(result, one, lane)
+    return result
+
+
+def _one_by_one(function: Any, of_numbers: Any) -> None:
+    """Define a function that applies a compiled function of numbers to each lane."""
+
+    @infer_global(function)
+    class _Template(AbstractTemplate):
+        def generic(self, arguments: Any, keywords: Any) -> Any:
+            if any(isinstance(one, LaneReal) for one in arguments):
+                return signature(REAL, *(REAL,) * len(arguments))
+            if not all(isinstance(one, types.Number) for one in arguments):
+                return None
+            return signature(types.float64, *(types.float64,) * len(arguments))
+
+    def call(context: Any, builder: Any, values: Any) -> Any:
+        kind = types.float64(*(types.float64,) * len(values))
+        return context.get_function(of_numbers, kind)(builder, values)
+
+    @lower_builtin(function, types.VarArg(types.Float))
+    def _lower_number(context, builder, signature, arguments):
+        return call(context, builder, arguments)
+
+    @lower_builtin(function, types.VarArg(LaneReal))
+    def _lower_lanes(context, builder, signature, arguments):
+        result = ir.Constant(VECTOR, ir.Undefined)
+        for lane in map(ir.IntType(32), range(WIDTH)):
+            one = call(context, builder, [builder.extract_element(value, lane) for value in arguments])
+            result = builder.insert_element(result, one, lane)
+        return result
+
+
+_one_by_one(sine_of_each, math.sin)
+_one_by_one(cosine_of_each, math.cos)
+_one_by_one(hypot_of_each, math.hypot)

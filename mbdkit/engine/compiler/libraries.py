@@ -1,0 +1,157 @@
+"""Build the stored machine code: object files in several processes, libraries by the linker of Zig, and a manifest.
+
+Single runs, gradients and lanes are separate libraries, so that a run loads only what it uses. Code for lanes is built
+for every level of a platform, since each has another number of lanes; other code only where a level has its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import lzma
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from mbdkit.engine.native import library, sources
+from mbdkit.engine.native.levels import Level, Platform
+from mbdkit.engine.native.library import MANIFEST, module_of
+
+TOOLS = ("numba", "llvmlite", "ziglang")
+_LINK = {
+    "linux": "{}-linux-gnu.2.17", "macos": "{}-macos.11.0", "windows": "{}-windows-gnu",
+}  # fmt: skip
+_SUFFIX = {"linux": ".so", "macos": ".dylib", "windows": ".dll"}
+
+
+def group_of(symbol: str) -> str:
+    """Return the library of a symbol: ``lanes``, ``gradients``, ``collocation`` or ``core``."""
+    name = module_of(symbol).rpartition("/")[2]
+    if name.startswith("lane_"):
+        return "lanes"
+    if name.startswith("dual_") or symbol.endswith("__dual"):
+        return "gradients"
+    return "collocation" if name.startswith(("collocation", "lobatto")) else "core"
+
+
+def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = False) -> None:
+    """Build the libraries of a platform and their manifest into a new folder.
+
+    Parameters
+    ----------
+    target
+        The platform.
+    names
+        All symbols.
+    into
+        The folder, which is replaced.
+    anew
+        Whether to compile every symbol, also those whose object files are up to date.
+    """
+    groups: dict[str, list[str]] = {}
+    for symbol in names:
+        groups.setdefault(group_of(symbol), []).append(symbol)
+    with tempfile.TemporaryDirectory() as work:
+        objects = _objects(target, groups, Path(work) if anew else library.BUILT)
+        new = Path(work) / "libraries"
+        new.mkdir()
+        digests = {}
+        for (group, level), paths in sorted(objects.items()):
+            packed = new / f"{group}-{level}.xz"
+            content = _linked(target, paths, Path(work) / f"{group}-{level}{_SUFFIX[target.system]}")
+            packed.write_bytes(lzma.compress(content, preset=9 | lzma.PRESET_EXTREME))
+            digests[packed.name] = hashlib.sha256(packed.read_bytes()).hexdigest()
+        text = json.dumps(_manifest(groups, digests), indent=1, sort_keys=True) + "\n"
+        (new / MANIFEST).write_text(text, encoding="utf-8", newline="\n")
+        shutil.rmtree(into, ignore_errors=True)
+        shutil.copytree(new, into)
+
+
+def _python() -> str:
+    """Return the version of Python without its last part, which does not change compiled functions."""
+    return ".".join(platform.python_version_tuple()[:2])
+
+
+def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> dict[str, Any]:
+    modules = sorted({module_of(symbol) for names in groups.values() for symbol in names})
+    behind = {module: sources.files_behind(module) for module in modules}
+    files = sorted({file for found in behind.values() for file in found})
+    return {
+        "built with": {
+            "python": ".".join(platform.python_version_tuple()[:2]),
+            **{name: version(name) for name in TOOLS},
+        },
+        "files": {file: sources.digest(file) for file in files},
+        "names": files,
+        "modules": {module: [files.index(file) for file in found] for module, found in behind.items()},
+        "symbols": {symbol: [group, module_of(symbol)] for group, names in groups.items() for symbol in names},
+        "sha256": digests,
+    }
+
+
+def _objects(target: Platform, groups: Mapping[str, list[str]], folder: Path) -> dict[tuple[str, str], list[Path]]:
+    """Return the object files of each library; those that are missing in a folder are compiled."""
+    folder.mkdir(exist_ok=True)
+    own = [level.name for level in target.levels if level.of_scalars == level.name]
+    jobs: list[tuple[list[str], list[str]]] = [([level.name], groups["lanes"]) for level in target.levels]
+    jobs += [(own, groups[name][i::2]) for name in ("gradients", "collocation", "core") for i in range(2)]
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        list(pool.map(lambda job: _compile(target, job[0], job[1], folder), jobs))
+    found: dict[tuple[str, str], list[Path]] = {}
+    for levels, names in jobs:
+        for level in levels:
+            for symbol in names:
+                found.setdefault((group_of(symbol), level), []).append(object_path(folder, target, symbol, level))
+    return found
+
+
+def object_path(folder: Path, target: Platform, symbol: str, level: str) -> Path:
+    """Return the object file of a symbol in its present form."""
+    return folder / f"{symbol}-{target}-{level}-{sources.fingerprint(module_of(symbol))}.o"
+
+
+def _compile(target: Platform, levels: list[str], names: list[str], folder: Path) -> None:
+    names = [name for name in names if not all(object_path(folder, target, name, one).is_file() for one in levels)]
+    if not names:
+        return
+    command = [sys.executable, "-P", "-m", "mbdkit.engine.compiler", "objects", "--platform", str(target), "--into",
+               str(folder), "--levels", *levels, "--symbols", *names]  # fmt: skip
+    path = os.pathsep.join(filter(None, [str(sources.PACKAGE.parent), *sys.path]))
+    environment = {
+        "PYTHONPATH": path, "MBDKIT_KERNELS": "python", "MBDKIT_PROCESSOR": levels[0], "PYTHONHASHSEED": "0",
+    }  # fmt: skip
+    subprocess.run(command, env=os.environ | environment, check=True, stdin=subprocess.DEVNULL)
+
+
+def _linked(target: Platform, objects: Iterable[Path], path: Path) -> bytes:
+    """Return the library of object files."""
+    architecture = target.architecture
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", _LINK[target.system].format(architecture), "-shared",
+               "-s", "-o", path.name, *map(str, objects), "-lm"]  # fmt: skip
+    subprocess.run(command, check=True, cwd=path.parent, stdin=subprocess.DEVNULL)
+    return path.read_bytes()
+
+
+def build_one(symbol: str, target: Platform, level: Level) -> Path:
+    """Build the library of one symbol from the present sources, for a developer; return its path."""
+    path = library.built_path(symbol, module_of(symbol), level)
+    with tempfile.TemporaryDirectory() as work:
+        path.parent.mkdir(exist_ok=True)
+        _compile(target, [level.name], [symbol], path.parent)
+        one = object_path(path.parent, target, symbol, level.name)
+        content = _linked(target, [one], Path(work) / f"{symbol}.so")
+    draft = path.with_suffix(f".{os.getpid()}")
+    draft.write_bytes(content)
+    draft.replace(path)
+    for old in path.parent.glob(f"{symbol}-{level.name}-*.so"):
+        if old != path:
+            old.unlink(missing_ok=True)
+    return path

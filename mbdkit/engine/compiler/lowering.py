@@ -1,0 +1,35 @@
+"""All functions with machine code of their own, by symbol, and their unoptimized LLVM modules."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from mbdkit.engine.compiler import bundle_pointers, call_code, dual_complex, lane_complex, object_code  # noqa: F401
+from mbdkit.engine.compiler.implementation import define_overloads
+from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
+
+
+def symbols() -> dict[str, Callable[[], Any]]:
+    """Return what makes the LLVM module of each symbol; imports all kernels."""
+    for room in ("mbdkit.engine.kernels", "mbdkit.stepping"):
+        for module in pkgutil.iter_modules(importlib.import_module(room).__path__):
+            importlib.import_module(f"{room}.{module.name}")
+    found: dict[str, Callable[[], Any]] = {}
+    found |= {name: partial(object_code.kernel_module, one) for name, one in KERNELS.items()}
+    found |= {name: partial(object_code.entry_module, name, one.function) for name, one in ENTRIES.items()}
+    for name, law in LAWS.items():
+        found[name] = partial(object_code.law_module, name, law.function, duals=False)
+        name = f"{name}__dual"
+        found[name] = partial(object_code.law_module, name, law.function, duals=True)
+    return dict(sorted(found.items()))
+
+
+def prepare() -> None:
+    """Define everything that kernels use for Numba, and initialize LLVM; call once, after `symbols`."""
+    define_overloads()
+    bundle_pointers.define_loaders()
+    object_code.initialize()

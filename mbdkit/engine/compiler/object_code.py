@@ -1,0 +1,239 @@
+"""From a function to machine code: Numba lowers it to LLVM, and LLVM optimizes it and emits an object file.
+
+Numba optimizes for the processor of this machine. Here its unoptimized code is taken instead, so that the same code is
+emitted for several processors. A wrapper with the C signature of `mbdkit.engine.native.kernel` is the only visible
+symbol of an object file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, get_args
+
+import llvmlite.binding as llvm
+from llvmlite import ir
+from numba import from_dtype, typeof, types
+from numba.core import cgutils
+from numpy import dtype
+
+from mbdkit.engine.compiler.bundle_pointers import Pointer
+from mbdkit.engine.compiler.dual_arrays import DualArray
+from mbdkit.engine.compiler.dual_types import DUAL
+from mbdkit.engine.compiler.implementation import dispatcher
+from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.native.bundle import ARRAY_WORDS
+from mbdkit.engine.native.kernel import DTYPES, Kernel
+from mbdkit.engine.native.levels import Level, Platform
+
+_WORD, _REAL, _BIT = ir.IntType(64), ir.DoubleType(), ir.IntType(1)
+_POINTER = _REAL.as_pointer()
+_SCALARS = {int: types.int64, bool: types.boolean, float: types.float64}
+_TRIPLES = {"linux": "{}-unknown-linux-gnu", "macos": "{}-apple-macosx11.0.0", "windows": "{}-pc-windows-gnu"}
+
+_LIBRARY_NAMES = {"numba_gamma": "tgamma"}
+"""Functions of Numba's own library, and those of the C library that take their place."""
+
+Wrap = Callable[[Any, Any, Any, Any, list[Any]], None]
+"""Generates the body of a wrapper from context, builder, callee, signature and the wrapper's arguments."""
+
+
+def kernel_module(kernel: Kernel) -> Any:
+    """Return the unoptimized LLVM module of a kernel."""
+    kinds, _ = kernel.signature
+    arguments = tuple(map(_numba_type, kinds))
+
+    def wrap(context: Any, builder: Any, callee: Any, signature: Any, given: list[Any]) -> None:
+        place, values, are_right = sum(map(_words, arguments)), [], _BIT(1)
+        types_at, place = place, place + len(DTYPES)
+        at = 0
+        for kind in arguments:
+            address = builder.gep(given[0], [_WORD(at)])
+            if isinstance(kind, types.Array):
+                dtype_at = types_at + [from_dtype(one) for one in DTYPES].index(kind.dtype)
+                dtype_ = builder.load(builder.gep(given[0], [_WORD(dtype_at)]))
+                value, is_right = _array(context, builder, kind, builder.load(address), dtype_)
+                are_right = builder.and_(are_right, is_right)
+            else:
+                value = _read(context, builder, kind, address)
+            values.append(value)
+            at += _words(kind)
+        with builder.if_then(builder.not_(are_right), likely=False):
+            builder.ret(_WORD(1))
+        status, result = context.call_conv.call_function(builder, callee, signature.return_type, arguments, values)
+        parts, returned = [result], [signature.return_type]
+        if len(kernel.results) > 1:
+            parts, returned = cgutils.unpack_tuple(builder, result, len(kernel.results)), list(signature.return_type)
+        if not kernel.results:
+            parts, returned = [], []
+        for i, (wanted, kind, part) in enumerate(zip(kernel.results, returned, parts, strict=True)):
+            value = context.cast(builder, part, kind, _SCALARS[wanted])
+            value = (
+                builder.bitcast(value, _WORD)
+                if wanted is float
+                else builder.zext(value, _WORD)
+                if wanted is bool
+                else value
+            )
+            builder.store(value, builder.gep(given[0], [_WORD(place + i)]), align=8)
+        builder.ret(builder.select(status.is_error, _WORD(1), _WORD(0)))
+
+    kind = ir.FunctionType(_WORD, [_WORD.as_pointer()])
+    return _module(kernel.symbol, kernel.function, arguments, kind, wrap)
+
+
+def entry_module(symbol: str, function: Callable[..., Any]) -> Any:
+    """Return the unoptimized LLVM module of an entry."""
+    arguments = (types.int64, types.int64, types.float64, types.float64, types.float64)
+
+    def wrap(context: Any, builder: Any, callee: Any, signature: Any, given: list[Any]) -> None:
+        _, result = context.call_conv.call_function(builder, callee, signature.return_type, arguments, given)
+        builder.ret(context.cast(builder, result, signature.return_type, types.int64))
+
+    return _module(symbol, function, arguments, ir.FunctionType(_WORD, [_WORD, _WORD, _REAL, _REAL, _REAL]), wrap)
+
+
+def law_module(symbol: str, function: Callable[..., Any], *, duals: bool) -> Any:
+    """Return the unoptimized LLVM module of a function of force laws; see `mbdkit.engine.native.calls`."""
+    number = DUAL if duals else types.float64
+    arguments = (types.int64, number, number, types.float64, types.int64, types.int64)
+
+    def wrap(context: Any, builder: Any, callee: Any, signature: Any, given: list[Any]) -> None:
+        program, length, rate, time, parameters, out = given
+        if duals:
+            length, rate = (DualArray.load(builder, x) for x in (length, rate))
+        places = [builder.ptrtoint(x, _WORD) for x in (parameters, out)]
+        values = [program, length, rate, time, *places]
+        context.call_conv.call_function(builder, callee, signature.return_type, arguments, values)
+        builder.ret_void()
+
+    state = _POINTER if duals else _REAL
+    kind = ir.FunctionType(ir.VoidType(), [_WORD, state, state, _REAL, _POINTER, _POINTER])
+    return _module(symbol, function, arguments, kind, wrap)
+
+
+def _numba_type(kind: Any) -> Any:
+    if kind in _SCALARS:
+        return _SCALARS[kind]
+    if hasattr(kind, "_fields"):
+        return Pointer(typeof(example_of(kind)))
+    _, number, dimensions = get_args(kind)
+    return types.Array(from_dtype(dtype(number)), dimensions, "C")
+
+
+def _words(kind: Any) -> int:
+    if isinstance(kind, Pointer):
+        return sum(_words_of_part(one) for one in kind.bundle)
+    return 1
+
+
+def _words_of_part(kind: Any) -> int:
+    """Return the number of words of an array or a bundle inside a bundle."""
+    return ARRAY_WORDS + 2 * kind.ndim if isinstance(kind, types.Array) else _words(Pointer(kind))
+
+
+def _array(context: Any, builder: Any, kind: Any, members: Any, dtype_: Any) -> tuple[Any, Any]:
+    """Generate code for an array, and for whether it has the expected type.
+
+    It is read from the members of NumPy's array object (``PyArrayObject_fields`` of its public binary interface): data,
+    number of dimensions, sizes, strides, base, type and flags, of which the first is that the array is C-contiguous.
+    """
+    half = ir.IntType(32)
+
+    def member(offset: int, of: Any) -> Any:
+        address = builder.inttoptr(builder.add(members, _WORD(offset)), of.as_pointer())
+        return builder.load(address)
+
+    flags, dimensions = member(48, half), member(8, half)
+    is_right = builder.and_(
+        builder.icmp_unsigned("==", member(40, _WORD), dtype_),
+        builder.and_(
+            builder.icmp_unsigned("==", dimensions, half(kind.ndim)),
+            builder.icmp_unsigned("!=", builder.and_(flags, half(1)), half(0)),
+        ),
+    )
+    sizes_at = member(16, _WORD)
+    # Of an array with another number of dimensions, nothing behind the last one may be read.
+    sizes_at = builder.select(
+        is_right,
+        sizes_at,
+        builder.ptrtoint(
+            cgutils.alloca_once_value(builder, ir.Constant(ir.ArrayType(_WORD, kind.ndim), [_WORD(0)] * kind.ndim)),
+            _WORD,
+        ),
+    )
+    sizes = [
+        builder.load(builder.inttoptr(builder.add(sizes_at, _WORD(8 * i)), _WORD.as_pointer()))
+        for i in range(kind.ndim)
+    ]
+    array = context.make_array(kind)(context, builder)
+    array.data = builder.inttoptr(member(0, _WORD), array.data.type)
+    array.shape = cgutils.pack_array(builder, sizes)
+    itemsize = _WORD(kind.dtype.bitwidth // 8)
+    strides = [itemsize]
+    for size in reversed(sizes[1:]):
+        strides.insert(0, builder.mul(strides[0], size))
+    array.strides = cgutils.pack_array(builder, strides)
+    array.itemsize = itemsize
+    count = sizes[0]
+    for size in sizes[1:]:
+        count = builder.mul(count, size)
+    array.nitems = count
+    return array._getvalue(), is_right
+
+
+def _read(context: Any, builder: Any, kind: Any, address: Any) -> Any:
+    """Generate code for the argument at an address."""
+    if isinstance(kind, Pointer):
+        return builder.bitcast(address, context.get_value_type(kind))
+    if kind == types.float64:
+        return builder.load(builder.bitcast(address, _POINTER))
+    word = builder.load(address)
+    return builder.trunc(word, _BIT) if kind == types.boolean else word
+
+
+def _module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.FunctionType, wrap: Wrap) -> Any:
+    compiled = dispatcher(function)
+    compiled.compile(arguments)
+    found = compiled.overloads[arguments]
+    context = found.target_context
+    module = context.codegen().create_library(symbol).create_ir_module(symbol)
+    wrapper = ir.Function(module, kind, symbol)
+    builder = ir.IRBuilder(wrapper.append_basic_block("entry"))
+    callee = context.declare_function(module, found.fndesc)
+    wrap(context, builder, callee, found.signature, list(wrapper.args))
+    linked = llvm.parse_assembly(str(module))
+    linked.link_in(llvm.parse_bitcode(found.library._final_module.as_bitcode()))
+    linked.verify()
+    return linked
+
+
+def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes:
+    """Return the object file of the module of a symbol for a level of a platform."""
+    triple = _TRIPLES[platform.system].format(platform.architecture)
+    target = llvm.Target.from_triple(triple)
+    machine = target.create_target_machine(
+        cpu=level.processor, features=level.features, opt=3, reloc="pic", codemodel="small"
+    )
+    copy = llvm.parse_bitcode(module.as_bitcode())
+    copy.triple, copy.data_layout = triple, str(machine.target_data)
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = True
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(copy, builder)
+    # Only now, so that functions that are called once are not all copied into their callers.
+    for value in (*copy.functions, *copy.global_variables):
+        if not value.is_declaration and value.name != symbol:
+            value.linkage = "internal"
+    for value in copy.functions:
+        if value.is_declaration:
+            value.name = _LIBRARY_NAMES.get(value.name, value.name)
+    unused = llvm.create_new_module_pass_manager()
+    unused.add_global_dead_code_eliminate_pass()
+    unused.run(copy, builder)
+    return bytes(machine.emit_object(copy))
+
+
+def initialize() -> None:
+    """Make all targets of LLVM available."""
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()

@@ -1,0 +1,60 @@
+"""Compile subkernels only as far as linking requires.
+
+Numba optimizes each function together with all its callees and generates machine code for it. For a function that only
+kernels call, this code is never used, because each kernel is linked and optimized again as a whole. The wasted time
+grows with the depth of calls. A subkernel is therefore only lowered to LLVM IR, without optimization.
+
+This module uses internals of Numba: `JITCodeLibrary`, the pass builder and `NativeLowering`. It is imported only within
+the tested range of versions (`mbdkit.engine.compiler.numba_version`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import register_pass
+from numba.core.typed_passes import NativeLowering
+
+
+class _SubkernelLibrary(JITCodeLibrary):
+    """The LLVM IR of a subkernel and of its callees, for linking only."""
+
+    def _optimize_final_module(self) -> None:
+        """Skip optimization: each kernel optimizes the linked module."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _SubkernelLowering(NativeLowering):
+    """Lower a function to IR that kernels link, without making it executable."""
+
+    _name = "subkernel_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """Lower the function and register its IR as the implementation of calls to it."""
+        state["library"] = code = _SubkernelLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        code.finalize()
+        # Numba registers the code of a callee under a Python function, here a bound builtin method of a new dictionary,
+        # which is unique to this subkernel and never called.
+        key: Any = {}.__getitem__
+        state.targetctx.insert_user_function(key, state.cr.fndesc, [code])
+        state.cr = state.cr._replace(cfunc=key)
+        return True
+
+
+class SubkernelCompiler(CompilerBase):
+    """Numba's compiler with `_SubkernelLowering` as lowering pass."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Return Numba's default pipeline with the lowering pass replaced."""
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [(_SubkernelLowering if kind is NativeLowering else kind, why) for kind, why in passes.passes]
+        passes.finalize()
+        return [passes]

@@ -1,0 +1,122 @@
+"""Functions for code that serves numbers, lanes and dual numbers.
+
+Kernels are compiled for the types of their arguments. With arrays of lanes, the same source advances several runs
+together (`mbdkit.engine.compiler.lane_types`); with arrays of dual numbers, it computes derivatives as well
+(`mbdkit.engine.compiler.dual_types`). Conditions of lanes cannot branch: such code uses `where` and ``&``.
+
+In Python, these functions serve numbers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mbdkit.engine.native.functions import placeholder
+
+DIRECTIONS = 12
+"""Number of derivatives of a dual number. More parameters are differentiated in several passes."""
+
+
+def is_lanes(kind):
+    """Return whether a type is that of lanes, of truth values of lanes, or of an array of lanes."""
+    return getattr(kind, "arithmetic", None) == "lanes"
+
+
+def is_dual(kind):
+    """Return whether a type is that of a dual number or of an array of dual numbers."""
+    return getattr(kind, "arithmetic", None) == "dual"
+
+
+def where(condition, x, y):
+    """Return `x` where the condition holds, else `y`; both are evaluated."""
+    return x if condition else y
+
+
+def nearest(x):
+    """Return the nearest whole number as a float, ties to even."""
+    return np.rint(x)
+
+
+def below(x):
+    """Return the largest whole number not above `x`, as a float."""
+    return np.floor(x)
+
+
+@placeholder
+def number_in(x, lane):
+    """Return the number in one lane."""
+
+
+@placeholder
+def put_in(x, lane, number):
+    """Return lanes with another number in one of them."""
+
+
+def any_of(condition):
+    """Return whether the condition holds, in at least one lane."""
+    return bool(condition)
+
+
+def is_refused(sound):
+    """Return whether a kernel must stop because a condition does not hold.
+
+    This is always false for lanes: the values of the failed lane become NaN (`usable`), and its run is repeated alone.
+    """
+    return not sound
+
+
+def usable(x, sound):
+    """Return `x`; NaN in lanes in which a condition does not hold."""
+    return x
+
+
+def renewed(new, old, condition):
+    """Return `new`; `old` in lanes in which a condition does not hold. Numbers are always renewed."""
+    return new
+
+
+def put_in_place(values, place, x):
+    """Store `x` in an array of numbers (N,); lanes in one (WIDTH, N), each in its own row."""
+    values[place] = x
+
+
+def sine_of_each(x):
+    """Return the sine by the C library."""
+    return math.sin(x)
+
+
+def cosine_of_each(x):
+    """Return the cosine by the C library."""
+    return math.cos(x)
+
+
+def hypot_of_each(x, y):
+    """Return ``sqrt(x^2 + y^2)`` without overflow, by the C library."""
+    return math.hypot(x, y)
+
+
+def value_of(x):
+    """Return the value of a dual number; a number itself."""
+    return x
+
+
+@placeholder
+def with_value(x, value):
+    """Return a dual number with another value and the same derivatives."""
+
+
+@placeholder
+def chain(x, value, slope):
+    """Return the dual number with this value whose derivatives are `slope` times those of `x`."""
+
+
+@placeholder
+def larger_derivatives(x, y):
+    """Return the larger absolute value of each derivative of two dual numbers; the value is that of the first."""
+
+
+@placeholder
+def largest_quotient(x, y):
+    """Return the largest quotient of derivatives that are not negative, 0 / 0 being 0; infinity if one is NaN."""

@@ -1,0 +1,61 @@
+"""Calls by address in compiled code: of entries, and of force laws with a single C signature.
+
+A law is a C function ``void law(int64 program, double length, double rate, double time, const double *parameters,
+double *out)``. It writes the force, its derivatives by length and by rate, and the potential into ``out[0..3]``;
+``parameters[0]`` is the number of parameters that follow, and ``program`` the address of what the law itself needs
+(`mbdkit.engine.kernels.law_programs`). Kernels read both addresses from an array, so that a new law does not require
+them to be compiled again.
+
+For dual numbers, all numbers but the time are addresses of dual numbers.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from mbdkit.engine.native.functions import placeholder
+from mbdkit.engine.native.kernel import entry_in_python
+
+HAS_POTENTIAL, PASSIVE = 1, 2
+"""Bits of the claims of a law. HAS_POTENTIAL: the force at zero rate is the derivative of the potential by length.
+PASSIVE: all power that is not stored as potential energy is dissipated."""
+
+LAW = ctypes.CFUNCTYPE(
+    None, ctypes.c_int64, ctypes.c_double, ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p
+)
+"""The C function of a law."""
+
+
+@placeholder
+def call_entry(address, first, second, t, h, x):
+    """Call the entry at `address` with its five arguments; returns its status."""
+    return entry_in_python(address)(first, second, t, h, x)
+
+
+@placeholder
+def call_law(address, program, length, rate, time, parameters, begin, out, row):
+    """Call the law at `address` with `parameters` (N,) from index `begin` on; it writes row `row` of `out` (K, 4).
+
+    In lanes, `parameters` are (WIDTH, N), and the law is called for one lane after the other.
+    """
+    LAW(int(address))(int(program), length, rate, time, parameters[begin:].ctypes.data, out[row].ctypes.data)
+
+
+@placeholder
+def integers_at(address, count):
+    """Return the `count` integers at an address as an array."""
+    return np.ctypeslib.as_array((ctypes.c_int64 * count).from_address(address))
+
+
+@placeholder
+def numbers_at(address, first, count, like):
+    """Return `count` numbers from the one with index `first` at an address on; dual numbers if `like` is one."""
+    return np.ctypeslib.as_array((ctypes.c_double * count).from_address(address + 8 * first))
+
+
+@placeholder
+def new_registers(count, like):
+    """Return an array of `count` numbers, a constant, on the stack of the calling function; duals if `like` is one."""
+    return np.zeros(count)

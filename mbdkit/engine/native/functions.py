@@ -1,0 +1,85 @@
+"""What kernels are written with: decorators, overloads, and placeholders for operations of the compiler.
+
+A compiled function is an ordinary function of Python. `subkernel` and `inlined` mark functions that only compiled code
+calls; `kernel` is for functions that Python calls, and `entry` for functions that kernels call by address. Functions
+that differ between the arithmetics (`mbdkit.engine.native.arithmetic`) are declared by `overload`, and those that only
+the compiler can express by `placeholder`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+SUBKERNELS: dict[Callable[..., Any], bool] = {}
+"""Functions that only compiled code calls, and whether they are copied into their callers."""
+OVERLOADS: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
+"""Functions, and what returns their source for the types of their arguments."""
+PLACEHOLDERS: set[Callable[..., Any]] = set()
+"""Functions that only the compiler can express; in Python, they are not called or have a body of their own."""
+KERNELS: dict[str, Kernel] = {}
+ENTRIES: dict[str, Entry] = {}
+LAWS: dict[str, LawFunction] = {}
+"""Functions with machine code of their own, by the name of its symbol."""
+
+
+def subkernel(function: Function) -> Function:
+    """Mark a function that only kernels and other subkernels call."""
+    SUBKERNELS[function] = False
+    return function
+
+
+def inlined(function: Function) -> Function:
+    """Mark a function that only kernels call and that is copied into each of its callers."""
+    SUBKERNELS[function] = True
+    return function
+
+
+def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
+    """Declare how the source of a function depends on the types of its arguments.
+
+    The decorated function gets these types and returns a function with the same arguments, or None. In Python, the
+    function itself is called.
+    """
+
+    def declare(chosen: Function) -> Function:
+        OVERLOADS.append((function, chosen))
+        return chosen
+
+    return declare
+
+
+def placeholder(function: Function) -> Function:
+    """Declare a function that only the compiler can express (`mbdkit.engine.compiler.typing.implement`)."""
+    PLACEHOLDERS.add(function)
+    return function
+
+
+def kernel(function: Callable[..., Any]) -> Kernel:
+    """Declare a function that Python calls.
+
+    Its arguments and its result are annotated; see `mbdkit.engine.native.kernel`. It releases the global interpreter
+    lock, and division by zero follows IEEE 754 instead of raising an exception.
+    """
+    return KERNELS.setdefault(_symbol(function), Kernel(_symbol(function), function))
+
+
+def entry(function: Callable[..., Any]) -> Entry:
+    """Declare a function that kernels call by its address; see `mbdkit.engine.native.kernel`."""
+    return ENTRIES.setdefault(_symbol(function), Entry(_symbol(function), function))
+
+
+def law_function(function: Callable[..., Any]) -> LawFunction:
+    """Declare a function of force laws, which kernels call by its address; see `mbdkit.engine.native.calls`.
+
+    Its arguments are the program, length, rate, time, and the addresses of the parameters and of the results.
+    """
+    return LAWS.setdefault(_symbol(function), LawFunction(_symbol(function), function))
+
+
+def _symbol(function: Callable[..., Any]) -> str:
+    return f"{function.__module__.rpartition('.')[2]}__{function.__name__}"

@@ -1,0 +1,215 @@
+"""Find and load machine code: the stored libraries, and what a developer has built since.
+
+The folder ``stored`` holds compressed shared libraries for each platform and processor level, and a manifest with the
+digests of the sources that they were built from. Where these sources are unchanged, the stored code is used. Where they
+differ, a developer's changes are compiled symbol by symbol into the folder ``built``, which is not part of the
+distribution; this needs the extra ``dev``.
+
+A library is decompressed into memory and loaded from there, so that there is no cache to go wrong.
+
+With ``MBDKIT_JIT=1`` the stored code is not used, for comparison. With ``MBDKIT_KERNELS=python`` kernels run as
+functions of Python, about a thousand times slower, to debug them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import importlib.util
+import json
+import lzma
+import os
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.native import sources
+from mbdkit.engine.native.levels import Level, chosen_level, is_able, this_platform
+
+STORED = Path(__file__).parent / "stored"
+BUILT = Path(__file__).parent / "built"
+MANIFEST = "manifest.json"
+
+IN_PYTHON = os.environ.get("MBDKIT_KERNELS") == "python"
+"""Whether kernels run as functions of Python."""
+_COMPILE = os.environ.get("MBDKIT_JIT", "") not in ("", "0")
+"""Whether stored code is not used."""
+
+
+def address_of(symbol: str) -> int:
+    """Return the address of the machine code with a name, which is loaded or compiled first if necessary.
+
+    Raises
+    ------
+    MbdkitError
+        If there is no such code for this platform and processor, and it cannot be compiled.
+    """
+    level = _usable_level()
+    path = None if _COMPILE else stored_file(symbol, level)
+    library = _built(symbol, level) if path is None else _load_stored(path)
+    address = ctypes.cast(getattr(library, symbol), ctypes.c_void_p).value
+    assert address is not None
+    return address
+
+
+def _usable_level() -> Level:
+    level = chosen_level()
+    if not is_able(level):
+        asked = "which MBDKIT_PROCESSOR asks for" if os.environ.get("MBDKIT_PROCESSOR") else "the lowest that is stored"
+        raise MbdkitError(f"this processor lacks instructions of the level {level.name}, {asked}")
+    return level
+
+
+@cache
+def manifest() -> dict[str, Any]:
+    """Return the manifest of the stored libraries of this platform; empty if there are none."""
+    try:
+        text = (STORED / str(this_platform()) / MANIFEST).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return {}
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def stored_file(symbol: str, level: Level) -> Path | None:
+    """Return the stored library with a symbol; None if there is none or the sources have changed."""
+    stored = manifest()
+    if symbol not in stored.get("symbols", {}):
+        return None
+    group, module = stored["symbols"][symbol]
+    names = (stored["names"][i] for i in stored["modules"][module])
+    if any(sources.digest(name) != stored["files"][name] for name in names):
+        return None
+    name = level.name if group == "lanes" else level.of_scalars
+    return STORED / str(this_platform()) / f"{group}-{name}.xz"
+
+
+@cache
+def _load_file(path: Path) -> ctypes.CDLL:
+    return ctypes.CDLL(str(path))
+
+
+@cache
+def _load_stored(path: Path) -> ctypes.CDLL:
+    return _unpacked(path, manifest()["sha256"][path.name])
+
+
+def _unpacked(path: Path, digest: str) -> ctypes.CDLL:
+    """Decompress and load a library."""
+    packed = path.read_bytes()
+    if hashlib.sha256(packed).hexdigest() != digest:
+        raise MbdkitError(f"the stored machine code {path} is damaged: install mbdkit again")
+    content = lzma.decompress(packed)
+    try:
+        with suppress(AttributeError, PermissionError, FileNotFoundError):  # only Linux has files in memory
+            return _from_memory_file(path.name, content)
+        return _from_temporary_file(content)
+    except OSError as error:
+        raise MbdkitError(f"the stored machine code {path} cannot be loaded: {error}") from error
+
+
+def _from_memory_file(name: str, content: bytes) -> ctypes.CDLL:
+    # The file stays open: the loader knows libraries by their paths, and another file would get the same number.
+    file = os.memfd_create(name)
+    with open(file, "wb", closefd=False) as stream:
+        stream.write(content)
+    place = f"/proc/self/fd/{file}"
+    if not os.path.exists(place):
+        raise FileNotFoundError(place)
+    return ctypes.CDLL(place)
+
+
+def _from_temporary_file(content: bytes) -> ctypes.CDLL:
+    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    file, name = tempfile.mkstemp(suffix=suffix, prefix="mbdkit-")
+    try:
+        with open(file, "wb") as stream:
+            stream.write(content)
+        return ctypes.CDLL(name)
+    finally:
+        with suppress(OSError):  # Windows keeps the file of a loaded library
+            os.unlink(name)
+
+
+def code_id() -> str:
+    """Return what identifies the machine code of this platform: a digest of all stored libraries."""
+    digests = manifest().get("sha256", {})
+    return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()[:16] if digests else "none"
+
+
+def code_report() -> dict[str, Any]:
+    """Return platform, processor level and lanes, and whether stored code for this platform exists."""
+    level = chosen_level()
+    return {
+        "platform": str(this_platform()),
+        "processor_level": level.name,
+        "lanes": level.lanes,
+        "stored": bool(manifest()),
+        "built_with": manifest().get("built with", {}),
+    }
+
+
+def code_text() -> str:
+    """Return the report as one line."""
+    level = chosen_level()
+    where = f"machine code for {this_platform()}, level {level.name}, {level.lanes} lanes"
+    return where if manifest() else f"no {where}"
+
+
+# --- code that a developer has built
+
+
+def built_path(symbol: str, module: str, level: Level) -> Path:
+    """Return the file of the library of one symbol, built from the present sources of its module."""
+    return BUILT / f"{symbol}-{level.name}-{sources.fingerprint(module)}.so"
+
+
+def module_of(symbol: str) -> str:
+    """Return the source file of a symbol, relative to the package."""
+    name = symbol.partition("__")[0]
+    for room in ("stepping", "engine/kernels"):
+        if (sources.PACKAGE / room / f"{name}.py").is_file():
+            return f"{room}/{name}.py"
+    raise MbdkitError(f"there is no kernel '{symbol}'")
+
+
+def _built(symbol: str, level: Level) -> ctypes.CDLL:
+    path = built_path(symbol, module_of(symbol), level)
+    if not path.is_file():
+        _build(symbol, level)
+    return _load_file(path)
+
+
+def _build(symbol: str, level: Level) -> None:
+    if not _has_compiler():
+        raise MbdkitError(_why_not())
+    why = "MBDKIT_JIT is set" if _COMPILE else "its sources differ from those of the stored machine code"
+    print(f"mbdkit compiles {symbol}: {why} ...", file=sys.stderr, flush=True)
+    command = [sys.executable, "-P", "-m", "mbdkit.engine.compiler", "build", "--only", symbol]
+    environment = os.environ | {
+        "MBDKIT_PROCESSOR": level.name, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+    }  # fmt: skip
+    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise MbdkitError(f"{symbol} cannot be compiled:\n{done.stdout}{done.stderr}")
+
+
+def _has_compiler() -> bool:
+    return all(importlib.util.find_spec(name) is not None for name in ("numba", "ziglang"))
+
+
+def _why_not() -> str:
+    if not manifest():
+        return (
+            f"this installation of mbdkit has no machine code for {this_platform()}: install a wheel for this "
+            "platform, or in a clone `pip install -e .[dev]`, which compiles the kernels on first use"
+        )
+    return (
+        "the sources of the kernels differ from their stored machine code: install mbdkit again, or in a clone "
+        "`pip install -e .[dev]`, which compiles what has changed"
+    )

@@ -1,0 +1,130 @@
+"""The stored machine code: it belongs to the sources, all levels of processors agree to the bit, without Numba."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.kernels.motions import motions_at
+from mbdkit.engine.native import library, sources
+from mbdkit.engine.native.bundle import array_words
+from mbdkit.engine.native.levels import Platform, chosen_level, is_able, this_platform
+
+IS_STORED = str(this_platform()) == "linux-x86_64"
+stored = pytest.mark.skipif(not IS_STORED, reason="no machine code is stored for this platform")
+
+RUNS = """\
+import json, sys
+if {without_numba}:
+    sys.modules["numba"] = sys.modules["llvmlite"] = None
+import mbdkit
+found = {{}}
+for name, sections in json.loads({runs!r}).items():
+    with mbdkit.run(name.split()[0], **sections) as run:
+        found[name] = run.data_sha256
+print(json.dumps(found))
+"""
+SHORT: dict[str, Any] = {"time": {"end": 0.05, "step": 0.01}}
+SPECS: dict[str, Any] = {
+    "double-pendulum rk4": SHORT | {"integrator": {"name": "rk4"}},
+    "double-pendulum gauss": SHORT | {"integrator": {"name": "gauss", "stages": 2}},
+    "knee radau-iia": SHORT | {"integrator": {"name": "radau-iia"}, "formulation": "index-3"},
+    "knee scipy": SHORT | {"integrator": {"name": "scipy-dop853"}},
+}
+
+
+def hashes(specs: dict[str, Any], *, without_numba: bool = True, **variables: str) -> dict[str, str]:
+    """Return the hashes of runs in a process of its own, with these environment variables."""
+    program = RUNS.format(without_numba=without_numba, runs=json.dumps(specs))
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | variables, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found: dict[str, str] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+@stored
+def test_the_stored_code_is_that_of_the_sources() -> None:
+    # expected: an edit of a kernel without a new build is noticed for every symbol that it concerns
+    outdated = [symbol for symbol in library.manifest()["symbols"] if not library.stored_file(symbol, chosen_level())]
+    assert not outdated, "build the machine code again: python -m mbdkit.engine.compiler build"
+
+
+@stored
+def test_all_levels_and_the_sources_in_python_agree_to_the_bit() -> None:
+    levels = [level.name for level in this_platform().levels if is_able(level)]
+    assert len(levels) > 1
+    found = [hashes(SPECS, MBDKIT_PROCESSOR=level) for level in levels]
+    assert all(one == found[0] for one in found)
+    some = {name: SPECS[name] for name in ("double-pendulum rk4", "knee scipy")}
+    in_python = hashes(some, MBDKIT_KERNELS="python")
+    assert in_python == {name: found[0][name] for name in some}
+
+
+@stored
+@pytest.mark.slow
+def test_code_compiled_here_agrees_with_the_stored_code_to_the_bit() -> None:
+    pytest.importorskip("ziglang")
+    some = {name: SPECS[name] for name in ("double-pendulum rk4", "knee radau-iia")}
+    assert hashes(some, without_numba=False, MBDKIT_JIT="1") == hashes(some)
+
+
+def test_a_damaged_library_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / str(this_platform())
+    shutil.copytree(library.STORED / str(this_platform()), folder)
+    path = next(folder.glob("core-*.xz"))
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(MbdkitError, match=r"damaged: install mbdkit again"):
+        library._unpacked(path, library.manifest()["sha256"][path.name])
+
+
+def test_another_platform_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "this_platform", lambda: Platform("plan9", "sparc"))
+    monkeypatch.setattr(library, "_has_compiler", lambda: False)
+    library.manifest.cache_clear()
+    try:
+        with pytest.raises(MbdkitError, match=r"no machine code for plan9-sparc: install a wheel for this platform"):
+            library.address_of("motions__motions_at")
+    finally:
+        library.manifest.cache_clear()
+
+
+def test_changed_sources_without_a_compiler_are_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "_has_compiler", lambda: False)
+    monkeypatch.setattr(sources, "digest", lambda file: "another")
+    with pytest.raises(MbdkitError, match=r"differ from their stored machine code"):
+        library.address_of("motions__motions_at")
+
+
+def test_an_unknown_level_is_refused() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "mbdkit", "run", "pendulum"], env=os.environ | {"MBDKIT_PROCESSOR": "pentium"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert "MBDKIT_PROCESSOR should be one of x86-64-v4, x86-64-v3, x86-64-v2" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(3, dtype=np.float32), np.zeros((3, 1)), np.zeros(6)[::2]])
+def test_a_kernel_refuses_arrays_of_another_layout(wrong: np.ndarray) -> None:
+    numbers = np.zeros(1, dtype=np.int64)
+    with pytest.raises(TypeError, match="a kernel needs a C-contiguous array of float64 with 1 dimensions"):
+        motions_at(wrong, numbers, numbers, np.zeros(1), np.zeros((1, 3)), np.zeros((3, 1, 3)))
+
+
+def test_the_address_of_an_array_follows_from_its_header() -> None:
+    x = np.arange(12.0).reshape(3, 4)[1]
+    assert array_words(x) == (0, 0, 4, 8, x.ctypes.data, 4, 8)
