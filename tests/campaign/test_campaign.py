@@ -14,7 +14,7 @@ MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "3"))
 
 
 SLOW = {
-    *("begin-parts", "block-flips", "bodies", "forbidden", "kill-blocks", "kill-study"),
+    *("begin-parts", "block-flips", "bodies", "columns", "forbidden", "kill-blocks", "kill-study"),
     *("kill-worker", "long-run", "members"),
 }
 """Attacks that take many seconds for one case."""
