@@ -50,6 +50,15 @@ def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
 
 SHARE = 0.01
 """Change of a variable for which sensitivities are given, as a share of its bounds."""
+DISTANCES = (1e-4, 2e-4)
+"""Distances from the best point at which goals and limits are compared, as shares of the bounds."""
+LEAST_GROWTH = 3.0
+"""Growth of second differences from the first distance to the second, below which there is a corner: it is 4 where a
+measure is smooth, and 2 at a corner."""
+LEAST_CORNER = 0.05
+"""Smallest difference of the slopes on both sides of a corner, as a share of the larger one."""
+NOISE = 1e-9
+"""Second differences below this share of the measure are errors of the runs."""
 
 
 @dataclass(frozen=True)
@@ -61,19 +70,55 @@ class Sensitivity:
     scenario, measure
         Names of the scenario and of the goal or limit.
     changes
-        Change of the measure, to first order, if a variable increases by `SHARE` of its bounds.
+        Change of the measure, to first order, if a variable increases by `SHARE` of its bounds; nan where a run fails,
+        and at a corner.
+    corners
+        Changes if a variable decreases, and if it increases, by `SHARE` of its bounds, for variables in which the
+        measure has different slopes on both sides of the best point.
     """
 
     scenario: str
     measure: str
     changes: dict[str, float]
+    corners: dict[str, tuple[float, float]]
 
 
 def sensitivities(evaluator: Evaluator, best: np.ndarray) -> list[Sensitivity]:
     """Return the sensitivities of all goals and limits at the best point (n,); nan where a run fails."""
     slopes = SHARE * differences(evaluator, best)
-    return [
-        Sensitivity(scenario, measure, dict(zip(evaluator.spec.variables, slopes[row, column].tolist(), strict=True)))
-        for row, scenario in enumerate(evaluator.spec.situations)
-        for column, measure in enumerate(evaluator.names)
-    ]
+    sides = _sides(evaluator, best)
+    names = list(evaluator.spec.variables)
+    found = []
+    for row, scenario in enumerate(evaluator.spec.situations):
+        for column, measure in enumerate(evaluator.names):
+            changes = dict(zip(names, slopes[row, column].tolist(), strict=True))
+            corners = {
+                name: (float(sides[0, row, column, place]), float(sides[1, row, column, place]))
+                for place, name in enumerate(names)
+                if np.all(np.isfinite(sides[:, row, column, place]))
+            }
+            found.append(Sensitivity(scenario, measure, changes | dict.fromkeys(corners, np.nan), corners))
+    return found
+
+
+def _sides(evaluator: Evaluator, best: np.ndarray) -> np.ndarray:
+    """Return the changes (2, S, K, n) if a variable decreases, and if it increases, by `SHARE`; nan where the measure
+    is smooth, at a bound, and where a run fails.
+    """
+    count = len(best)
+    points = [best, *(best + sign * step * one for step in DISTANCES for sign in (-1, 1) for one in np.eye(count))]
+    inside = (best - DISTANCES[1] >= 0.0) & (best + DISTANCES[1] <= 1.0)
+    values = evaluator.values(np.clip(points, 0.0, 1.0))
+    away = (values[1:] - values[0]).reshape(2, 2, count, *values.shape[1:])  # (distance, side, variable, S, K)
+    down, up = away[0]
+    second = away[:, 0] + away[:, 1]
+    with np.errstate(all="ignore"):
+        larger = np.maximum(np.abs(down), np.abs(up))
+        is_corner = (
+            (np.abs(second[1]) < LEAST_GROWTH * np.abs(second[0]))
+            & (np.abs(second[0]) > NOISE * np.abs(values[0]))
+            & (np.abs(second[0]) > LEAST_CORNER * larger)
+            & inside[:, None, None]
+        )
+    shown = np.where(is_corner, np.stack([down, up]) * SHARE / DISTANCES[0], np.nan)
+    return np.moveaxis(shown, 1, -1)

@@ -32,7 +32,8 @@ def sensitivity_section(
         f"Change of each goal and limit, to first order, if one variable is increased from its best value by "
         f"{100 * SHARE:g} % of the width of its bounds. Where neither bounds nor limits are active, the changes of a "
         f"single goal add up to zero over "
-        "the scenarios, weighted."
+        "the scenarios, weighted. A goal with a corner at the best value has two changes, for an increase and for a "
+        "decrease, and no bar."
     )
     wide, narrow = (_svg(found, words, units, width) for width in (WIDE, NARROW))
     text = "Changes to the right are increases. Each goal or limit has its own scale."
@@ -44,9 +45,20 @@ def _name(one: Sensitivity) -> str:
     return f"{one.measure} ({one.scenario})" if one.scenario else one.measure
 
 
+def _both(one: Sensitivity, name: str) -> str:
+    """Return the changes on both sides of a corner."""
+    down, up = one.corners[name]
+    return f"{up:+.3g} if increased, {down:+.3g} if decreased"
+
+
 def _table(found: Sequence[Sensitivity], words: Mapping[str, str], units: Mapping[tuple[str, str], str]) -> Table:
     rows: list[tuple[Cell, ...]] = [
-        (_name(one), units[one.scenario, one.measure], *one.changes.values()) for one in found
+        (
+            _name(one),
+            units[one.scenario, one.measure],
+            *(_both(one, name) if name in one.corners else change for name, change in one.changes.items()),
+        )
+        for one in found
     ]
     columns = [Column("goal or limit"), Column("unit"), *(Column(words[name]) for name in found[0].changes)]
     return Table("sensitivities-table", "Changes in numbers", tuple(columns), tuple(rows))
@@ -83,7 +95,7 @@ def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) ->
         size = half * abs(value) / most if np.isfinite(value) else 0.0
         begin = middle - size if value < 0 else middle
         yield Markup('<rect class="bar" x="{:.1f}" y="{:.1f}" width="{:.1f}" height="14"/>').format(begin, y, size)
-        text = f"{value:+.3g}" if np.isfinite(value) else "unknown"
+        text = f"{value:+.3g}" if np.isfinite(value) else _both(one, name) if name in one.corners else "unknown"
         anchor = Markup(' text-anchor="end"' if value < 0 else "")
         yield Markup(_TEXT).format(middle + (-size - 6 if value < 0 else size + 6), y + 12, anchor, text)
         y += _STEP

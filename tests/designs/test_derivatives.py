@@ -10,6 +10,8 @@ import pytest
 import mbdkit
 from mbdkit.designs.derivatives import derivatives, differences, told, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
+from mbdkit.designs.landscape import sensitivities
+from mbdkit.report.sensitivity_bars import _svg
 from mbdkit.spec import load_design_spec
 from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
@@ -65,3 +67,21 @@ def test_a_corner_of_the_goal_at_the_best_point_is_named() -> None:
     (sentence,) = unconfirmed(evaluator, np.array([0.1]))
     assert "derivative of goal at the best point is not confirmed" in sentence
     assert unconfirmed(evaluator, np.array([0.2])) == ()
+
+
+def test_sensitivities_at_a_corner_have_two_sides_and_no_sign() -> None:
+    # expected: |k - 20| phi_max has a corner at k = 20, and (k - 20)^2 phi_max^2 has none; bounds as in ONE
+    most = 20.0 * 0.7
+    for power, corner in ((1, True), (2, False)):
+        goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})**{power}"
+        evaluator = Evaluator(load_design_spec(design_of(swing(), variables=ONE, minimize=goal)))
+        (one,) = sensitivities(evaluator, np.array([0.1]))
+        (name,) = one.changes
+        assert bool(one.corners) == corner
+        if corner:
+            low, high = ONE[name]["bounds"]
+            change = 0.01 * (high - low) * 0.7
+            assert one.corners[name] == pytest.approx((change, change), rel=1e-3)
+            assert np.isnan(one.changes[name])
+            svg = str(_svg([one], {name: "stiffness"}, {(one.scenario, one.measure): "N m"}, 700.0))
+            assert "if increased" in svg
