@@ -23,17 +23,30 @@ from mbdkit.gradients.differentiated_expressions import (
 )
 from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
 from mbdkit.gradients.differentiated_states import require_derivative
-from mbdkit.gradients.gradient_check import Direction, GradientCheck, Measured, Settings, check_gradient
+from mbdkit.gradients.gradient_check import (
+    Direction,
+    GradientCheck,
+    Measured,
+    Settings,
+    check_gradient,
+    discretization_doubts,
+)
 from mbdkit.gradients.gradient_parameters import Parameter, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
+from mbdkit.runs.accuracy.compared_measures import other_methods
+from mbdkit.runs.preparation import build, make_method
+from mbdkit.runs.simulation import measured_in
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.stepping.dual_run import NO_SEEDS
+
+REFERENCE_STEPS = 2_000
+"""Number of steps of the run from which the largest number of steps of the other method follows, in its check."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +98,7 @@ class Gradient:
                 "differences": [_finite(x) for x in check.differences[:, m]],
                 "extrapolated": _finite(check.extrapolated[m]),
                 "error": _finite(check.error[m]),
+                "reference": _finite(check.reference[m]),
                 "agrees": bool(check.agrees[m]),
             }
         return found
@@ -132,7 +146,7 @@ def gradient(
         Names of `parameters` of the spec, or key paths of numbers of its model such as ``model.bodies.rod.mass``; at
         most 50.
     check
-        Whether to check the gradient in one direction by differences of four runs.
+        Whether to check the gradient in one direction by differences of four runs, and of two of another method.
     **sections
         Other sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``, which replace those of `source`.
 
@@ -227,7 +241,42 @@ def gradient_of_run_spec(
     def measured(settings: Settings) -> list[float]:
         return _values(specs.spec(settings), definitions, again)
 
-    return gradient_of_run(run, expressions, parameters, prepared, measured if check else None)
+    if not check:
+        return gradient_of_run(run, expressions, parameters, prepared, None)
+    reference = _Reference(spec, [text for text, _ in definitions.values()])
+
+    def by_another(settings: Settings) -> list[float]:
+        factors = [one.unit.factor for one in expressions.values()]
+        return [value / factor for value, factor in zip(reference.values(specs.spec(settings)), factors, strict=True)]
+
+    return gradient_of_run(run, expressions, parameters, prepared, measured, by_another)
+
+
+class _Reference:
+    """Measures of runs by another method than that of a spec, with small errors.
+
+    Parameters
+    ----------
+    spec
+        The spec; for runs with other parameters, the same method is used.
+    expressions
+        The measures.
+    """
+
+    def __init__(self, spec: RunSpec, expressions: Sequence[str]):
+        self._expressions = expressions
+        self._method = make_method(spec)
+        self._chosen: int | None = None
+
+    def values(self, spec: RunSpec) -> Sequence[float]:
+        """Return the measures of a run in SI units; nan if no method reaches its end."""
+        others = other_methods(spec, self._method, build(spec)[0], REFERENCE_STEPS)
+        for place in range(len(others)) if self._chosen is None else [self._chosen]:
+            found = measured_in(others[place], self._expressions)
+            if found is not None:
+                self._chosen = place
+                return found
+        return [math.nan] * len(self._expressions)
 
 
 def gradient_of_run(
@@ -236,6 +285,7 @@ def gradient_of_run(
     parameters: Sequence[Parameter],
     prepared: PreparedDerivatives,
     measured: Measured | None,
+    reference: Measured | None = None,
 ) -> Gradient:
     """Return the gradient of measures of a differentiated run.
 
@@ -249,6 +299,8 @@ def gradient_of_run(
         The parameters, and the derivatives of the preparation.
     measured
         Returns the measures for other values of the parameters, for the check; None: the gradient is not checked.
+    reference
+        Returns the same by another method with small errors; None if there is none.
     """
     values, slopes, sizes = [], [], {}
     doubts = list(run.doubts)
@@ -262,7 +314,10 @@ def gradient_of_run(
     value, jacobian = np.array(values), np.array(slopes).reshape(len(values), len(parameters))
     check = None
     if measured is not None:
-        check = check_gradient(Direction.random(parameters, prepared), measured, sizes, value, jacobian)
+        direction = Direction.random(parameters, prepared)
+        check = check_gradient(direction, measured, sizes, value, jacobian, reference)
+        smooth = [not needs_of(one).ends for one in expressions.values()]
+        doubts += discretization_doubts(check, sizes, jacobian, smooth)
     return Gradient(
         tuple(expressions),
         tuple(expression.unit.text for expression in expressions.values()),

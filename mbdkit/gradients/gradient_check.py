@@ -1,5 +1,8 @@
 """The check of a gradient: its derivative in one direction, compared with differences of runs at two distances.
 
+Runs with the same steps show errors of the differentiation. They share the discretization, so that runs of another
+method, with small errors, show how far the derivative is from that of the exact motion.
+
 The differences are central. If the spec is not valid on one side of a parameter, such as a damping of zero, they are
 one-sided and of the same order.
 """
@@ -27,6 +30,18 @@ ALLOWED = 10.0
 SMALLEST = 1e-7
 """A deviation below this share of the sum of the terms of the derivative is always allowed."""
 
+REFERENCE_ERROR = 3e-12
+"""Assumed relative error of a measure of one run of the other method, at its tolerance."""
+CORRECTED = 0.01
+"""Largest expected error of these differences after their correction by extrapolation, as a share of that."""
+
+LARGEST_DISCRETIZATION = 1e-2
+"""Largest share of the sum of the terms of the derivative by which it may differ from that of the exact motion."""
+
+NOTED = (1e-6, 1e-4)
+"""Shares of the sum of the terms above which this difference is noted, for smooth measures and for those that change
+their form inside steps."""
+
 Settings = Sequence[tuple[Path, float]]
 """Key paths and their values."""
 
@@ -52,9 +67,11 @@ class GradientCheck:
         (M,) the same extrapolated from both.
     error
         (M,) estimated error of the extrapolated differences.
+    reference
+        (M,) the same derivatives by differences of runs of another method with small errors; nan if no such run ended.
     agrees
-        (M,) whether the derivative is within the estimated error, and some allowance, of the differences; true where
-        there is no derivative, so that nothing is claimed.
+        (M,) whether the derivative is within the estimated error, and some allowance, of the differences, and within
+        1 % of those of the other method; true where there is no derivative, so that nothing is claimed.
     names
         Names of the measures.
     """
@@ -67,6 +84,7 @@ class GradientCheck:
     error: np.ndarray
     agrees: np.ndarray
     names: tuple[str, ...]
+    reference: np.ndarray
 
     @property
     def is_passed(self) -> bool:
@@ -85,8 +103,11 @@ class GradientCheck:
         return (
             f"{name}: the derivative in a random direction, {self.derivative[m]:.10g}, {verb} differences of runs, "
             f"{self.extrapolated[m]:.10g} (estimated error {self.error[m]:.1g}; at the two distances "
-            f"{self.differences[0, m]:.10g} and {self.differences[1, m]:.10g})"
+            f"{self.differences[0, m]:.10g} and {self.differences[1, m]:.10g}){self._reference(m)}"
         )
+
+    def _reference(self, m: int) -> str:
+        return "" if np.isnan(self.reference[m]) else f"; that of another method is {self.reference[m]:.10g}"
 
 
 @dataclass(frozen=True)
@@ -123,6 +144,14 @@ class Direction:
             return np.asarray((4.0 * (first - value) - (second - value)) / (2.0 * steps))
         return np.asarray((second - first) / (2.0 * steps))
 
+    def smallest(self, measured: Measured) -> np.ndarray:
+        """Return differences (M,) at the first of `STEPS`, which share their error with the others of `differences`."""
+        places = (0, 1, 2) if self.is_one_sided else (-1, 1)
+        runs = [np.array(measured(self._settings(place * STEPS[0]))) for place in places]
+        if self.is_one_sided:
+            return np.asarray((4.0 * (runs[1] - runs[0]) - (runs[2] - runs[0])) / (2.0 * STEPS[0]))
+        return np.asarray((runs[1] - runs[0]) / (2.0 * STEPS[0]))
+
     def _settings(self, share: float) -> Settings:
         return [
             (one.path, one.value + share * change) for one, change in zip(self.parameters, self.change, strict=True)
@@ -135,8 +164,9 @@ def check_gradient(
     sizes: Mapping[str, float],
     value: np.ndarray,
     jacobian: np.ndarray,
+    reference: Measured | None = None,
 ) -> GradientCheck:
-    """Check a gradient by four runs.
+    """Check a gradient by four runs with the same steps, and two of another method.
 
     Parameters
     ----------
@@ -146,6 +176,8 @@ def check_gradient(
         Magnitude of the numbers from which each measure is computed, by name.
     value, jacobian
         (M,) the measures, and (M, K) their gradients.
+    reference
+        Returns the measures by another method with small errors; None if there is none.
     """
     differences = direction.differences(measured, value)
     ratio = (STEPS[1] / STEPS[0]) ** 2
@@ -154,7 +186,42 @@ def check_gradient(
     error = np.abs(extrapolated - differences[0]) + ROUND_OFF * np.array([*sizes.values()]) / STEPS[0]
     terms = np.sum(np.abs(jacobian * direction.change), axis=1)
     deviation = np.abs(derivative - extrapolated)
-    agrees = (deviation <= ALLOWED * error + SMALLEST * terms) | np.isnan(derivative)
+    agrees = deviation <= ALLOWED * error + SMALLEST * terms
+    other = np.full(len(derivative), np.nan)
+    if reference is not None:
+        other = direction.smallest(reference) + extrapolated - differences[0]  # without the error of the differences
+        allowed = LARGEST_DISCRETIZATION * terms + _reference_error(extrapolated - differences[0], sizes)
+        agrees &= (np.abs(derivative - other) <= allowed) | np.isnan(other)
     return GradientCheck(
-        direction.change, np.array(STEPS), derivative, differences, extrapolated, error, agrees, tuple(sizes)
-    )
+        direction.change, np.array(STEPS), derivative, differences, extrapolated, error,
+        agrees | np.isnan(derivative), tuple(sizes), other,
+    )  # fmt: skip
+
+
+def _reference_error(correction: np.ndarray, sizes: Mapping[str, float]) -> np.ndarray:
+    """Return the largest expected error of the differences of the other method, after a correction (M,)."""
+    return np.asarray(CORRECTED * np.abs(correction) + REFERENCE_ERROR * np.array([*sizes.values()]) / STEPS[0])
+
+
+def discretization_doubts(
+    check: GradientCheck, sizes: Mapping[str, float], jacobian: np.ndarray, smooth: Sequence[bool]
+) -> list[str]:
+    """Return a warning for each measure whose derivative differs from that of the exact motion.
+
+    Parameters
+    ----------
+    jacobian
+        (M, K) the gradients.
+    smooth
+        Whether each measure is smooth inside the steps; the limits are `NOTED`.
+    """
+    terms = np.sum(np.abs(jacobian * check.direction), axis=1)
+    away = np.abs(check.derivative - check.reference)
+    alike = np.abs(check.derivative - check.extrapolated) <= ALLOWED * check.error + SMALLEST * terms
+    correction = check.extrapolated - check.differences[0]
+    limit = np.where(smooth, NOTED[0], NOTED[1]) * terms + _reference_error(correction, sizes)
+    return [
+        f"the derivative of '{check.names[m]}' differs by {100 * away[m] / terms[m]:.1g} % from that of the motion by "
+        f"another method: use smaller steps or a smaller tolerance if that is too much"
+        for m in np.flatnonzero(alike & (away > limit))
+    ]

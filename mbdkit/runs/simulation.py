@@ -322,11 +322,11 @@ def _prepared(
             raise
     simulation.interrupted, simulation.continuation = bool(noted), continuation
     simulation.expressions = expressions_of(spec, measures)
-    simulation.measured_in = partial(_measured_in, expressions=simulation.expressions)
+    simulation.measured_in = partial(measured_in, expressions=simulation.expressions)
     return simulation
 
 
-def _measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:
+def measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:
     """Return the values of expressions in a comparison run, in SI units; None if it fails."""
     try:
         found = simulate_arrays(spec, notify=_silent, measures=expressions)

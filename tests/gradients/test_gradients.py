@@ -149,6 +149,31 @@ def test_check_reports_a_wrong_gradient_with_numbers() -> None:
         assert "DISAGREES" in str(found)
 
 
+def test_an_error_of_the_discretization_fails_the_check() -> None:
+    # the derivative of k^2 at 1 is 2; runs with the same steps share the error of k^2.1
+    spec = mbdkit.RunSpec(**SLIDER_CRANK, **PENDULUM)
+    direction = gradient_check.Direction(resolved(spec, ["k"]), np.array([1.0]), False)
+    given = (lambda settings: [settings[0][1] ** 2.1]), {"square": 1.0}, np.array([1.0]), np.array([[2.1]])
+    assert gradient_check.check_gradient(direction, *given).is_passed
+    found = gradient_check.check_gradient(direction, *given, lambda settings: [settings[0][1] ** 2])
+    assert not found.is_passed
+    assert found.reference[0] == pytest.approx(2.0, rel=1e-7)
+    (doubt,) = gradient_check.discretization_doubts(found, {"square": 1.0}, np.array([[2.1]]), [True])
+    assert "differs by 5 %" in doubt
+
+
+def test_the_derivative_of_a_coarse_run_is_said_to_be_inaccurate() -> None:
+    spec = SLIDER_CRANK | {"integrator": {"name": "rk4"}, "time": {"end": 0.5, "step": 0.05}}
+    coarse = mbdkit.gradient(spec, "max(abs(bodies.rod.vx))", "k")
+    fine = mbdkit.gradient(spec | {"time": {"end": 0.5, "step": 0.002}}, "max(abs(bodies.rod.vx))", "k")
+    assert coarse.check is not None
+    assert fine.check is not None
+    assert fine.doubts == ()
+    assert coarse.check.reference == pytest.approx(fine.check.derivative, rel=1e-6)
+    away = abs(coarse.check.derivative[0] - fine.check.derivative[0])
+    assert (away > 2e-4 * abs(fine.check.derivative[0])) == bool(coarse.doubts)
+
+
 def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
     # an undamped oscillator reaches the same height again after a period
     oscillator = {

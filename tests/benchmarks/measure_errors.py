@@ -1,0 +1,40 @@
+"""`python -m tests.benchmarks.measure_errors [--count 200]`: errors and gradients of measures beside the truth.
+
+Random chains (`tests.witness.chain_measures`), each with 8 measures, of which 5 have kinks or are extrema. Printed are
+the share of estimates between 1/5 and 3 times the true error, and of derivatives that are within 1e-6 (smooth) or 1e-4
+(kinked) of the exact ones or said to be less accurate; then all others.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from tests.witness.chain_measures import Case, cases_of
+
+
+def told(cases: list[Case]) -> str:
+    """Return the shares and the exceptions as text."""
+    known = [one for one in cases if one.is_known]
+    inside, right = (np.mean([good(one) for one in some]) for good, some in (
+        (lambda one: one.is_inside, known), (lambda one: one.is_right, cases),
+    ))  # fmt: skip
+    first = (
+        f"{len(cases)} measures: errors of {len(known)} are estimated, {100 * inside:.1f} % of them between 1/5 and 3 "
+        f"times the true error; {100 * right:.1f} % of the derivatives are right or said not to be, "
+        f"{100 * np.mean([one.is_told for one in cases]):.1f} % are said not to be"
+    )
+    others = [
+        f"  chain {one.seed} ({one.method}) {one.measure}: error {abs(one.value - one.exact):.2g}, estimate "
+        f"{one.estimate:.2g}; derivative {one.derivative:.9g}, exact {one.exact_derivative:.9g}"
+        for one in cases
+        if (one.is_known and not one.is_inside) or not one.is_right
+    ]
+    return "\n".join([first, *others])
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=200)
+    print(told([case for seed in range(parser.parse_args().count) for case in cases_of(seed)]))
