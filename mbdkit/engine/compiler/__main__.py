@@ -4,7 +4,7 @@ build
     Build the stored libraries of this platform, or of ``--platform linux-aarch64`` and the like; with ``--only SYMBOL``
     one library for the folder ``built``.
 check
-    Build them again and compare every byte with what is stored.
+    Build them again and compare every byte with what is stored; with ``--level x86-64-v3``, those of one level.
 laws
     Generate the kernels of the packaged force laws; with ``--check``, compare them with what is there.
 list
@@ -33,6 +33,8 @@ def main() -> int:
         command.add_argument("--platform", type=_platform, default=this_platform())
         if name == "build":
             command.add_argument("--only")
+        if name == "check":
+            command.add_argument("--level")
         if name == "objects":
             command.add_argument("--into", type=Path, required=True)
             command.add_argument("--levels", nargs="+", required=True)
@@ -47,7 +49,7 @@ def main() -> int:
     if given.command == "objects":
         return _objects(given.platform, given.levels, given.symbols, given.into)
     if given.command == "check":
-        return _check(given.platform)
+        return _check(given.platform, given.level)
     if given.only:
         from mbdkit.engine.compiler.libraries import build_one
 
@@ -64,21 +66,23 @@ def _platform(text: str) -> Platform:
     return Platform(system, architecture)
 
 
-def _build(target: Platform, into: Path, *, anew: bool = False) -> None:
+def _build(target: Platform, into: Path, *, anew: bool = False, only: str | None = None) -> None:
     from mbdkit.engine.compiler.libraries import build
     from mbdkit.engine.compiler.lowering import symbols
 
-    build(target, symbols(), into, anew=anew)
+    build(target, symbols(), into, anew=anew, only=only)
     size = sum(path.stat().st_size for path in into.iterdir())
     print(f"{into}: {size / 1e6:.2f} MB")
 
 
-def _check(target: Platform) -> int:
+def _check(target: Platform, level: str | None) -> int:
     stored = library.STORED / str(target)
     with tempfile.TemporaryDirectory() as work:
         again = Path(work) / "again"
-        _build(target, again, anew=True)
+        _build(target, again, anew=True, only=level)
         names = sorted({path.name for folder in (stored, again) for path in folder.glob("*")})
+        if level:  # the manifest names the libraries of all levels
+            names = [name for name in names if name.endswith(f"-{level}.xz")]
         _, different, missing = filecmp.cmpfiles(stored, again, names, shallow=False)
     if different or missing:
         print(f"the stored machine code is not what the sources say: {', '.join([*different, *missing])}")

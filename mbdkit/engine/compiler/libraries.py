@@ -42,7 +42,7 @@ def group_of(symbol: str) -> str:
     return "collocation" if name.startswith(("collocation", "lobatto")) else "core"
 
 
-def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = False) -> None:
+def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = False, only: str | None = None) -> None:
     """Build the libraries of a platform and their manifest into a new folder.
 
     Parameters
@@ -55,12 +55,15 @@ def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = Fa
         The folder, which is replaced.
     anew
         Whether to compile every symbol, also those whose object files are up to date.
+    only
+        Name of the only level to build, for comparison.
     """
     groups: dict[str, list[str]] = {}
     for symbol in names:
         groups.setdefault(group_of(symbol), []).append(symbol)
     with tempfile.TemporaryDirectory() as work:
-        objects = _objects(target, groups, Path(work) if anew else library.BUILT)
+        levels = [level for level in target.levels if only in (None, level.name)]
+        objects = _objects(target, levels, groups, Path(work) if anew else library.BUILT)
         new = Path(work) / "libraries"
         new.mkdir()
         digests = {}
@@ -97,19 +100,21 @@ def _manifest(groups: Mapping[str, list[str]], digests: Mapping[str, str]) -> di
     }
 
 
-def _objects(target: Platform, groups: Mapping[str, list[str]], folder: Path) -> dict[tuple[str, str], list[Path]]:
+def _objects(
+    target: Platform, levels: list[Level], groups: Mapping[str, list[str]], folder: Path
+) -> dict[tuple[str, str], list[Path]]:
     """Return the object files of each library; those that are missing in a folder are compiled."""
     folder.mkdir(exist_ok=True)
-    own = [level.name for level in target.levels if level.of_scalars == level.name]
-    jobs: list[tuple[list[str], list[str]]] = [([level.name], groups["lanes"]) for level in target.levels]
+    own = [level.name for level in levels if level.of_scalars == level.name]
+    jobs: list[tuple[list[str], list[str]]] = [([level.name], groups["lanes"]) for level in levels]
     jobs += [(own, groups[name][i::2]) for name in ("gradients", "collocation", "core") for i in range(2)]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         list(pool.map(lambda job: _compile(target, job[0], job[1], folder), jobs))
     found: dict[tuple[str, str], list[Path]] = {}
-    for levels, names in jobs:
-        for level in levels:
+    for built, names in jobs:
+        for name in built:
             for symbol in names:
-                found.setdefault((group_of(symbol), level), []).append(object_path(folder, target, symbol, level))
+                found.setdefault((group_of(symbol), name), []).append(object_path(folder, target, symbol, name))
     return found
 
 
