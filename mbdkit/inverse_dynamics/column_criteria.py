@@ -31,6 +31,9 @@ in 1e15 samples."""
 FROZEN = 8
 """Number of equal values in a row that a sensor with noise does not give."""
 
+ROUND_OFF = 1e-9
+"""Change of a fitted quantity below which it counts as constant [m or rad]."""
+
 MOVING = 5.0
 """A column moves during some rows if its range there is this many times the smallest change between two rows."""
 
@@ -76,7 +79,7 @@ def column_doubts(result: Inverse) -> Iterator[Doubt]:
     for index, name in enumerate(measured.names):
         yield from _outliers(measured, index, name)
         yield from _units(measured, index, name, length)
-    yield from _constants(measured)
+    yield from _constants(result)
     yield from _fit(result)
     yield from _noise(result)
 
@@ -135,10 +138,15 @@ def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
         )
 
 
-def _constants(measured: Measured) -> Iterator[Doubt]:
-    """Yield doubts about columns that stay constant, while others move."""
+def _constants(result: Inverse) -> Iterator[Doubt]:
+    """Yield doubts about columns that stay constant while others move, unless the joints hold these quantities."""
+    measured, fitted = result.fitted.measured, result.fitted.values
+    has_more = len(measured.names) > result.problem.fitter.manifold.freedoms
+    held = np.ptp(fitted, axis=0) <= ROUND_OFF * np.max(np.abs(fitted), axis=0, initial=1.0)
     quantum = [np.min(moved[moved > 0], initial=np.inf) for moved in np.abs(np.diff(measured.values, axis=0)).T]
     for index, name in enumerate(measured.names):
+        if has_more and held[index]:
+            continue
         x = measured.values[:, index]
         begin, end = _longest_constant(x)
         others = [

@@ -132,6 +132,19 @@ def test_outliers_exchanged_and_constant_columns_are_doubted() -> None:
     assert told(leg({"knee_flexion": 0 * T + 0.3})) == {"constant"}
 
 
+def test_what_joints_hold_may_be_constant() -> None:
+    # the angle of a slider among all coordinates of all bodies of a linkage
+    run = mbdkit.run("slider-crank", time={"end": 0.5, "step": 0.005})
+    bodies = {name: run[name] for name in ("crank", "rod", "slider")}
+    data = {f"{name}.angle": one.angle + (NOISE[0, :101] if name != "slider" else 0.0) for name, one in bodies.items()}
+    motor = {"motor": {"joint": "A"}}
+    model = mbdkit.Mechanism.from_spec(run.spec["model"]).to_spec()
+    del model["joints"]["motor"]
+    motion = {"data": {"time": run.time, **data}, "smooth": {"name": "butterworth", "cutoff": 20.0}}
+    found = mbdkit.inverse({"mbdkit": 1, "model": model, "motion": motion, "actuators": motor})
+    assert not found.verdict_reasons
+
+
 def test_rounded_times_are_doubted_by_the_grid_on_which_they_are() -> None:
     time = np.arange(400) / 300
     data = {name: 0.4 * np.sin(5 * time + number) for number, name in enumerate(ANGLES)}
