@@ -37,7 +37,8 @@ def test_it_has_at_most_180_lines() -> None:
 
 @pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 def test_its_examples_run_as_printed(in_tmp_path: Path) -> None:
-    run_blocks([block for block in fenced_blocks(README) if not block.code.startswith(SHELL)], in_tmp_path)
+    judged = run_blocks([block for block in fenced_blocks(README) if not block.code.startswith(SHELL)], in_tmp_path)
+    assert [reason for one in judged if one.level in ("doubtful", "bad") for reason in one.reasons] == []
     assert {"knee-forces.png", "crank.h5", "crank-report.html", "longer.h5"} <= {p.name for p in in_tmp_path.iterdir()}
 
 
