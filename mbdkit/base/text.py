@@ -92,12 +92,16 @@ def _is_number(word: str) -> bool:
     return True
 
 
+_FORMULAS = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
+"""Characters with which formulas begin; some spreadsheets take the full-width ones for the same."""
+
+
 def csv_cell(text: str) -> str:
     """Return text from files as a cell of a table, preceded by an apostrophe if a spreadsheet would evaluate it as a
     formula.
     """
     text = shown(text)
-    return f"'{text}" if text[:1] in ("=", "+", "-", "@") else text
+    return f"'{text}" if text[:1] in _FORMULAS else text
 
 
 def table(rows: Sequence[Sequence[str]], indent: str = "") -> str:

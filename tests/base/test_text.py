@@ -83,7 +83,7 @@ def test_markdown_obeys_no_text(text: str, words: str) -> None:
     assert markdown(text) == words
 
 
-@pytest.mark.parametrize("start", "=+-@")
+@pytest.mark.parametrize("start", "=+-@\uff1d\uff20")
 def test_a_spreadsheet_takes_no_text_for_a_formula(start: str) -> None:
     assert csv_cell(f"{start}cmd|' /C calc'!A0.x") == f"'{start}cmd|' /C calc'!A0.x"
     assert csv_cell("rod1.x") == "rod1.x"

@@ -29,7 +29,7 @@ function tools(after, ...buttons) {
 // As `csv_cell` of mbdkit.base.text: control characters are shown, and no spreadsheet takes a text for a formula.
 const HIDDEN = /[\u0000-\u001f\u007f-\u009f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff]/g;
 const shown = text => text.replace(HIDDEN, char => `\\u${char.charCodeAt(0).toString(16).padStart(4, "0")}`);
-const harmless = text => /^[=+\-@]/.test(text) ? `'${text}` : text;
+const harmless = text => /^[=+\-@\uff1d\uff0b\uff0d\uff20]/.test(text) ? `'${text}` : text;
 const quoted = text => /[",']/.test(text) ? `"${text.replace(/"/g, '""')}"` : text;
 const content = cell => cell.dataset.value ?? quoted(harmless(shown(cell.textContent.trim().replace(/\s+/g, " "))));
 const csv = rows => rows.map(row => [...row.cells].map(content).join(",") + "\r\n").join("");
