@@ -371,14 +371,6 @@ class Run(HtmlView):
         """Measured loads by name; empty unless this is inverse dynamics."""
         return LoadHistories(BY_WORD["loads"], self)
 
-    if not TYPE_CHECKING:  # so that type checkers find misspelled attributes
-
-        def __getattr__(self, word: str) -> Histories[Any]:
-            """Return the objects of a kind that has no property, by name."""
-            if word not in BY_WORD:
-                raise AttributeError(f"'Run' object has no attribute '{word}'", name=word, obj=self)
-            return Histories(BY_WORD[word], self)
-
     def text(self, path: str, index: int | slice | None) -> str:
         """Return one of the texts in the array at `path`; an empty one if the archive lacks them."""
         texts = self._names.get(path, ())
@@ -698,3 +690,13 @@ class Run(HtmlView):
         where = "in memory" if self.path is None else str(self.path)
         bodies = len(self._names["trajectory/body"])
         return f"<Run {self.run_id} {self.status}, verdict {self.verdict}, {bodies} bodies, {where}>"
+
+
+def _objects_of(word: str) -> property:
+    """Return a property of runs: the objects of a kind, by name."""
+    return property(lambda run: Histories(BY_WORD[word], run), doc=f"The {word} by name.")
+
+
+for _word in BY_WORD:  # kinds without a property with a class of histories of its own
+    if not hasattr(Run, _word):
+        setattr(Run, _word, _objects_of(_word))

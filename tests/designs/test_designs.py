@@ -62,7 +62,7 @@ def test_scenarios_are_summed_by_their_weights() -> None:
 @pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr", "differential-evolution"])
 def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     # expected: the brace may exert 3 N m at most, at the largest angle
-    spec, most = swing(), float(np.max(np.abs(moments(at=T)[0])))
+    spec, most = swing(), 0.7  # the angle is 0.2 + 0.5 sin(3 t)
     limits = {"torque": {"value": "max(abs(forces.brace.value))", "max": 3.0}}
     options: dict[str, Any] = {"name": optimizer, "tolerance": 1e-9}
     if optimizer == "differential-evolution":

@@ -58,7 +58,7 @@ def test_names_keep_clear_of_each_other_of_lines_and_of_the_edge():
 
 def test_long_and_hostile_names_are_cut_and_escaped():
     m = mbdkit.Mechanism()
-    m.body("<script>" + 300 * "x", mass=1.0, inertia=1.0)
+    m.body("<script>" + 240 * "x", mass=1.0, inertia=1.0)
     svg = mechanism_svg(start(m), WIDE)
     assert "<script" not in svg
     assert max(map(len, texts(svg))) < 40

@@ -318,6 +318,7 @@ def test_the_packaged_sample_of_knee_supports(tmp_path: Path) -> None:
     for place in (0, len(table) - 1):
         with study.run(place) as run:
             force = run.joints["C"].reaction_force + run.joints["D"].reaction_force
-            assert table["peak"][place] == pytest.approx(np.linalg.norm(force, axis=1).max(), rel=1e-12)
+            highest = np.linalg.norm(force, axis=1).max()  # of the rows; the peak is that of the motion between them
+            assert highest <= table["peak"][place] <= 1.001 * highest
             support = run.spec["model"]["springs"]["support"]
             assert support["stiffness"] == table["model.springs.support.stiffness"][place]
