@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
@@ -293,10 +293,14 @@ def _other_coordinates(response: _Response) -> list[_Other]:
     if all(isinstance(one, NoSmoothing | QuinticSpline) for one in how):
         return []  # nothing is smoothed
     series = smoothed_each(times, values, how)
-    q = motion_of_series(problem.fitter, other, times, result.motion.q, series).q
-    outcome = response(smoothed(times, quantities.values(q), QuinticSpline()))
+    base = _outcome(result)
+    try:
+        q = motion_of_series(problem.fitter, other, times, result.motion.q, series).q
+        outcome = response(smoothed(times, quantities.values(q), QuinticSpline()))
+    except RunError:  # no pose fits the smoothed quantities, so that the effect of the choice is unknown
+        outcome = _Outcome(*(np.full_like(part, np.nan) for part in base.parts))
     noise = partial(NoisePath(result, other, how).smoothed_as, quantities)
-    return [_Other.of(_some(other.names), noise, outcome, _outcome(result))]
+    return [_Other.of(_some(other.names), noise, outcome, base)]
 
 
 def _some(names: Sequence[str]) -> str:
