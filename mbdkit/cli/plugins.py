@@ -104,7 +104,7 @@ def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
 
     Exit status 4 if a plugin could not be loaded.
     """
-    from mbdkit.engine.native.library import code_report, code_text
+    from mbdkit.engine.native.machine_code import code_report, code_text
     from mbdkit.registry import describe
     from mbdkit.registry.manager import load_installed
 

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from mbdkit.base.command_words import command_line
-from mbdkit.engine.native.library import code_id
+from mbdkit.engine.native.machine_code import code_id
 from mbdkit.registry.catalogue import Registered
 from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec

@@ -18,7 +18,7 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import WIDTH
-from mbdkit.engine.native.library import IN_PYTHON
+from mbdkit.engine.native.machine_code import IN_PYTHON
 from mbdkit.engine.native.number_arrays import Lanes, new_lanes
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, Method

@@ -15,7 +15,7 @@ import pytest
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.kernels.motions import motions_at
-from mbdkit.engine.native import library, sources
+from mbdkit.engine.native import machine_code, sources
 from mbdkit.engine.native.bundle import array_words
 from mbdkit.engine.native.levels import Platform, chosen_level, is_able, this_platform
 
@@ -56,7 +56,9 @@ def hashes(specs: dict[str, Any], *, without_numba: bool = True, **variables: st
 @stored
 def test_the_stored_code_is_that_of_the_sources() -> None:
     # expected: an edit of a kernel without a new build is noticed for every symbol that it concerns
-    outdated = [symbol for symbol in library.manifest()["symbols"] if not library.stored_file(symbol, chosen_level())]
+    outdated = [
+        symbol for symbol in machine_code.manifest()["symbols"] if not machine_code.stored_file(symbol, chosen_level())
+    ]
     assert not outdated, "build the machine code again: python -m mbdkit.engine.compiler build"
 
 
@@ -81,31 +83,31 @@ def test_code_compiled_here_agrees_with_the_stored_code_to_the_bit() -> None:
 
 def test_a_damaged_library_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / str(this_platform())
-    shutil.copytree(library.STORED / str(this_platform()), folder)
+    shutil.copytree(machine_code.STORED / str(this_platform()), folder)
     path = next(folder.glob("core-*.xz"))
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
     with pytest.raises(MbdkitError, match=r"damaged: install mbdkit again"):
-        library._unpacked(path, library.manifest()["sha256"][path.name])
+        machine_code._unpacked(path, machine_code.manifest()["sha256"][path.name])
 
 
 def test_another_platform_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "this_platform", lambda: Platform("plan9", "sparc"))
-    monkeypatch.setattr(library, "_has_compiler", lambda: False)
-    library.manifest.cache_clear()
+    monkeypatch.setattr(machine_code, "this_platform", lambda: Platform("plan9", "sparc"))
+    monkeypatch.setattr(machine_code, "_has_compiler", lambda: False)
+    machine_code.manifest.cache_clear()
     try:
         with pytest.raises(MbdkitError, match=r"no machine code for plan9-sparc: install a wheel for this platform"):
-            library.address_of("motions__motions_at")
+            machine_code.address_of("motions__motions_at")
     finally:
-        library.manifest.cache_clear()
+        machine_code.manifest.cache_clear()
 
 
 def test_changed_sources_without_a_compiler_are_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "_has_compiler", lambda: False)
+    monkeypatch.setattr(machine_code, "_has_compiler", lambda: False)
     monkeypatch.setattr(sources, "digest", lambda file: "another")
     with pytest.raises(MbdkitError, match=r"differ from their stored machine code"):
-        library.address_of("motions__motions_at")
+        machine_code.address_of("motions__motions_at")
 
 
 def test_an_unknown_level_is_refused() -> None:

@@ -20,7 +20,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from mbdkit.engine.native import library
+from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import LEVELS, Platform, chosen_level, this_platform
 
 
@@ -55,7 +55,7 @@ def main() -> int:
 
         print(build_one(given.only, given.platform, chosen_level()))
         return 0
-    _build(given.platform, library.STORED / str(given.platform))
+    _build(given.platform, machine_code.STORED / str(given.platform))
     return 0
 
 
@@ -76,7 +76,7 @@ def _build(target: Platform, into: Path, *, anew: bool = False, only: str | None
 
 
 def _check(target: Platform, level: str | None) -> int:
-    stored = library.STORED / str(target)
+    stored = machine_code.STORED / str(target)
     with tempfile.TemporaryDirectory() as work:
         again = Path(work) / "again"
         _build(target, again, anew=True, only=level)
@@ -109,7 +109,7 @@ def _list() -> int:
 
     level = chosen_level()
     for symbol in symbols():
-        state = "stored" if library.stored_file(symbol, level) else "differs from the sources"
+        state = "stored" if machine_code.stored_file(symbol, level) else "differs from the sources"
         print(f"{symbol:<45} {group_of(symbol):<12} {state}")
     return 0
 

@@ -80,7 +80,7 @@ def _pointer_to(example: Callable[[], tuple[Any, ...]]) -> Callable[..., Any]:
 
 
 def _check_array_layout(context: Any) -> None:
-    """Raise NotImplementedError if this version of Numba has another memory layout of arrays than `array_words`."""
+    """Raise RuntimeError if this version of Numba has another memory layout of arrays than `array_words`."""
     fields = tuple(context.data_model_manager.lookup(types.Array(types.float64, 1, "C"))._fields)
     if fields != ARRAY_FIELDS:
-        raise NotImplementedError(f"this version of Numba stores arrays as {fields}, not as {ARRAY_FIELDS}")
+        raise RuntimeError(f"this version of Numba stores arrays as {fields}, not as {ARRAY_FIELDS}")

@@ -21,9 +21,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from mbdkit.engine.native import library, sources
+from mbdkit.engine.native import machine_code, sources
 from mbdkit.engine.native.levels import Level, Platform
-from mbdkit.engine.native.library import MANIFEST, module_of
+from mbdkit.engine.native.machine_code import MANIFEST, module_of
 
 TOOLS = ("numba", "llvmlite", "ziglang")
 _LINK = {
@@ -63,7 +63,7 @@ def build(target: Platform, names: Iterable[str], into: Path, *, anew: bool = Fa
         groups.setdefault(group_of(symbol), []).append(symbol)
     with tempfile.TemporaryDirectory() as work:
         levels = [level for level in target.levels if only in (None, level.name)]
-        objects = _objects(target, levels, groups, Path(work) if anew else library.BUILT)
+        objects = _objects(target, levels, groups, Path(work) if anew else machine_code.BUILT)
         new = Path(work) / "libraries"
         new.mkdir()
         digests = {}
@@ -147,7 +147,7 @@ def _linked(target: Platform, objects: Iterable[Path], path: Path) -> bytes:
 
 def build_one(symbol: str, target: Platform, level: Level) -> Path:
     """Build the library of one symbol from the present sources, for a developer; return its path."""
-    path = library.built_path(symbol, module_of(symbol), level)
+    path = machine_code.built_path(symbol, module_of(symbol), level)
     with tempfile.TemporaryDirectory() as work:
         path.parent.mkdir(exist_ok=True)
         _compile(target, [level.name], [symbol], path.parent)

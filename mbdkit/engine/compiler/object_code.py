@@ -202,7 +202,7 @@ def _module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.Fun
     callee = context.declare_function(module, found.fndesc)
     wrap(context, builder, callee, found.signature, list(wrapper.args))
     linked = llvm.parse_assembly(str(module))
-    linked.link_in(llvm.parse_bitcode(found.library._final_module.as_bitcode()))
+    linked.link_in(llvm.parse_bitcode(found._asdict()["library"]._final_module.as_bitcode()))
     linked.verify()
     return linked
 

@@ -17,7 +17,7 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
-from mbdkit.engine.native.library import IN_PYTHON
+from mbdkit.engine.native.machine_code import IN_PYTHON
 
 ARRAY_FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
 """Members of an array in compiled code, in the order in which `array_words` writes them."""

@@ -22,7 +22,7 @@ from typing import Any, get_args, get_origin
 import numpy as np
 
 from mbdkit.engine.native.bundle import HEAD, fields_of, words_in, words_of
-from mbdkit.engine.native.library import IN_PYTHON, address_of
+from mbdkit.engine.native.machine_code import IN_PYTHON, address_of
 
 _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 DTYPES = (np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.complex128))

@@ -45,7 +45,7 @@ def files_behind(file: str) -> tuple[str, ...]:
 
 
 _NOT_COMPILED = {
-    "engine/native/library.py", "engine/native/sources.py", "engine/compiler/__main__.py",
+    "engine/native/machine_code.py", "engine/native/sources.py", "engine/compiler/__main__.py",
     "engine/compiler/libraries.py", "engine/compiler/function_laws.py", "engine/compiler/packaged_laws.py",
 }  # fmt: skip
 """Files that have no influence on machine code."""
