@@ -270,13 +270,21 @@ class _Reference:
 
     def values(self, spec: RunSpec) -> Sequence[float]:
         """Return the measures of a run in SI units; nan if no method reaches its end."""
-        others = other_methods(spec, self._method, build(spec)[0], REFERENCE_STEPS)
+        interval = _recorded_interval(spec)  # `at` is defined by interpolation between recorded states
+        others = other_methods(spec, self._method, build(spec)[0], REFERENCE_STEPS, interval)
         for place in range(len(others)) if self._chosen is None else [self._chosen]:
             found = measured_in(others[place], self._expressions)
             if found is not None:
                 self._chosen = place
                 return found
         return [math.nan] * len(self._expressions)
+
+
+def _recorded_interval(spec: RunSpec) -> float | None:
+    """Return the interval of the recorded states of a run [s]; None if it depends on the sizes of steps."""
+    if spec.output.interval is not None or spec.time.step is None:
+        return spec.output.interval
+    return spec.time.step * (spec.output.every or 1)
 
 
 def gradient_of_run(

@@ -16,7 +16,7 @@ from numba.core.typing.templates import infer, infer_global, make_intrinsic_temp
 from numba.extending import overload, typeof_impl
 
 from mbdkit.engine.compiler.subkernel_compiler import SubkernelCompiler
-from mbdkit.engine.native.functions import OVERLOADS, SUBKERNELS
+from mbdkit.engine.native.functions import OVERLOADS, PLACEHOLDERS, SUBKERNELS
 
 _OPTIONS: dict[str, Any] = {
     # Undocumented options of njit. Kernels allocate no memory, and reference counts of arrays would cost more time than
@@ -27,6 +27,8 @@ _OPTIONS: dict[str, Any] = {
     "pipeline_class": SubkernelCompiler,
     "error_model": "numpy",
 }
+
+_DEFINED: set[Callable[..., Any]] = set()
 
 
 @cache
@@ -50,6 +52,7 @@ def implement(function: Callable[..., Any]) -> Callable[[Callable[..., Any]], Ca
         template = make_intrinsic_template(function, typing, function.__name__)
         infer(template)
         infer_global(function, types.Function(template))
+        _DEFINED.add(function)
         return typing
 
     return define
@@ -59,3 +62,10 @@ def define_overloads() -> None:
     """Define the functions declared by `mbdkit.engine.native.functions.overload` for compiled code."""
     for function, chosen in OVERLOADS:
         overload(function)(chosen)
+
+
+def check_placeholders() -> None:
+    """Raise RuntimeError if a placeholder is not defined for compiled code."""
+    missing = sorted(f"{function.__module__}.{function.__qualname__}" for function in PLACEHOLDERS - _DEFINED)
+    if missing:
+        raise RuntimeError(f"not defined for compiled code: {', '.join(missing)}")

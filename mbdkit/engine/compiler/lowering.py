@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from mbdkit.engine.compiler import bundle_pointers, call_code, dual_complex, lane_complex, object_code  # noqa: F401
-from mbdkit.engine.compiler.implementation import define_overloads
+from mbdkit.engine.compiler.implementation import check_placeholders, define_overloads
 from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
 
 
@@ -32,4 +32,5 @@ def prepare() -> None:
     """Define everything that kernels use for Numba, and initialize LLVM; call once, after `symbols`."""
     define_overloads()
     bundle_pointers.define_loaders()
+    check_placeholders()
     object_code.initialize()

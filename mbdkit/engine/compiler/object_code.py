@@ -7,6 +7,7 @@ symbol of an object file.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any, get_args
 
@@ -29,6 +30,10 @@ _WORD, _REAL, _BIT = ir.IntType(64), ir.DoubleType(), ir.IntType(1)
 _POINTER = _REAL.as_pointer()
 _SCALARS = {int: types.int64, bool: types.boolean, float: types.float64}
 _TRIPLES = {"linux": "{}-unknown-linux-gnu", "macos": "{}-apple-macosx11.0.0", "windows": "{}-pc-windows-gnu"}
+
+_EXCEPTION = re.compile(r"^(@\.const\.picklebuf\.\S+ = .*?constant (\{[^}]*\})) \{.*$", re.MULTILINE)
+"""The description of an exception in LLVM's language, which is left out of machine code: nothing reads it, and it holds
+the path of a source file, so that the code would depend on the folder in which it was built."""
 
 _LIBRARY_NAMES = {"numba_gamma": "tgamma"}
 """Functions of Numba's own library, and those of the C library that take their place."""
@@ -202,7 +207,8 @@ def _module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.Fun
     callee = context.declare_function(module, found.fndesc)
     wrap(context, builder, callee, found.signature, list(wrapper.args))
     linked = llvm.parse_assembly(str(module))
-    linked.link_in(llvm.parse_bitcode(found._asdict()["library"]._final_module.as_bitcode()))
+    code = str(found._asdict()["library"]._final_module)
+    linked.link_in(llvm.parse_assembly(_EXCEPTION.sub(r"\1 zeroinitializer", code)))
     linked.verify()
     return linked
 

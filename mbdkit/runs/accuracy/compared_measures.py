@@ -82,8 +82,13 @@ def _finer(spec: RunSpec, method: Method) -> list[RunSpec]:
     ]
 
 
-def other_methods(spec: RunSpec, method: Method, workspace: Workspace, steps: int) -> list[RunSpec]:
-    """Return the specs of runs by other methods, explicit first; see `companion_choice`."""
+def other_methods(
+    spec: RunSpec, method: Method, workspace: Workspace, steps: int, interval: float | None = None
+) -> list[RunSpec]:
+    """Return the specs of runs by other methods, explicit first; see `companion_choice`.
+
+    They record every step, or at an interval [s].
+    """
     tableau, stiff = method.traits.tableau, method.traits.suits_stiff
     family = "" if tableau is None else tableau.name
     adaptive = {"adaptive": True, "max_step": (spec.time.final - spec.time.start) / LOOKS}
@@ -95,7 +100,7 @@ def other_methods(spec: RunSpec, method: Method, workspace: Workspace, steps: in
     most = LOOKS + SINGLE_STEPS[0] + SINGLE_STEPS[1] * steps
     projected = {"stabilization": "projection"} if len(workspace.mechanism.rows) else {}
     return [
-        _varied(spec, integrator=one, most_steps=most, **(_index_1(spec) | projected))
+        _varied(spec, integrator=one, most_steps=most, interval=interval, **(_index_1(spec) | projected))
         for one in candidates
         if not family.startswith(one["name"]) and (one["name"] != "gauss" or stiff)
     ]
@@ -106,7 +111,13 @@ def _index_1(spec: RunSpec) -> dict[str, Any]:
 
 
 def _varied(
-    spec: RunSpec, *, step: float | None = None, factor: int = 1, most_steps: int | None = None, **sections: Any
+    spec: RunSpec,
+    *,
+    step: float | None = None,
+    factor: int = 1,
+    most_steps: int | None = None,
+    interval: float | None = None,
+    **sections: Any,
 ) -> RunSpec:
     """Return the spec of a comparison run, without measures, checks and gradients of its own.
 
@@ -118,9 +129,11 @@ def _varied(
         Factor by which it may take more steps than the run.
     most_steps
         Largest number of its steps, if it is limited.
+    interval
+        Interval of its recorded states [s]; None: every step is recorded.
     """
     limits = canonical(spec.limits) | {"max_steps": most_steps or factor * spec.limits.max_steps}
-    output = canonical(spec.output) | {"every": 1, "interval": None}
+    output = canonical(spec.output) | {"every": 1 if interval is None else None, "interval": interval}
     time = {"start": spec.time.start, "end": spec.time.final, "step": step}
     changed = {
         "time": time, "limits": limits, "output": output, "check": False, "accuracy": None, "choose": None,
