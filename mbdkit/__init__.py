@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.base import higher_layers
+from mbdkit.base.lazy_names import lazy
 
 if TYPE_CHECKING:
     from mbdkit import plot
@@ -157,20 +158,14 @@ _HOME = {
 
 
 if not TYPE_CHECKING:  # type checkers know the names above, and nothing else
+    _lazy = lazy(globals(), _HOME)
 
     def __getattr__(name):
         if name == "__version__":
             from importlib.metadata import version
 
-            value = version("mbdkit")
-        elif name == "plot":
-            value = importlib.import_module("mbdkit.plot")
-        elif name in _HOME:
-            value = getattr(importlib.import_module(_HOME[name]), name)
-        else:
-            raise AttributeError(f"module 'mbdkit' has no attribute {name!r}")
-        globals()[name] = value
-        return value
+            return version("mbdkit")
+        return importlib.import_module("mbdkit.plot") if name == "plot" else _lazy(name)
 
 
 def __dir__() -> list[str]:

@@ -44,7 +44,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.table import BY_GROUP, BY_WORD
 from mbdkit.spec import InverseSpec, RunSpec
-from mbdkit.spec.inverse_spec import is_inverse, refused_as_run
+from mbdkit.spec.spec_kinds import is_inverse, refused_as_run
 from mbdkit.trust.criteria import LEVELS, Level
 
 if TYPE_CHECKING:

@@ -147,8 +147,8 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     of every run.
     """
     from mbdkit.spec import load_spec
-    from mbdkit.spec.inverse_spec import is_inverse
     from mbdkit.spec.loading import read_source
+    from mbdkit.spec.spec_kinds import is_inverse
     from mbdkit.spec.study_loading import load_study_spec, recognized
 
     source, is_study = recognized(spec)

@@ -43,7 +43,7 @@ from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.inverse_dynamics.loads import loads_on
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.spec import InverseSpec, load_inverse_spec
-from mbdkit.spec.loading import InverseSource
+from mbdkit.spec.inverse_loading import InverseSource
 from mbdkit.spec.varied_specs import varied_inverse
 from mbdkit.stepping.differentiated_stepper import dual_laws
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states, new_dual_run

@@ -29,7 +29,7 @@ from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
 from mbdkit.spec import InverseSpec, load_inverse_spec
-from mbdkit.spec.loading import InverseSource
+from mbdkit.spec.inverse_loading import InverseSource
 
 _LOG = logger_of(__name__)
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.spec.inverse_spec import is_inverse
+from mbdkit.spec.spec_kinds import is_inverse
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

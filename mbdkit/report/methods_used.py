@@ -14,7 +14,7 @@ from mbdkit.plot.caption import plain_name
 from mbdkit.registry.catalogue import Kind, Registered
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
-from mbdkit.spec.inverse_spec import is_inverse
+from mbdkit.spec.spec_kinds import is_inverse
 
 _EQUATIONS = (
     "Planar motion in absolute coordinates: x, y and the angle of every body. The equations of motion are solved in "

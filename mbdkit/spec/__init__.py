@@ -1,13 +1,22 @@
-"""Specs of runs, studies and designs: reading from YAML, TOML, JSON, a dict or a Mechanism, and strict validation."""
+"""Specs of runs, studies and designs: reading from YAML, TOML, JSON, a dict or a Mechanism, and strict validation.
 
-from mbdkit.spec.design_loading import load_design_spec
-from mbdkit.spec.design_spec import DesignSpec
-from mbdkit.spec.inverse_spec import InverseSpec
-from mbdkit.spec.loading import example_names, example_text, load_inverse_spec, load_spec
-from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.sections import Limits, Output, Time
-from mbdkit.spec.study_loading import load_study_spec, study_names
-from mbdkit.spec.study_spec import StudySpec
+A module is imported when one of its names is first used: a run needs no model of a study or of a design.
+"""
+
+from typing import TYPE_CHECKING
+
+from mbdkit.base.lazy_names import lazy
+
+if TYPE_CHECKING:
+    from mbdkit.spec.design_loading import load_design_spec
+    from mbdkit.spec.design_spec import DesignSpec
+    from mbdkit.spec.inverse_loading import load_inverse_spec
+    from mbdkit.spec.inverse_spec import InverseSpec
+    from mbdkit.spec.loading import example_names, example_text, load_spec
+    from mbdkit.spec.run_spec import RunSpec
+    from mbdkit.spec.sections import Limits, Output, Time
+    from mbdkit.spec.study_loading import load_study_spec, study_names
+    from mbdkit.spec.study_spec import StudySpec
 
 __all__ = [
     "DesignSpec",
@@ -25,3 +34,17 @@ __all__ = [
     "load_study_spec",
     "study_names",
 ]
+
+if not TYPE_CHECKING:
+    _HOMES = {
+        "mbdkit.spec.design_loading": ["load_design_spec"],
+        "mbdkit.spec.design_spec": ["DesignSpec"],
+        "mbdkit.spec.inverse_loading": ["load_inverse_spec"],
+        "mbdkit.spec.inverse_spec": ["InverseSpec"],
+        "mbdkit.spec.loading": ["example_names", "example_text", "load_spec"],
+        "mbdkit.spec.run_spec": ["RunSpec"],
+        "mbdkit.spec.sections": ["Limits", "Output", "Time"],
+        "mbdkit.spec.study_loading": ["load_study_spec", "study_names"],
+        "mbdkit.spec.study_spec": ["StudySpec"],
+    }
+    __getattr__ = lazy(globals(), {name: module for module, names in _HOMES.items() for name in names})

@@ -11,10 +11,11 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.design_spec import DesignSpec, Scenario, variable_path
-from mbdkit.spec.inverse_spec import InverseSpec, is_inverse
+from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import Document, parse_key, put, read_file, read_stdin, set_value
 from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.spec_kinds import is_inverse
 from mbdkit.spec.study_loading import base_source, by_text
 
 

@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
-from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.strict_model import description
 from mbdkit.mechanism.bodies import GROUND
@@ -98,29 +97,8 @@ class InverseSpec(ModelSpec):
         return tuple(defined(self.measures, ("measures",)))
 
 
-def is_inverse(data: Mapping[str, Any]) -> bool:
-    """Return whether plain data are a spec of inverse dynamics: only these have a section `motion`."""
-    return "motion" in data
-
-
 def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
     """Return an InverseSpec class that selects from the given registry instead of the installed plugins."""
     words = description(InverseSpec, "model")
     field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
     return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)
-
-
-def refused_as_inverse() -> SpecError:
-    """Return the error for a run spec that is given in place of a spec of inverse dynamics."""
-    return SpecError(
-        "this is a run spec: run it with `mbdkit run`; a spec of inverse dynamics has a section `motion`, and neither "
-        "`integrator` nor a step",
-        key="integrator",
-    )
-
-
-def refused_as_run() -> SpecError:
-    """Return the error for a spec of inverse dynamics that is given in place of a run spec."""
-    return SpecError(
-        "this is a spec of inverse dynamics, with a measured motion: compute it with `mbdkit inverse`", key="motion"
-    )

@@ -14,23 +14,16 @@ from mbdkit.base.plain_data import copied
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.formulation import FormulationName
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.spec.inverse_spec import InverseSpec, is_inverse, refused_as_inverse, refused_as_run
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.study_spec import StudySpec
+from mbdkit.spec.spec_kinds import is_inverse, refused_as_inverse, refused_as_run
 
 Section: TypeAlias = Mapping[str, object]
 """A section of a spec, such as ``{"name": "gauss", "stages": 2}``."""
 
 RunSource: TypeAlias = str | Path | Mapping[str, object] | RunSpec | Mechanism
 """A file, the name of a packaged example, a mapping, a validated spec, or a mechanism."""
-
-InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
-"""A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""
-
-StudySource: TypeAlias = str | Path | Mapping[str, object] | StudySpec
-"""A file, the name of a packaged study, a mapping, or a validated spec."""
 
 
 class Sections(TypedDict, total=False):
@@ -78,26 +71,10 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
     SpecError
         If the spec is not valid, with the file, line and key path if known.
     """
-    return _loaded(RunSpec, source, overrides, sections)
+    return loaded(RunSpec, source, overrides, sections)
 
 
-def load_inverse_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> InverseSpec:
-    """Load and validate a spec of inverse dynamics, build its mechanism, and return the spec.
-
-    Parameters
-    ----------
-    source, overrides, sections
-        As for `load_spec`; the source may also be an `InverseSpec`.
-
-    Raises
-    ------
-    SpecError
-        If the spec is not valid, with the file, line and key path if known.
-    """
-    return _loaded(InverseSpec, source, overrides, sections)
-
-
-def _loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
+def loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
     """Return the validated spec of one kind from any source."""
     if isinstance(source, kind) and not sections and not tuple(overrides):
         source.mechanism()
@@ -113,7 +90,7 @@ def _loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapp
     document.keywords = frozenset(sections)
     if kind is RunSpec and is_inverse(document.data):
         raise document.place(refused_as_run())
-    if kind is InverseSpec and not is_inverse(document.data) and "integrator" in document.data:
+    if kind is not RunSpec and not is_inverse(document.data) and "integrator" in document.data:
         raise document.place(refused_as_inverse())
     for assignment in overrides:
         set_value(document, assignment)

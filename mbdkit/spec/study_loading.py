@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, TypeAlias
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text
@@ -13,12 +13,15 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
-from mbdkit.spec.inverse_spec import is_inverse
 from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_stdin, read_text, set_value
 from mbdkit.spec.sample_section import comparable
+from mbdkit.spec.spec_kinds import is_inverse
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.value_sets import sets_together
+
+StudySource: TypeAlias = str | FilePath | Mapping[str, object] | StudySpec
+"""A file, the name of a packaged study, a mapping, or a validated spec."""
 
 
 def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:

@@ -22,9 +22,9 @@ from mbdkit.base.plain_data import found, plain
 from mbdkit.base.progress_bars import count_bar, in_notebook
 from mbdkit.base.terminal import say
 from mbdkit.base.text import counted, shown
-from mbdkit.spec.loading import RunSource, StudySource, load_spec, read_source
+from mbdkit.spec.loading import RunSource, load_spec, read_source
 from mbdkit.spec.reading import parse_key
-from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.spec.study_loading import StudySource, load_study_spec
 from mbdkit.spec.study_spec import Storing, StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.execute import Execution, Options, Progress
