@@ -19,6 +19,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.logs import logger_of
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, recorded_states
 from mbdkit.inverse_dynamics.data_verdict import doubts_about_data, verdict_on_data
 from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
@@ -103,10 +104,11 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     problem = InverseProblem.of(spec)
     check_measures(spec)  # error bars of joints are written after those of the actuators, on which they depend
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
-    result = compute(problem)
-    timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    bars = error_bars(result)
-    doubts = doubts_about_data(result, bars)
+    with one_thread_of_linear_algebra():
+        result = compute(problem)
+        timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+        bars = error_bars(result)
+        doubts = doubts_about_data(result, bars)
     for warning in (*result.warnings, *doubts):
         _LOG.warning("%s", warning)
     file = _archive_of(result, bars, doubts, path, overwrite=overwrite, timings=timings)

@@ -195,15 +195,27 @@ def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []
     given = [one for one in info.get("anyOf", ()) if one != {"type": "null"}]
-    if len(given) == 1:
-        return _inside(given[0], definitions)
-    tags = info.get("discriminator", {}).get("mapping", {})
+    members = [] if any(one.get("type") == "number" for one in given) else given  # a text is a short form
+    if found := [one for member in members for one in _inside(member, definitions)]:
+        return found
+    choice = info.get("discriminator", {})
+    tags: dict[str, list[str]] = {}
+    for tag, ref in choice.get("mapping", {}).items():
+        tags.setdefault(ref.rpartition("/")[2], []).append(tag)
     if tags:
-        return [(f" ({tag})", definitions[ref.rpartition("/")[2]]) for tag, ref in tags.items()]
-    members = info.get("additionalProperties")
-    if not isinstance(members, dict):
+        return [
+            (f" ({' | '.join(names)})", _without(definitions[name], choice["propertyName"]))
+            for name, names in tags.items()
+        ]
+    named = info.get("additionalProperties")
+    if not isinstance(named, dict):
         return []
-    return [(f".NAME{label}", inner) for label, inner in _inside(members, definitions)]
+    return [(f".NAME{label}", inner) for label, inner in _inside(named, definitions)]
+
+
+def _without(schema: Schema, key: str) -> Schema:
+    """Return the schema of a mapping without one of its keys."""
+    return schema | {"properties": {name: info for name, info in schema["properties"].items() if name != key}}
 
 
 def _type(info: Schema, definitions: Schema) -> str:

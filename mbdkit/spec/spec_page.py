@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -22,7 +22,8 @@ from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.describe import claim_texts, options_in
 from mbdkit.registry.manager import registry
-from mbdkit.spec.schema import run_schema
+from mbdkit.spec.design_spec import DesignSpec
+from mbdkit.spec.schema import inverse_schema, run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
 from mbdkit.spec.study_spec import StudySpec
 
@@ -31,15 +32,15 @@ WIDTH = 120
 BEGINNING = """\
 # Spec reference
 
-Every key of run specs and study specs, with its type, default and unit. Each key is followed by its type and its
-default; a key without a default is optional unless it is marked as required.
+Every key of run specs, study specs, specs of inverse dynamics and design specs. Each key is followed by its type and
+its default; a key without a default is optional unless it is marked as required.
 
 <!-- Written by `python -m mbdkit.spec.spec_page mbdkit/guide/spec.md`; do not edit. -->
 
 Specs are YAML, TOML or JSON files. Unknown keys are errors. Units are SI, angles are in radians. Any number of the
-model may also be an expression of `parameters`, such as `0.5*crank` or `degrees(45)`. `mbdkit schema run` and
-`mbdkit schema study` print the same as JSON schemas, for editors, with the plugins that are installed;
-`mbdkit plugins show NAME` prints the options of one model, integrator or force law.
+model may also be an expression of `parameters`, such as `0.5*crank` or `degrees(45)`. `mbdkit schema KIND`, where
+KIND is `run`, `study`, `inverse` or `design`, prints the same as a JSON schema, for editors, with the plugins that are
+installed; `mbdkit plugins show NAME` prints the options of one model, integrator or force law.
 """
 
 PARTS = ("model", "integrator", "stabilization")
@@ -49,14 +50,13 @@ PARTS = ("model", "integrator", "stabilization")
 def page(installed: Registry) -> str:
     """Return the page on the specs that a registry allows, as Markdown."""
     run = run_schema(installed)
-    plain = {"$defs": run["$defs"], "properties": {k: v for k, v in run["properties"].items() if k not in PARTS}}
-    plain["required"] = [key for key in run["required"] if key not in PARTS]
     first = [f"- `{key}`: {_flat(run['properties'][key]['description'])} See below." for key in PARTS]
-    study = StudySpec.model_json_schema()
+    study, design = StudySpec.model_json_schema(), DesignSpec.model_json_schema()
+    inverse = inverse_schema(installed)
     parts = [
         BEGINNING.rstrip("\n"),
         "## Run spec",
-        "\n".join([_version("mbdkit", run), *first, _keys(plain)]),
+        "\n".join([_version("mbdkit", run), *first, _keys(_without(run, PARTS))]),
         "## The model `mechanism`",
         "Bodies, beams, joints, forces and markers have names, under which the archive records their results.",
         _keys(MechanismData.model_json_schema(), 0),
@@ -95,8 +95,24 @@ def page(installed: Registry) -> str:
         ),
         "## Study spec",
         "\n".join([_version("mbdkit_study", study), _keys(study)]),
+        "## Spec of inverse dynamics",
+        (
+            "The page `inverse` explains it. Instead of a mapping, a column may be a text, its heading. Columns of "
+            "loads have the keys `column`, `unit`, `scale` and `deviation` of those of the motion."
+        ),
+        "\n".join([_version("mbdkit", inverse), first[0].replace("below", "above"), _keys(_without(inverse, PARTS))]),
+        "## Design spec",
+        "The page `design` explains it.",
+        "\n".join([_version("mbdkit_design", design), _keys(design)]),
     ]
     return "\n\n".join("\n".join(_wrapped(part.splitlines())) for part in filter(None, parts)) + "\n"
+
+
+def _without(schema: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """Return a schema without some of its keys."""
+    properties = {key: info for key, info in schema["properties"].items() if key not in keys}
+    required = [key for key in schema["required"] if key not in keys]
+    return schema | {"properties": properties, "required": required}
 
 
 def _version(key: str, schema: dict[str, Any]) -> str:

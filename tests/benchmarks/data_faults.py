@@ -16,6 +16,7 @@ loops, chains on a force plate and bipeds on two plates, and puts each fault int
 from __future__ import annotations
 
 import argparse
+import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -36,7 +37,10 @@ def main() -> None:
     if unknown := sorted(set(chosen) - set(FAULTS)):
         parser.error(f"there is no fault {unknown[0]!r}")
     with ProcessPoolExecutor(asked.workers) as pool:
-        found = list(pool.map(partial(outcomes, faults=chosen), range(asked.sets)))
+        found = []
+        for one in pool.map(partial(outcomes, faults=chosen), range(asked.sets)):
+            found.append(one)
+            print(f"\r{len(found)} of {asked.sets} sets", end="", file=sys.stderr, flush=True)
     total: Counter[str] = Counter()
     print(f"{'':18}" + "".join(f"{word:>9}" for word in WORDS))
     for fault in chosen:
