@@ -234,7 +234,10 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         for name, body in mechanism.bodies.items()
     ]
     elements = [
-        (name, type(one).__name__, one.__dict__) for kind in mechanism.elements.values() for name, one in kind.items()
+        (name, type(one).__name__, one.__dict__)
+        for kind, named in mechanism.elements.items()
+        for name, one in named.items()
+        if kind != "muscles"  # they are not compiled
     ]
     fixed = mechanism.assembly.fix
     beams = [(name, plain(beam)) for name, beam in mechanism.beams.items()]

@@ -21,6 +21,7 @@ from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, Tor
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
+from mbdkit.mechanism.muscles import Muscle, check_moving_points
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
@@ -53,7 +54,7 @@ class Mechanism(HtmlView):
 
     Attributes
     ----------
-    bodies, joints, forces, markers : dict
+    bodies, joints, forces, markers, muscles : dict
         The elements by name, in the order in which they were added.
     beams : dict
         The beams by name. Their nodes are among the bodies, and the parts of their loads among the forces.
@@ -82,6 +83,7 @@ class Mechanism(HtmlView):
         self.joints: dict[str, Joint] = {}
         self.forces: dict[str, Force] = {}
         self.markers: dict[str, Marker] = {}
+        self.muscles: dict[str, Muscle] = {}
         self.assembly = Assembly()
         self.coordinates: dict[str, NamedCoordinate] = {}
         self.warnings: tuple[str, ...] = ()
@@ -93,7 +95,7 @@ class Mechanism(HtmlView):
 
     @property
     def elements(self) -> dict[str, dict[str, Element]]:
-        """Joints, forces and markers by name, by kind."""
+        """Joints, forces, markers and muscles by name, by kind."""
         return {kind: getattr(self, kind) for kind in ELEMENTS}
 
     # ---- builder -------------------------------------------------------------------------------------------------
@@ -585,6 +587,46 @@ class Mechanism(HtmlView):
         where = {"at": at} if point is None else {"at": at, "point": point}
         self._add("markers", Marker, name, body=body, **where)
 
+    def muscle(
+        self,
+        name: str,
+        path: Sequence[Mapping[str, Any]],
+        *,
+        max_force: float,
+        optimal_length: float,
+        tendon_length: float,
+        **properties: Any,
+    ) -> None:
+        """Add a muscle, which acts in inverse dynamics with `recruitment`.
+
+        Parameters
+        ----------
+        name
+            Name of the muscle.
+        path
+            Points and circles from origin to insertion: ``{"body": ..., "point": (x, y)}`` in the frame of the body
+            [m], perhaps with a range ``"when"`` or an offset z, and ``{"wrap": {"body": ..., "center": (x, y),
+            "radius": ..., "side": "left" or "right"}}``.
+        max_force
+            Isometric force of the fibres at optimal length [N].
+        optimal_length, tendon_length
+            Length of the fibres at their largest force, and length of the tendon without force [m].
+        **properties
+            ``pennation`` [rad], ``curves``, ``tendon``, ``damping``, ``activation``, ``excitation``, ``max_velocity``
+            and ``weight``; see ``Muscle``.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2))
+        >>> m.revolute("knee", m.ground, shank, at=(0.0, 0.0))
+        >>> path = [{"body": "ground", "point": (-0.03, 0.3)}, {"body": shank, "point": (-0.03, 0.1)}]
+        >>> m.muscle("flexor", path, max_force=2000.0, optimal_length=0.11, tendon_length=0.3)
+        """
+        values = {"max_force": max_force, "optimal_length": optimal_length, "tendon_length": tendon_length}
+        self._add("muscles", Muscle, name, path=[dict(item) for item in path], **values, **properties)
+        check_moving_points({name: self.muscles[name]}, self.coordinates, "model.")
+
     def coordinate(
         self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
     ) -> None:
@@ -660,6 +702,7 @@ class Mechanism(HtmlView):
         drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
         markers = f", {counted(len(self.markers), 'marker')}" if self.markers else ""
+        markers += f", {counted(len(self.muscles), 'muscle')}" if self.muscles else ""
         beams = f"{counted(len(self.beams), 'beam')}, " if self.beams else ""
         return (
             f"{counted(len(self.bodies), 'body', 'bodies')}, {beams}{counted(len(self.joints) - drivers, 'joint')}, "
@@ -680,6 +723,7 @@ class Mechanism(HtmlView):
         for name in self.coordinates:
             check_name(name, f"model.coordinates.{name}")
         check_coordinates(self.coordinates, self.joints, self.bodies, self.markers)
+        check_moving_points(self.muscles, self.coordinates, "model.")
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].
@@ -730,7 +774,7 @@ class Mechanism(HtmlView):
         ----------
         spec
             Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
-            ``coordinates`` and ``assembly``; ``name`` is optional and must be ``mechanism``.
+            ``muscles``, ``coordinates`` and ``assembly``; ``name`` is optional and must be ``mechanism``.
         parameters
             Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 

@@ -14,6 +14,7 @@ from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.muscles import Muscle, check_moving_points
 from mbdkit.mechanism.values import Number, Point, Positive, sequence
 
 OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
@@ -86,7 +87,7 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
         raise SpecError(f"'{one.relative_to}' is not another body", key=key)
 
 
-ELEMENTS = ("joints", "forces", "markers")
+ELEMENTS = ("joints", "forces", "markers", "muscles")
 """Kinds of elements on bodies: keys of the model, and attributes of `Mechanism`."""
 
 NO_BODY = "a mechanism needs at least one body or beam"
@@ -102,9 +103,9 @@ class Assembly(StrictModel):
 
 
 class MechanismData(StrictModel):
-    """Data of the model `mechanism`: gravity, named bodies, beams, joints, forces and markers, and assembly."""
+    """Data of the model `mechanism`: gravity, named bodies, beams, joints, forces, markers, muscles, and assembly."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", "markers", "coordinates")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", "markers", "muscles", "coordinates")
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
@@ -118,6 +119,8 @@ class MechanismData(StrictModel):
     """Force elements by name."""
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Points of bodies whose positions and velocities are recorded, by name."""
+    muscles: dict[str, Muscle] = Field(default_factory=dict)
+    """Muscles by name; they act in inverse dynamics, with `recruitment`."""
     coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)
     """Names of quantities, such as ``knee_angle: knee.angle`` or ``knee_angle: {of: knee.angle, scale: -1}``."""
     assembly: Assembly = Assembly()
@@ -127,4 +130,9 @@ class MechanismData(StrictModel):
     def _has_bodies(self) -> MechanismData:
         if not self.bodies and not self.beams:
             raise SpecError(NO_BODY, key="bodies")
+        return self
+
+    @model_validator(mode="after")
+    def _points_follow_coordinates(self) -> MechanismData:
+        check_moving_points(self.muscles, self.coordinates)
         return self

@@ -24,6 +24,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
+from mbdkit.mechanism.coordinate_function import CoordinateCompiler, CoordinateExpressionError
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.validation_errors import spec_error, value_path, walk
 from mbdkit.mechanism.values import TextForNumberError
@@ -32,9 +33,13 @@ Validated = TypeVar("Validated")
 Values = Mapping[str, float]
 Written = dict[Path, str]
 """Expressions by key path."""
-Kind = Literal["number", "whole number", "function of time", "function of an angle"]
+Kind = Literal["number", "whole number", "function of time", "function of an angle", "function of coordinates"]
 
-_COMPILERS: Mapping[Kind, type[Compiler]] = {"function of time": Compiler, "function of an angle": AngleCompiler}
+_COMPILERS: Mapping[Kind, type[Compiler]] = {
+    "function of time": Compiler,
+    "function of an angle": AngleCompiler,
+    "function of coordinates": CoordinateCompiler,
+}
 
 RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 
@@ -232,6 +237,12 @@ def _replacements(
             path = value_path(path, parse_path(inner.key))
             items = enumerate(_at(data, path[:-1]))
             yield from (((*path[:-1], i), text, "number") for i, text in items if _is_expression(text, values))
+            continue
+        if isinstance(inner, CoordinateExpressionError):  # raised for the whole model, which knows its coordinates
+            path = value_path(path, parse_path(inner.key))
+            text = _at(data, path)
+            if names_in(text) & values.keys():
+                yield path, text, "function of coordinates"
             continue
         text = details["input"]
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:

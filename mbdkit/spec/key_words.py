@@ -24,7 +24,7 @@ _WORDS = {
     "output.every": "steps between recorded rows",
 }
 _SECTIONS = {"model", "integrator", "time", "output", "limits", "stabilization", "parameters"}
-_KINDS = {"bodies", "joints", "forces", "markers", "springs"}
+_KINDS = {"bodies", "joints", "forces", "markers", "muscles", "springs"}
 _VECTORS = {"position", "velocity", "point", "at", "from", "to", "axis", "gravity"}
 """Keys with a component along x and one along y."""
 

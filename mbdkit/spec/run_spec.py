@@ -328,6 +328,12 @@ class RunSpec(ModelSpec):
         return [self.model_item, self.integrator_item, *self.force_law_items]
 
     def _accept(self, mechanism: Mechanism) -> None:
+        if mechanism.muscles:
+            raise SpecError(
+                "muscles act only in inverse dynamics so far (`mbdkit inverse`, with `recruitment`); a run needs a "
+                "model without them",
+                key="model.muscles",
+            )
         self._watched = self._parsed(mechanism)
 
     def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:

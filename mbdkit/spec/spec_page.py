@@ -17,6 +17,7 @@ from mbdkit.mechanism.bodies import Body, Marker
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
+from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
 from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
@@ -58,7 +59,7 @@ def page(installed: Registry) -> str:
         "## Run spec",
         "\n".join([_version("mbdkit", run), *first, _keys(_without(run, PARTS))]),
         "## The model `mechanism`",
-        "Bodies, beams, joints, forces and markers have names, under which the archive records their results.",
+        "Bodies, beams, joints, forces, markers and muscles have names, under which the archive records their results.",
         _keys(MechanismData.model_json_schema(), 0),
         *_model("### `bodies`", Body),
         *_model("### `beams`", Beam),
@@ -80,6 +81,8 @@ def page(installed: Registry) -> str:
         *_model("### Functions of an angle", AngleTable),
         "Instead of a table, a `center` may have a number, or an expression of `angle` and the parameters.",
         *_model("### `markers`", Marker),
+        *_model("### `muscles`", Muscle),
+        *_model("#### Items of `path`", PathItem),
         *_model("### `coordinates`", NamedCoordinate),
         *_model("### `assembly`", Assembly),
         "## Other models",

@@ -1,0 +1,104 @@
+"""Functions of named coordinates of a mechanism, along which points of the path of a muscle move."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS
+from mbdkit.expressions.parser import Code, Compiler, ExpressionError
+from mbdkit.expressions.program import Program, execute
+from mbdkit.mechanism.values import Number
+
+_COORDINATE = "coordinate:"
+"""Beginning of the instructions that push a coordinate."""
+
+
+class CoordinateExpressionError(ExpressionError):
+    """An expression with a name that is not that of a coordinate."""
+
+
+class CoordinateCompiler(Compiler):
+    """Compiles an expression of named coordinates; which names exist is known to the mechanism only."""
+
+    wanted = "an expression of named coordinates, which consists of numbers, names of coordinates, pi"
+    variable = ""
+
+    def operand(self, node: ast.expr) -> Code:
+        """Return the program of a coordinate."""
+        if isinstance(node, ast.Name) and node.id not in FUNCTIONS:
+            return [(_COORDINATE + node.id, 0.0)]
+        return super().operand(node)
+
+
+@lru_cache(maxsize=1024)
+def program_of(text: str) -> Program:
+    """Return the program of an expression of coordinates; raises SpecError with the position of an error."""
+    return tuple(CoordinateCompiler(text).program())
+
+
+def _function(value: Any) -> Any:
+    if isinstance(value, str):
+        program_of(value)
+    return value
+
+
+CoordinateFunction = Annotated[Number | str, BeforeValidator(_function)]
+"""A number, or an expression of named coordinates."""
+
+
+def names_of(function: CoordinateFunction) -> list[str]:
+    """Return the names of the coordinates in a function, each of them once."""
+    if not isinstance(function, str):
+        return []
+    return list(
+        dict.fromkeys(
+            name.removeprefix(_COORDINATE) for name, _ in program_of(function) if name.startswith(_COORDINATE)
+        )
+    )
+
+
+def value_and_slopes(
+    function: CoordinateFunction, coordinates: Mapping[str, np.ndarray], frames: int
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return a function in T frames, (T,), and its derivatives by the coordinates that it contains.
+
+    Parameters
+    ----------
+    coordinates
+        Values (T,) of the coordinates by name.
+    frames
+        The number T.
+    """
+    none = np.zeros(frames)
+    if not isinstance(function, str):
+        return none + function, {}
+    program = program_of(function)
+
+    def along(own: str) -> tuple[np.ndarray, np.ndarray]:
+        def step(name: str, number: float, *operands: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+            if name == "const":
+                return none + number, none
+            if name.startswith(_COORDINATE):
+                used = name.removeprefix(_COORDINATE)
+                return coordinates[used], none + float(used == own)
+            rule = OPERATIONS[name].rule
+            if len(operands) == 2:
+                (a, da), (b, db) = operands
+                value, slope, _ = rule(a, da, none, b, db, none)
+                return value, slope
+            ((x, dx),) = operands
+            value, slope, _ = rule(x, number) if name == "powi" else rule(x)
+            return value, slope * dx
+
+        return execute(program, step)
+
+    slopes = {name: along(name) for name in names_of(function)}
+    if not slopes:
+        return along("")[0], {}
+    return next(iter(slopes.values()))[0], {name: slope for name, (_, slope) in slopes.items()}

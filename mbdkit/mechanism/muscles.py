@@ -1,0 +1,229 @@
+"""Muscles: paths along points and circles of bodies, and the parameters of a muscle of Hill type."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.bodies import Attachment, Element
+from mbdkit.mechanism.coordinate_function import CoordinateExpressionError, CoordinateFunction, names_of
+from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
+
+MOST_CIRCLES = 4
+"""Largest number of circles between two points of a path; the patterns of touched circles are enumerated."""
+
+TOO_STEEP = math.radians(80)
+"""Pennation angles from here on are refused: the force along the tendon almost vanishes."""
+
+
+def _point(value: Any) -> Any:
+    """Accept a list of two or three items."""
+    plain = sequence(value)
+    if not isinstance(plain, tuple) or len(plain) not in (2, 3):
+        raise SpecError(f"should be a point [x, y] or [x, y, z], not {plain!r}")
+    return plain
+
+
+PathPoint = Annotated[
+    tuple[CoordinateFunction, CoordinateFunction] | tuple[CoordinateFunction, CoordinateFunction, Number],
+    BeforeValidator(_point, json_schema_input_type=list[float | str]),
+]
+Range = Annotated[tuple[Number, Number], BeforeValidator(pair("a range [lowest, highest]"))]
+
+
+class WrapCircle(StrictModel):
+    """A circle of a body that a path is pulled taut around."""
+
+    body: str
+    """Name of the body."""
+    center: Point
+    """Center in the body's frame [m]."""
+    radius: Positive
+    """Radius [m]."""
+    side: Literal["left", "right"]
+    """Side of the center on which the path passes, seen along the path: on the left, it turns clockwise around the
+    circle."""
+
+
+class PathItem(StrictModel):
+    """A point of the path of a muscle, or a circle between two points that the path wraps around."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("body", "point", "when", "wrap")
+
+    body: str | None = None
+    """Name of the body of the point."""
+    point: PathPoint | None = None
+    """The point in the body's frame [m]: [x, y], or [x, y, z] with an offset z perpendicular to the plane, which makes
+    lengths spatial. x and y may be expressions of named coordinates; such a point moves in the frame of its body."""
+    when: dict[str, Range] | None = None
+    """Ranges of quantities, such as ``{knee.angle: [-2.0, -0.3]}``: the path has the point only while all of these
+    quantities are in their ranges. By default, always."""
+    wrap: WrapCircle | None = None
+    """Instead of a point: a circle. The path touches it only where the straight line would cross it."""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> PathItem:
+        if self.wrap is not None:
+            for key in ("body", "point", "when"):
+                if getattr(self, key) is not None:
+                    raise SpecError("belongs to a point: an item is either a point or a `wrap`", key=key)
+            return self
+        for key in ("body", "point"):
+            if getattr(self, key) is None:
+                raise SpecError("is missing: a point of a path has `body` and `point`, a circle has `wrap`", key=key)
+        for name, (low, high) in (self.when or {}).items():
+            if not low < high:
+                raise SpecError(f"the range [{low:g}, {high:g}] is empty", key=f"when.{name}")
+        return self
+
+    @property
+    def on(self) -> str:
+        """Name of the body of the point or circle."""
+        body = self.body if self.wrap is None else self.wrap.body
+        assert body is not None
+        return body
+
+    @property
+    def center(self) -> tuple[CoordinateFunction, CoordinateFunction]:
+        """The point, or the center of the circle, in the body's frame."""
+        if self.wrap is not None:
+            return self.wrap.center
+        assert self.point is not None
+        return self.point[0], self.point[1]
+
+    @property
+    def offset(self) -> float:
+        """Offset z of the point [m]; 0 for circles, which are cylinders."""
+        return float(self.point[2]) if self.point is not None and len(self.point) == 3 else 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the point moves in the frame of its body."""
+        return any(isinstance(part, str) for part in self.center)
+
+
+class Activation(StrictModel):
+    """First-order dynamics from excitation to activation."""
+
+    rise: Positive = 0.01
+    """Time constant of rising activation [s]."""
+    fall: Positive = 0.04
+    """Time constant of falling activation [s]."""
+    initial: Annotated[float, Field(ge=0, le=1)] = 0.05
+    """Activation at the start."""
+
+
+class Muscle(Element):
+    """A muscle of Hill type along a path: a fibre, pennate to a tendon in series with it.
+
+    Its tension pulls the ends of its path together. The angle between fibre and tendon changes such that the thickness
+    of the muscle, ``optimal_length * sin(pennation)``, is constant.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation",)
+
+    path: Annotated[list[PathItem], Field(min_length=2)]
+    """Points and circles from origin to insertion; the first and the last item are points that are always there."""
+    max_force: Positive
+    """Isometric force of the fibres at optimal length and full activation [N]."""
+    optimal_length: Positive
+    """Length of the fibres at which they exert their largest active force [m]."""
+    tendon_length: NotNegative
+    """Length of the tendon without force [m]."""
+    pennation: NotNegative = 0.0
+    """Angle between fibres and tendon at the optimal length [rad]."""
+    curves: Literal["de-groote-fregly", "millard"] = "de-groote-fregly"
+    """Curves of force by length and velocity: closed formulas of De Groote et al. (2016), or the Bezier curves of
+    Millard et al. (2013)."""
+    tendon: Literal["rigid", "elastic"] = "rigid"
+    """Whether the tendon has a constant length, or is elastic."""
+    damping: NotNegative = 0.1
+    """Damping of the fibres: share of `max_force` at the velocity `max_velocity`."""
+    activation: Activation = Activation()
+    """Time constants of the activation, and its initial value."""
+    excitation: Motion | None = None
+    """Excitation between 0 and 1 as a function of time; recruitment in inverse dynamics does not use it."""
+    max_velocity: Positive = 10.0
+    """Velocity of shortening at which fibres exert no active force, in optimal lengths per second."""
+    weight: Positive = 1.0
+    """Weight in recruitment, which minimises the sum of (activation / weight)^exponent."""
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Muscle:
+        for index, end in ((0, "first"), (len(self.path) - 1, "last")):
+            if self.path[index].wrap is not None:
+                raise SpecError(f"the {end} item of a path is a point, not a circle", key=f"path[{index}].wrap")
+            if self.path[index].when is not None:
+                raise SpecError(f"the {end} point of a path is always there", key=f"path[{index}].when")
+        if len({item.on for item in self.path}) == 1:
+            raise SpecError(f"is on '{self.path[0].on}' alone, so that the muscle moves nothing", key="path")
+        if self.pennation >= TOO_STEEP:
+            raise SpecError(
+                f"should be less than {TOO_STEEP:.4g} rad (80 degrees), not {self.pennation:g}; angles are in radians",
+                key="pennation",
+            )
+        circles = 0
+        for index, item in enumerate(self.path):
+            circles = 0 if item.wrap is None else circles + 1
+            if circles > MOST_CIRCLES:
+                raise SpecError(
+                    f"there are more than {MOST_CIRCLES} circles between two points", key=f"path[{index}].wrap"
+                )
+        return self
+
+    @property
+    def thickness(self) -> float:
+        """Thickness perpendicular to the tendon, which stays constant [m]."""
+        return self.optimal_length * math.sin(self.pennation)
+
+    def places(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body that the element refers to."""
+        keys = ("body" if item.wrap is None else "wrap.body" for item in self.path)
+        return [
+            (f"path[{index}].{key}", item.on) for index, (key, item) in enumerate(zip(keys, self.path, strict=True))
+        ]
+
+    def attachments(self) -> list[Attachment]:
+        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
+        return [
+            (f"path[{index}].{'point' if item.wrap is None else 'wrap.center'}", item.on, (float(x), float(y)))
+            for index, item in enumerate(self.path)
+            for x, y in [item.center]
+            if not isinstance(x, str) and not isinstance(y, str)
+        ]
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
+        places = self.places()
+        return [place for place, item in zip(places, self.path, strict=True) if item.moves]
+
+    def motions(self) -> list[tuple[str, Motion]]:
+        """Return (key, value) of each prescribed function of time."""
+        return [] if self.excitation is None else [("excitation", self.excitation)]
+
+
+def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[str], prefix: str = "") -> None:
+    """Raise a SpecError for the first moving point that is a function of something else than named coordinates.
+
+    Parameters
+    ----------
+    prefix
+        Beginning of its key.
+    """
+    for name, muscle in muscles.items():
+        for index, item in enumerate(muscle.path):
+            for axis, part in enumerate(item.center):
+                for used in names_of(part):
+                    if used not in coordinates:
+                        known = f"; coordinates: {listed(list(coordinates)) or 'none'}"
+                        raise CoordinateExpressionError(
+                            f"'{part}' contains '{used}', which is neither a coordinate of the model nor a parameter"
+                            f"{did_you_mean(used, list(coordinates)) or known}",
+                            key=f"{prefix}muscles.{name}.path[{index}].point[{axis}]",
+                        )

@@ -1,0 +1,1 @@
+"""Muscles as functions of a motion: geometry of their paths, and curves of their forces."""

@@ -1,0 +1,76 @@
+"""Fibres of a muscle whose tendon is rigid, and the forces along the tendon that they can exert.
+
+The fibres are pennate: the thickness of the muscle, ``w = optimal_length sin(pennation)``, stays constant, so that a
+muscle of length L has fibres of the length ``sqrt((L - tendon_length)^2 + w^2)``. The force along the tendon is
+
+    F = max_force (a f_active(l) f_velocity(v) + f_passive(l)) cos(alpha),   cos(alpha) = (L - tendon_length) / l
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base.errors import RunError
+from mbdkit.mechanism.muscles import Muscle
+from mbdkit.muscles.force_curves import CURVES
+
+
+@dataclass(frozen=True)
+class Fibers:
+    """The fibres of a muscle in T frames; all arrays are (T,).
+
+    Attributes
+    ----------
+    length, rate
+        Length of the fibres [m] and its rate [m/s].
+    cosine
+        Cosine of the angle between fibres and tendon.
+    active
+        Active force along the tendon at full activation [N].
+    passive
+        Force of the passive fibres along the tendon, without damping [N].
+    """
+
+    length: np.ndarray
+    rate: np.ndarray
+    cosine: np.ndarray
+    active: np.ndarray
+    passive: np.ndarray
+
+
+def fibers_on_rigid_tendon(name: str, muscle: Muscle, time: np.ndarray, length: np.ndarray, rate: np.ndarray) -> Fibers:
+    """Return the fibres of a muscle with a rigid tendon.
+
+    Parameters
+    ----------
+    name, muscle
+        The muscle.
+    time
+        (T,) times, for messages.
+    length, rate
+        (T,) length of the path [m] and its rate [m/s].
+
+    Raises
+    ------
+    RunError
+        If the tendon is longer than the path; with the time.
+    """
+    along = length - muscle.tendon_length
+    if np.any(along <= 0):
+        frame = int(np.argmin(along))
+        raise RunError(
+            f"the tendon of muscle '{name}' is longer ({muscle.tendon_length:.6g} m) than its path "
+            f"({length[frame]:.6g} m) at t = {time[frame]:.6g} s; correct `tendon_length`, or the path"
+        )
+    own = np.hypot(along, muscle.thickness)
+    cosine = along / own
+    velocity = rate * cosine
+    curves = CURVES[muscle.curves]
+    normal = own / muscle.optimal_length
+    by_velocity = np.maximum(curves.velocity(velocity / (muscle.max_velocity * muscle.optimal_length))[0], 0.0)
+    active = np.maximum(curves.active(normal)[0], 0.0) * by_velocity
+    passive = np.maximum(curves.passive(normal)[0], 0.0)
+    force = muscle.max_force * cosine
+    return Fibers(own, velocity, cosine, force * active, force * passive)

@@ -1,0 +1,162 @@
+"""``python opensim_reference.py opensim_muscles.json``: muscles of a planar leg by OpenSim 4.6, as reference numbers.
+
+Needs ``pip install opensim==4.6``, which mbdkit does not use. The leg is that of `leg.py`: two bodies whose frames have
+their origins at their centres of mass, hip and knee turn about z. Lengths, moment arms and forces are those of OpenSim
+at given angles and angular velocities; `recruitment` is the result of its tool for static optimization.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+import opensim as osim
+
+sys.path.insert(0, str(Path(__file__).parent))
+from leg import ANGLES, BODIES, HIP, KNEE, MUSCLES, RECRUITED, motion
+
+osim.Logger.setLevelString("Error")
+V = osim.Vec3
+KEPT = []
+"""Objects that belong to the model, which Python would delete."""
+
+
+def model(muscles=MUSCLES):
+    """Return the leg."""
+    leg = osim.Model()
+    leg.setGravity(V(0, -9.81, 0))
+    frames = {"ground": leg.getGround()}
+    for name, (mass, inertia) in BODIES.items():
+        frames[name] = osim.Body(name, mass, V(0), osim.Inertia(inertia, inertia, inertia))
+        leg.addBody(frames[name])
+    for name, (a, at_a), (b, at_b) in (("hip", *HIP), ("knee", *KNEE)):
+        joint = osim.PinJoint(name, frames[a], V(*at_a, 0), V(0), frames[b], V(*at_b, 0), V(0))
+        joint.updCoordinate().setName(name)
+        leg.addJoint(joint)
+    for name, data in muscles.items():
+        leg.addForce(muscle(leg, name, data, frames))
+    leg.finalizeConnections()
+    return leg
+
+
+def muscle(leg, name, data, frames):
+    """Return a muscle of the leg."""
+    kind = osim.Millard2012EquilibriumMuscle if data.get("curves") == "millard" else osim.DeGrooteFregly2016Muscle
+    one = kind()
+    one.setName(name)
+    one.setMaxIsometricForce(data["max_force"])
+    one.setOptimalFiberLength(data["optimal_length"])
+    one.setTendonSlackLength(data["tendon_length"])
+    one.setPennationAngleAtOptimalFiberLength(data.get("pennation", 0.0))
+    one.setMaxContractionVelocity(10.0)
+    one.set_ignore_tendon_compliance(True)
+    path, points = one.updGeometryPath(), KEPT
+    for index, item in enumerate(data["path"]):
+        if "wrap" in item:
+            circle = item["wrap"]
+            cylinder = osim.WrapCylinder()
+            cylinder.setName(f"{name}_{index}")
+            cylinder.set_radius(circle["radius"])
+            cylinder.set_length(1.0)
+            cylinder.set_translation(V(*circle["center"], 0))
+            cylinder.set_quadrant(data["quadrant"])
+            cylinder.setFrame(frames[circle["body"]])
+            frames[circle["body"]].addWrapObject(cylinder)
+            path.addPathWrap(cylinder)
+            continue
+        x, y, z = (*item["point"], 0.0)[:3]
+        if "when" in item:
+            ((coordinate, (low, high)),) = item["when"].items()
+            point = osim.ConditionalPathPoint()
+            point.setRangeMin(low)
+            point.setRangeMax(high)
+            point.setCoordinate(leg.getJointSet().get(coordinate.partition(".")[0]).getCoordinate())
+        elif isinstance(x, str):
+            point = osim.MovingPathPoint()
+            numbers = data["polynomial"]
+            for axis in "xyz":
+                getattr(point, f"set_{axis}_location")(osim.PolynomialFunction(osim.Vector(numbers[axis])))
+                getattr(point, f"set{axis.upper()}Coordinate")(leg.getJointSet().get("knee").getCoordinate())
+        else:
+            point = osim.PathPoint()
+        point.setName(f"{name}-{index}")
+        point.setParentFrame(frames[item["body"]])
+        if not isinstance(x, str):
+            point.setLocation(V(x, y, z))
+        points.append(point)
+        path.updPathPointSet().adoptAndAppend(point)
+    return one
+
+
+def geometry(leg):
+    """Return lengths, rates, moment arms and largest active forces of all muscles in all poses."""
+    state = leg.initSystem()
+    coordinates = [leg.getCoordinateSet().get(name) for name in ("hip", "knee")]
+    found = {name: {"length": [], "rate": [], "arms": [], "capacity": [], "passive": []} for name in MUSCLES}
+    for hip, knee, hip_rate, knee_rate in ANGLES:
+        for coordinate, value, rate in zip(coordinates, (hip, knee), (hip_rate, knee_rate), strict=True):
+            coordinate.setValue(state, value, False)
+            coordinate.setSpeedValue(state, rate)
+        leg.realizeVelocity(state)
+        for name, one in found.items():
+            force = osim.Muscle.safeDownCast(leg.getMuscles().get(name))
+            one["length"].append(force.getLength(state))
+            one["rate"].append(force.getLengtheningSpeed(state))
+            one["arms"].append([force.computeMomentArm(state, coordinate) for coordinate in coordinates])
+            force.setActivation(state, 1.0)
+            leg.realizeDynamics(state)
+            one["capacity"].append(force.getActiveFiberForceAlongTendon(state))
+            share = force.getPassiveForceMultiplier(state) * force.getCosPennationAngle(state)
+            one["passive"].append(force.getMaxIsometricForce() * share)
+    return found
+
+
+def recruitment():
+    """Return activations by OpenSim's static optimization of the motion of `leg.motion`, without pennation.
+
+    The largest forces of its tool have no cosine of the pennation angle, unlike the forces of its muscles.
+    """
+    leg = model({name: MUSCLES[name] | {"pennation": 0.0, "curves": "millard"} for name in RECRUITED})
+    time, q = motion()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder)
+        leg.printToXML(str(path / "leg.osim"))
+        lines = [
+            "motion",
+            "version=1",
+            f"nRows={len(time)}",
+            "nColumns=3",
+            "inDegrees=no",
+            "endheader",
+            "time\thip\tknee",
+        ]
+        lines += ["\t".join(f"{x:.17g}" for x in (t, *row)) for t, row in zip(time, q, strict=True)]
+        (path / "leg.mot").write_text("\n".join(lines) + "\n")
+        tool = osim.AnalyzeTool()
+        tool.setName("so")
+        tool.setModelFilename(str(path / "leg.osim"))
+        tool.setCoordinatesFileName(str(path / "leg.mot"))
+        tool.setLowpassCutoffFrequency(-1)
+        tool.setStartTime(time[0])
+        tool.setFinalTime(time[-1])
+        tool.setResultsDir(str(path))
+        own = osim.StaticOptimization()
+        own.setStartTime(time[0])
+        own.setEndTime(time[-1])
+        own.setUseMusclePhysiology(True)
+        own.setActivationExponent(2)
+        own.setConvergenceCriterion(1e-8)
+        own.setMaxIterations(1000)
+        tool.updAnalysisSet().cloneAndAppend(own)
+        tool.printToXML(str(path / "setup.xml"))
+        osim.AnalyzeTool(str(path / "setup.xml")).run()
+        table = osim.TimeSeriesTable(str(path / "so_StaticOptimization_activation.sto"))
+        found = {name: list(table.getDependentColumn(name).to_numpy()) for name in RECRUITED}
+        return {"time": list(table.getIndependentColumn()), "activation": found}
+
+
+if __name__ == "__main__":
+    leg = model()
+    numbers = {"opensim": osim.GetVersion(), "geometry": geometry(leg)}
+    numbers["recruitment"] = recruitment()
+    Path(sys.argv[1]).write_text(json.dumps(numbers) + "\n")
