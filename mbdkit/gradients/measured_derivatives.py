@@ -50,7 +50,7 @@ class _Limit:
     """A quantity and the scalar that changes sign at a point, on one side of it, with their rates."""
 
     value: Value
-    rate: float
+    rate: np.ndarray
     switch: Value | None
     switch_rate: float
 
@@ -160,12 +160,12 @@ class _Evaluation:
     def _reduction(self, index: int, name: str, number: int, operands: Sequence[Value]) -> Value:
         """Return a reduction over time, the instruction of this index, of its operands on the rows."""
         rows = operands[0]
-        if name == "at":
-            return self._at(operands[1], rows)
+        functional = self.expression.functionals[number - 1] if number else None
         self.size = max(self.size, float(np.max(np.abs(rows.value))))
+        if name == "at":
+            return self._at(functional, index, operands[1], rows)
         if name == "final":
             return rows[-1:]
-        functional = self.expression.functionals[number - 1] if number else None
         if functional is not None and functional.is_of_stages and self.run.nodes is None:
             functional = None  # inverse dynamics has rows only
         if functional is not None and not functional.is_of_stages and not self.run.motions:
@@ -188,7 +188,8 @@ class _Evaluation:
         self, index: int, states: DifferentiatedStates, *, square: bool = False, switches: list[Value] | None = None
     ) -> Value:
         """Return the operand of a reduction in T states, (T,) or (2, T)."""
-        found = self._series(self._begins[index], index, states, switches)
+        is_value = self.expression.program[index][0] == REDUCE + "at"  # its second operand is a time
+        found = self._series(self._begins[index], self._begins[index - 1] if is_value else index, states, switches)
         found = of_operands("mul", 0.0, found, found) if square else found
         shape = (*found.value.shape[:-1], len(states.time))
         return Value(np.broadcast_to(found.value, shape), np.broadcast_to(found.slope, (self.count, *shape)))
@@ -324,22 +325,59 @@ class _Evaluation:
         switches: list[Value] = []
         values = self._of_operand(index, states_of(self.run.motions, number, time), switches=switches)
 
-        def extrapolated(x: Value) -> tuple[Value, float]:
-            value, rate = to_limit @ x.value
-            return Value(np.array([value]), (x.slope @ to_limit[0])[:, None]), float(rate) / width
+        def extrapolated(x: Value) -> tuple[Value, np.ndarray]:
+            value, rate = x.value @ to_limit[0], x.value @ to_limit[1]
+            return Value(value[..., None], (x.slope @ to_limit[0])[..., None]), rate / width
 
         value, rate = extrapolated(values)
         if peak.switch < 0:
             return _Limit(value, rate, None, 0.0)
-        return _Limit(value, rate, *extrapolated(switches[peak.switch]))
+        switch, switch_rate = extrapolated(switches[peak.switch])
+        return _Limit(value, rate, switch, float(switch_rate))
 
-    # --- rows
+    # --- values at times
 
-    def _at(self, time: Value, operand: Value) -> Value:
-        """Return an operand at a time, interpolated linearly between the rows around it."""
+    def _at(self, functional: Functional | None, index: int, time: Value, operand: Value) -> Value:
+        """Return an operand at a time: that of the row of this time, or of the motion between the ends of steps.
+
+        At a discontinuity of a force law or a load, it is the left limit.
+        """
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:
             return Value.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
+        if functional is None or not self.run.motions:
+            return self._between_rows(at, time, operand)
+        moved = time.slope.reshape(self.count, time.value.size)[:, 0]
+        parts = self.run.motions[0].parts
+        inside = [number for number, part in enumerate(parts) if part.span[0] <= at <= part.span[1]]
+        sides = [self._on_part(number, at, index, moved) for number in inside]
+        if any(not np.allclose(one.slope, sides[0].slope, rtol=1e-6, atol=1e-9 * self.size) for one in sides[1:]):
+            self._note_sides("the time of 'at' is that of a discontinuity")
+        found = sides[0]
+        if at in rows:  # as in runs
+            k = int(np.searchsorted(rows, at))
+            row = operand[k : k + 1]
+            moved = moved - self.run.end if at == rows[-1] else moved
+            found = self._moved(row, inside[0], at, index, moved)
+        self._functionals[functional.text] = found
+        return found
+
+    def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> Value:
+        """Return an operand at a time of a part of the motion, whose derivatives are `moved` (K,)."""
+        here = self._of_operand(index, states_of(self.run.motions, number, np.array([at])))
+        return self._moved(here, number, at, index, moved)
+
+    def _moved(self, here: Value, number: int, at: float, index: int, moved: np.ndarray) -> Value:
+        """Return an operand with the derivatives due to its time, whose derivatives are `moved` (K,)."""
+        if not moved.any():
+            return here
+        side = 1.0 if at == self.run.motions[0].parts[number].span[0] else -1.0
+        rate = self._limit(number, Peak(np.nan, at), index, side).rate
+        return Value(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
+
+    def _between_rows(self, at: float, time: Value, operand: Value) -> Value:
+        """Return an operand at a time, interpolated linearly between the rows around it."""
+        rows = self.run.rows.time
         k = int(np.clip(np.searchsorted(rows, at, side="right") - 1, 0, len(rows) - 2))
         share = (at - rows[k]) / (rows[k + 1] - rows[k])
         rate = (operand.value[..., k + 1] - operand.value[..., k]) / (rows[k + 1] - rows[k])

@@ -20,6 +20,10 @@ EVEN, CERTAIN = 0.5, 6.0
 both that the columns contain is above the first (0 for right times, 1 for even samples), and above the second times its
 standard deviation due to noise."""
 
+CERTAIN_OF_GRID = 3.0
+"""The same as the second if the given times are evenly spaced ones that are rounded: all are multiples of a grid, and
+within 3/4 of it of a straight line, which uneven samples are by chance only."""
+
 GRIDS = tuple(10.0**-digits for digits in range(1, 7))
 """Multiples [s] of which rounded times consist."""
 
@@ -94,15 +98,18 @@ def _of_times(measured: Measured) -> Iterator[Doubt]:
         if np.any(noise := np.mean(smooth**2)):
             product += float(np.sum(given * (given - smooth)) / noise)
             square += float(np.sum((given - smooth) ** 2) / noise)
-    if not product > max(EVEN * square, CERTAIN * np.sqrt(square)):
-        return
     grid = next((one for one in GRIDS if np.max(np.abs(time / one - np.round(time / one))) < 1e-6), None)
+    row = np.arange(len(time))
+    is_rounded = grid is not None and np.max(np.abs(time - np.polyval(np.polyfit(row, time, 1), row))) < 0.75 * grid
+    certain = CERTAIN_OF_GRID if is_rounded else CERTAIN
+    if not product > max(EVEN * square, certain * np.sqrt(square)):
+        return
     cause = "they probably have jitter" if grid is None else f"they are probably rounded to {grid:g} s"
     yield Doubt(
         "times",
         f"the columns belong to evenly spaced times rather than to the given ones, whose intervals vary from "
         f"{steps.min():.6g} to {steps.max():.6g} s (share {product / square:.2g}, doubtful above {EVEN:g}; certain to "
-        f"{product / np.sqrt(square):.3g} standard deviations, doubtful above {CERTAIN:g}): {cause}; derivatives "
+        f"{product / np.sqrt(square):.3g} standard deviations, doubtful above {certain:g}): {cause}; derivatives "
         "depend on them.",
     )
 

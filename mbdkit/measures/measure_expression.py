@@ -29,7 +29,7 @@ from mbdkit.expressions.parser import Code
 from mbdkit.expressions.program import Program, execute
 from mbdkit.measures.measured_quantities import ATTRIBUTES, recorded, unit_of
 from mbdkit.measures.reductions import (
-    EXTREMA,
+    INTEGRALS,
     OF_FUNCTIONAL,
     REDUCTIONS,
     Functional,
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 _PLAIN = read_unit("1")
 _RADIAN = read_unit("rad")
 _SECOND = read_unit("s")
+_END: Program = (("t", 0.0), (REDUCE + "final", 0.0))
+"""The end of a run, ``final(t)``."""
 
 
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
@@ -184,9 +186,9 @@ class MeasureExpression:
             if not operation.startswith(REDUCE):
                 return applied(operation, number, operands, self.quantities, series)
             name, values = operation.removeprefix(REDUCE), operands[0]
-            if name == "at":
-                return interpolated(float(operands[1][0]), run.time, values)
             found = run.integrals.get(self.functionals[int(number) - 1].text) if number else None
+            if name == "at" and (found is None or np.any(run.time == operands[1][0])):
+                return interpolated(float(operands[1][0]), run.time, values)
             duration = run.time[-1] - run.time[0]
             if found is None or not duration > 0.0:
                 return np.asarray(REDUCTIONS[name](run.time, values)[..., None])
@@ -241,7 +243,7 @@ class _MeasureCompiler(RunCompiler):
         self.spec = spec
         super().__init__(text, spec.mechanism(), spec.numbers if parameters is None else parameters)
         self.known |= {"events": list(spec.event_names), "actuators": list(spec.actuator_units)}
-        self._functionals: list[tuple[str, str, Program]] = []
+        self._functionals: list[tuple[str, str, Program, Program]] = []
 
     def measure(self) -> tuple[Program, _Value]:
         """Return the program and its value, which is one number; raise SpecError otherwise."""
@@ -261,10 +263,10 @@ class _MeasureCompiler(RunCompiler):
         return tuple(program), value
 
     def functionals(self) -> tuple[Functional, ...]:
-        """Return the integrals and extrema of the expression, except those of the recorded times."""
+        """Return the integrals, extrema and values at times of the expression, except those of the recorded times."""
         found: tuple[Functional, ...] = ()
-        for text, reduction, program in self._functionals:
-            found += (Functional(text, reduction, program, tuple(self.quantities), found),)
+        for text, reduction, program, when in self._functionals:
+            found += (Functional(text, reduction, program, tuple(self.quantities), found, when),)
         return found
 
     def series(self) -> tuple[Program, _Value]:
@@ -344,12 +346,10 @@ class _MeasureCompiler(RunCompiler):
         span = self.spec.span
         if span and len(when) == 1 and when[0][0] == "const" and not span[0] <= when[0][1] <= span[1]:
             self.refuse(f"the run goes from {span[0]:g} s to {span[1]:g} s", node.args[1])
-        code = self.reduced("at", program, node)
-        code[-1:-1] = when
-        return code
+        return self.reduced("at", program, node, when)
 
-    def reduced(self, name: str, program: Code, node: ast.Call) -> _Code:
-        """Return a program that reduces another one over time."""
+    def reduced(self, name: str, program: Code, node: ast.Call, when: Sequence[tuple[str, float]] = ()) -> _Code:
+        """Return a program that reduces another one over time, or takes its value at a time, `when`."""
         value = _known(program)
         if not value.is_series:
             self.refuse(
@@ -362,24 +362,27 @@ class _MeasureCompiler(RunCompiler):
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
-        place = self._place_of_functional(name, program, node.args[0]) if name in OF_FUNCTIONAL else 0
-        return _Code([*program, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
+        place = self._place_of_functional(name, program, node, tuple(when)) if name in OF_FUNCTIONAL else 0
+        return _Code([*program, *when, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
 
-    def _place_of_functional(self, name: str, program: Code, node: ast.expr) -> int:
+    def _place_of_functional(self, name: str, program: Code, node: ast.Call, when: Program) -> int:
         """Return the index of a reduction among the functionals, from 1; 0 for those of the recorded times."""
         read = [self.quantities[int(number)] for operation, number in program if operation == "get"]
-        of_rows = any(operation.startswith(REDUCE) and not place for operation, place in program)
-        if of_rows or any(not one.is_over_time or one.recorded.array.accumulates for one in read):
+        if (
+            _is_of_rows(program)
+            or _is_of_rows(_without_end(when))
+            or any(not one.is_over_time or one.recorded.array.accumulates for one in read)
+        ):
             return 0
-        if name in EXTREMA and any(one.recorded.array.no_derivative for one in read):
+        if name not in INTEGRALS and any(one.recorded.array.no_derivative for one in read):
             return 0  # a misalignment is that of computed states, not of a motion between them
-        text, whole = ast.unparse(node), tuple(program)
-        if name in EXTREMA:
-            entry = f"{name}({text})", name, whole
+        text, whole = ast.unparse(node.args[0]), tuple(program)
+        if name not in INTEGRALS:
+            entry = ast.unparse(node), name, whole, when
         elif name == "rms":
-            entry = f"({text})**2", "integral", (*whole, ("powi", 2.0))
+            entry = f"({text})**2", "integral", (*whole, ("powi", 2.0)), when
         else:
-            entry = text, "integral", whole
+            entry = text, "integral", whole, when
         if entry not in self._functionals:
             self._functionals.append(entry)
         return 1 + self._functionals.index(entry)
@@ -474,6 +477,17 @@ def _product(left: _Value, right: _Value, power: Fraction) -> Unit | None:
 
 def _known(program: Code) -> _Value:
     return program.value if isinstance(program, _Code) else _NUMBER
+
+
+def _is_of_rows(program: Sequence[tuple[str, float]]) -> bool:
+    """Return whether a program has a reduction of the recorded times."""
+    return any(operation.startswith(REDUCE) and not place for operation, place in program)
+
+
+def _without_end(program: Program) -> Program:
+    """Return a program without ``final(t)``, the end of the run."""
+    ends = [place for place in range(1, len(program)) if program[place - 1 : place + 1] == _END]
+    return tuple(one for place, one in enumerate(program) if place not in ends)
 
 
 def _is_constant(program: Code) -> bool:

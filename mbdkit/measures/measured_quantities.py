@@ -42,6 +42,11 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit:
     return read_unit(UNITS_OF_ELEMENT.get(found.array.row_units, {}).get(of_element, of_element))
 
 
+def of_event(quantity: Quantity, times: np.ndarray) -> float:
+    """Return a quantity of an event from the times of its crossings [s]."""
+    return _EVENTS[quantity.attribute][1](times)
+
+
 def recorded(quantity: Quantity, run: Run) -> np.ndarray:
     """Return the values of a quantity in T recorded rows, (T,).
 
@@ -53,8 +58,7 @@ def recorded(quantity: Quantity, run: Run) -> np.ndarray:
         If the run did not record it.
     """
     if quantity.kind == "events":
-        times = np.asarray(run.events.of_name(quantity.name).time)
-        return np.array([_EVENTS[quantity.attribute][1](times)])
+        return np.array([of_event(quantity, np.asarray(run.events.of_name(quantity.name).time))])
     holder: Any = getattr(run, quantity.kind)
     index = holder[quantity.name].index if quantity.name else None
     return quantity.select(run.column(quantity.recorded.array.path, index, None)).T

@@ -55,9 +55,14 @@ OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "integral": lambda integral, duration: integral,
     "max": lambda extremum, duration: extremum,
     "min": lambda extremum, duration: extremum,
+    "at": lambda value, duration: value,
 }
 """Reductions as functions of a `Functional` and of the duration [s]; that of ``rms`` is the integral of the square."""
 EXTREMA = ("max", "min")
+INTEGRALS = ("mean", "rms", "integral")
+
+EventTimes = Callable[[Quantity], float]
+"""Returns a quantity of an event, such as the time of its first crossing."""
 
 
 def from_functional(name: str, found: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
@@ -67,18 +72,20 @@ def from_functional(name: str, found: float | tuple[float, ...], duration: float
 
 @dataclass(frozen=True)
 class Functional:
-    """An integral over time, or an extremum, that a measure needs.
+    """An integral over time, an extremum, or a value at a time, that a measure needs.
 
     Attributes
     ----------
     text
-        Its key: the integrand as an expression, or ``max(...)`` or ``min(...)`` of one.
+        Its key: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of one.
     reduction
-        ``integral``, ``max`` or ``min``.
+        ``integral``, ``max``, ``min`` or ``at``.
     program, quantities
         The quantity over time; see `mbdkit.measures.measure_expression.MeasureExpression`.
     inner
         Inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from 1.
+    when
+        The time of a value at a time, which may depend on inner functionals and on the times of events.
     """
 
     text: str
@@ -86,6 +93,12 @@ class Functional:
     program: Program
     quantities: tuple[Quantity, ...]
     inner: tuple[Functional, ...] = ()
+    when: Program = ()
+
+    @property
+    def is_value(self) -> bool:
+        """Whether it is a value at a time."""
+        return self.reduction == "at"
 
     @property
     def is_extremum(self) -> bool:
@@ -94,8 +107,10 @@ class Functional:
 
     @cached_property
     def is_nested(self) -> bool:
-        """Whether it contains other functionals, so that its values are known only at the end of a run."""
-        return any(operation.startswith(REDUCE) for operation, _ in self.program)
+        """Whether it contains other functionals or times of events, so that it is known only at the end of a run."""
+        return any(operation.startswith(REDUCE) or operation == "get" for operation, _ in self.when) or any(
+            operation.startswith(REDUCE) for operation, _ in self.program
+        )
 
     @cached_property
     def has_switches(self) -> bool:
@@ -108,12 +123,39 @@ class Functional:
     @property
     def is_of_stages(self) -> bool:
         """Whether it is summed over the stages of the steps, whose weights assume a smooth integrand."""
-        return not self.is_extremum and not self.has_switches
+        return not self.is_extremum and not self.is_value and not self.has_switches
 
     @property
     def read(self) -> list[Quantity]:
         """The quantities that it reads."""
         return [self.quantities[int(number)] for operation, number in self.program if operation == "get"]
+
+    def time(self, known: Integrals, span: tuple[float, float], events: EventTimes) -> float:
+        """Return the time of a value at a time [s].
+
+        Parameters
+        ----------
+        known
+            The values of `inner`, by their texts.
+        span
+            First and last time of the run [s].
+        events
+            Returns quantities of events.
+        """
+
+        def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
+            if operation == REDUCE + "final":  # of t
+                return np.array([span[1]])
+            if operation.startswith(REDUCE):
+                found = known[self.inner[int(number) - 1].text]
+                return from_functional(operation.removeprefix(REDUCE), found, span[1] - span[0], operands[0])
+            if operation == "get":  # those of others are operands of functionals
+                quantity = self.quantities[int(number)]
+                return np.array([events(quantity) if quantity.kind == "events" else np.nan])
+            return applied(operation, number, operands, self.quantities, Series(np.zeros(1), lambda _: np.zeros(1)))
+
+        with np.errstate(all="ignore"):
+            return float(execute(self.when, step)[0])
 
     def values(self, series: Series, known: Integrals, duration: float) -> np.ndarray:
         """Return the values at T times: (T,), or (2, T) for a vector.
@@ -149,7 +191,7 @@ class Functional:
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
             if operation.startswith(REDUCE):
                 found = known[self.inner[int(number) - 1].text]
-                return from_functional(operation.removeprefix(REDUCE), found, duration, *operands)
+                return from_functional(operation.removeprefix(REDUCE), found, duration, operands[0])
             argument = _switch_of(operation, operands, groups)
             if argument is not None and argument.shape[-1] * groups == count:
                 switches.append(np.broadcast_to(argument, (groups, count // groups)))

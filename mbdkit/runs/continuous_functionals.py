@@ -1,4 +1,4 @@
-"""Integrals and extrema of the motion between the ends of the steps of a run, block by block during the run."""
+"""Integrals, extrema and values of the motion between the ends of the steps of a run, block by block during the run."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.measures.reductions import Functional
+from mbdkit.measures.reductions import EventTimes, Functional
 from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import MotionPart, Peak, observed_at, sampled, steps_of_extremum
 from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
 from mbdkit.stepping.interface import SAME_TIME, StepTaken, Timetable
@@ -51,14 +52,14 @@ class _Ends:
 
 
 class ContinuousFunctionals:
-    """Integrals and extrema of the motion between the ends of steps.
+    """Integrals, extrema and values at given times of the motion between the ends of steps.
 
     Parameters
     ----------
     workspace
         The mechanism at its start. Accelerations and reactions are computed with pivots of their own.
     functionals
-        The integrals and extrema.
+        The integrals, extrema and values.
     timetable
         The times of the run.
     uses_accelerations
@@ -77,7 +78,9 @@ class ContinuousFunctionals:
         self._observer = StateObserver(workspace.with_own_pivots())
         self._names = archive_names(workspace.mechanism)
         self._direct = [one for one in functionals if not one.is_nested]
-        self._sums = {one.text: np.zeros(1) for one in self._direct if not one.is_extremum}
+        self._sums = {one.text: np.zeros(1) for one in self._direct if not (one.is_extremum or one.is_value)}
+        self._values = {one.text: np.full(1, np.nan) for one in self._direct if one.is_value}
+        self._times = {one.text: one.time({}, (np.nan, np.nan), no_events) for one in self._direct if one.is_value}
         self._peaks = {one.text: Peak(math.nan, math.nan) for one in self._direct if one.is_extremum}
         self._keeps = len(self._direct) < len(functionals)
         self._ends = self._new_part(workspace.t0, workspace.q0, workspace.v0)
@@ -129,8 +132,11 @@ class ContinuousFunctionals:
             if left <= 0 or (whole and left < BLOCK + BESIDE):
                 return
             first, count = ends.done, min(BLOCK, left)
-            part = self._part(ends, first, count)
-            for one in self._direct:
+            span = ends.time[first], ends.time[first + count]
+            wanted = [one for one in self._direct if not one.is_value or self._is_within(one, span)]
+            part = self._part(ends, first, count) if wanted else None
+            for one in wanted:
+                assert part is not None
                 self._add(one, part)
             ends.done += count
             if not self._keeps and ends.done > BESIDE:
@@ -148,9 +154,15 @@ class ContinuousFunctionals:
         steps = range(first - begin, first - begin + count)
         return MotionPart(self._observer, self._names, StepEnds(time, q, v, accelerations), steps, sides)
 
+    def _is_within(self, one: Functional, span: tuple[float, float]) -> bool:
+        """Return whether the time of a value is within a span, and the value unknown."""
+        return span[0] <= self._times[one.text] <= span[1] and bool(np.isnan(self._values[one.text]).any())
+
     def _add(self, one: Functional, part: MotionPart) -> None:
-        """Add a part of the motion to an integral or an extremum."""
-        if one.is_extremum:
+        """Add a part of the motion to an integral, an extremum or a value."""
+        if one.is_value:
+            self._values[one.text] = value_at(part, one, {}, 0.0, self._times[one.text])
+        elif one.is_extremum:
             self._peaks[one.text] = peak_with(part, one, {}, 0.0, self._peaks[one.text])
         else:
             self._sums[one.text] = self._sums[one.text] + sampled(part, one, {}, 0.0).integral()
@@ -158,20 +170,35 @@ class ContinuousFunctionals:
     def totals(self) -> dict[str, np.ndarray]:
         """Return the values of the functionals that are not nested, by their texts; nan where undefined."""
         self._take(whole=False)
-        return self._sums | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
+        return self._sums | self._values | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
 
-    def nested(self, one: Functional, known: Integrals) -> np.ndarray:
-        """Return the value of a nested functional from those of its inner ones."""
+    def nested(self, one: Functional, known: Integrals, events: EventTimes) -> np.ndarray:
+        """Return the value of a nested functional from those of its inner ones.
+
+        Parameters
+        ----------
+        events
+            Returns quantities of events.
+        """
         whole = [part for part in self._parts if len(part.time) > 1]
-        duration = whole[-1].time[-1] - whole[0].time[0] if whole else 0.0
+        span = (whole[0].time[0], whole[-1].time[-1]) if whole else (math.nan, math.nan)
+        duration = span[1] - span[0] if whole else 0.0
         total, peak = np.zeros(1), Peak(math.nan, math.nan)
+        time = one.time(known, span, events) if one.is_value else math.nan
         for ends in whole:
             for first in range(0, len(ends.time) - 1, BLOCK):
-                part = self._part(ends, first, min(BLOCK, len(ends.time) - 1 - first))
+                last = min(first + BLOCK, len(ends.time) - 1)
+                if one.is_value and not ends.time[first] <= time <= ends.time[last]:
+                    continue
+                part = self._part(ends, first, last - first)
+                if one.is_value:
+                    return value_at(part, one, known, duration, time)
                 if one.is_extremum:
                     peak = peak_with(part, one, known, duration, peak)
                 else:
                     total = total + sampled(part, one, known, duration).integral()
+        if one.is_value:
+            return np.full(1, np.nan)
         return np.array([peak.value]) if one.is_extremum else total
 
     def stored(self) -> dict[str, Any]:
@@ -179,13 +206,15 @@ class ContinuousFunctionals:
         parts = self._parts or [self._ends]
         return {
             "sums": self._sums,
+            "values": self._values,
             "peaks": {text: [peak.value, peak.time] for text, peak in self._peaks.items()},
             "parts": [[np.array(x.time), np.array(x.q), np.array(x.v), [x.begin, x.end, float(x.done)]] for x in parts],
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
-        if state["sums"].keys() != self._sums.keys() or state["peaks"].keys() != self._peaks.keys():
+        own: dict[str, Mapping[str, Any]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
+        if any(state[name].keys() != one.keys() for name, one in own.items()):
             raise ValueError("it has other integrals")
         size, parts = len(self._workspace.q0), []
         for time, q, v, (begin, end, done) in state["parts"]:
@@ -194,9 +223,22 @@ class ContinuousFunctionals:
             parts.append(_Ends(time.tolist(), list(q), list(v), float(begin), float(end), int(done)))
         if not parts or (len(parts) > 1 and not self._keeps):
             raise ValueError("its steps have other shapes")
-        self._sums = {text: np.asarray(total) for text, total in state["sums"].items()}
+        self._sums, self._values = (
+            {text: np.asarray(found) for text, found in state[name].items()} for name in ("sums", "values")
+        )
         self._peaks = {text: Peak(float(value), float(time)) for text, (value, time) in state["peaks"].items()}
         self._ends, self._parts = parts[-1], parts if self._keeps else []
+
+
+def no_events(quantity: Quantity) -> float:
+    """Return nan, the time of an event that is not known."""
+    return math.nan
+
+
+def value_at(part: MotionPart, one: Functional, known: Integrals, duration: float, time: float) -> np.ndarray:
+    """Return a value at a time within a part of the motion, (1,), or (2,) of a vector."""
+    found = one.values(part.series(np.array([time])), known, duration)
+    return np.atleast_1d(found.reshape(-1))
 
 
 def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: float, before: Peak) -> Peak:

@@ -1,9 +1,9 @@
-"""Time integrals and extrema for measures, computed during the run.
+"""Time integrals, extrema, and values at given times for measures, computed during the run.
 
 The weighted sum of the values of a smooth integrand at the stages is the result of the method for an additional
 equation ``z' = f(t, q, v)``, so that an integral has the order of the method for any number of recorded states.
-Integrands with `abs`, `min` or `max`, and extrema, are those of the motion between the ends of the steps; see
-`mbdkit.runs.continuous_motion`.
+Integrands with `abs`, `min` or `max`, extrema, and values at given times are those of the motion between the ends of
+the steps; see `mbdkit.runs.continuous_motion`.
 
 The values of a quantity that contains other integrals, as in ``rms(x - mean(x))``, are known only at the end of the
 run. Until then, the quantities that it reads at all nodes are kept, or the ends of all steps.
@@ -19,11 +19,11 @@ import numpy as np
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.reductions import Functional, Series
+from mbdkit.measures.reductions import EventTimes, Functional, Series
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
-from mbdkit.runs.continuous_functionals import ContinuousFunctionals
+from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
 from mbdkit.stepping.interface import Nodes, Timetable
 
 if TYPE_CHECKING:
@@ -106,8 +106,14 @@ class RunIntegrals:
         if sum(len(one.time) for one in self._waiting) >= BLOCK:
             self._take(whole=True)
 
-    def totals(self) -> Integrals:
-        """Return all values by the texts of the functionals, in SI units; nan where undefined."""
+    def totals(self, events: EventTimes = no_events) -> Integrals:
+        """Return all values by the texts of the functionals, in SI units; nan where undefined.
+
+        Parameters
+        ----------
+        events
+            Returns quantities of the events of the run.
+        """
         self._take(whole=False)
         found: dict[str, float | tuple[float, ...]] = {}
         for one, total in zip(self._direct, self._sums or [np.zeros(1)] * len(self._direct), strict=True):
@@ -121,7 +127,7 @@ class RunIntegrals:
                 at_nodes = one.values(series, found, duration)
                 found[one.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
             elif one.is_nested and self.continuous is not None:
-                found[one.text] = _plain(self.continuous.nested(one, found))
+                found[one.text] = _plain(self.continuous.nested(one, found, events))
         return {one.text: found[one.text] for one in self.functionals}
 
     def stored(self) -> dict[str, Any]:

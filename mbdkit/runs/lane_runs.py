@@ -108,12 +108,12 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     if found := next((clause for holds, clause in reasons if holds), ""):
         return found
     functionals = functionals_of(spec, measures)
-    if not all(one.is_extremum and not one.is_nested for one in functionals):
+    if not all((one.is_extremum or one.is_value) and not one.is_nested for one in functionals):
         return "their measures contain integrals over time"
     if has_ranges(spec.mechanism()) and not steps_are_rows(spec):
         return "the ranges of their force laws are watched between the recorded states"
     if functionals and not steps_are_rows(spec):
-        return "their measures contain extrema, and they do not record every step"
+        return "their measures contain extrema or `at`, and they do not record every step"
     method = make_method(spec)
     if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
@@ -236,7 +236,7 @@ class LaneRuns:
             for first in range(0, len(places), WIDTH):
                 some = places[first : first + WIDTH]
                 for place, run in zip(some, group.finished([members[place] for place in some]), strict=True):
-                    results[place] = None if run is None else _with_extrema(run, members[place], self._measures)
+                    results[place] = None if run is None else _with_functionals(run, members[place], self._measures)
         return results
 
     def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
@@ -247,8 +247,8 @@ class LaneRuns:
         return group
 
 
-def _with_extrema(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
-    """Return a run with the extrema that measures need, from its rows, which are the ends of all steps."""
+def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
+    """Return a run with the extrema and values that measures need, from its rows, which are the ends of all steps."""
     start, functionals = member.start, functionals_of(member.spec, measures)
     if not functionals or start.mechanism.states:
         return run

@@ -17,6 +17,8 @@ from mbdkit.engine.redundant_joints import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
+from mbdkit.measures.measured_quantities import of_event
+from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.table import RECORDED
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
@@ -96,6 +98,7 @@ class Recorder:
         self.reached = np.tile([[np.inf], [-np.inf]], len(mechanism.joints))
         self.energies = EnergyRecord()
         self.last_time = workspace.t0
+        self.event_times: dict[str, list[float]] = {}
         self.kept: list[ObservedRows] | None = None
         self.ranges = ranges
 
@@ -277,6 +280,8 @@ class Recorder:
         if not found:
             return
         shape = (len(found), len(self.workspace.mechanism.bodies), 3)
+        for one in found:
+            self.event_times.setdefault(one.name, []).append(one.time)
         self.writer.append_events(
             {
                 "name": np.array([one.name for one in found], dtype=object),
@@ -286,6 +291,10 @@ class Recorder:
                 "velocity": np.array([one.v[:-3] for one in found]).reshape(shape),
             }
         )
+
+    def of_event(self, quantity: Quantity) -> float:
+        """Return a quantity of an event of the run so far."""
+        return of_event(quantity, np.array(self.event_times.get(quantity.name, [])))
 
     def stored(self) -> dict[str, Any]:
         """Return the state on which later rows depend, as plain values for a checkpoint."""
@@ -297,6 +306,7 @@ class Recorder:
             "reached": self.reached,
             "energies": [energies.kinetic, energies.energy, energies.balance],
             "last_time": self.last_time,
+            "events": {name: np.array(times) for name, times in self.event_times.items()},
             "near": self._observer.kept,
             "solver": stored_solver(self.workspace.solver),
             "pivotings": self.workspace.pivotings,
@@ -312,6 +322,7 @@ class Recorder:
         energies = self.energies
         energies.kinetic, energies.energy, energies.balance = map(float, state["energies"])
         self.last_time = float(state["last_time"])
+        self.event_times = {name: np.asarray(times).tolist() for name, times in state["events"].items()}
         fill(self._observer.kept, state["near"])
         self.workspace.use_solver(solver_of(self.workspace, state["solver"]))
         self.workspace.pivotings = int(state["pivotings"])

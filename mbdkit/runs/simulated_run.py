@@ -408,7 +408,7 @@ class SimulatedRun:
             judgement,
             self.warnings,
             self.accuracy,
-            {} if self.integrals is None else self.integrals.totals(),
+            {} if self.integrals is None else self.integrals.totals(self.recorder.of_event),
         )
         self.file = self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
 

@@ -308,9 +308,11 @@ def _prepared(
         _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
     functionals = functionals_of(spec, measures)
-    require_states(workspace.mechanism, spec, has_integrals=any(not one.is_extremum for one in functionals))
+    require_states(
+        workspace.mechanism, spec, has_integrals=any(not (one.is_extremum or one.is_value) for one in functionals)
+    )
     if workspace.mechanism.states:
-        functionals = ()  # the extrema are those of the recorded times
+        functionals = ()  # extrema and values are those of the recorded times
     noted: list[bool] = []
     noting = interrupts_noted if begun is not _begun_arrays else _not_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed

@@ -193,6 +193,7 @@ REDUCED = {
     3: ("degrees", "outliers"),
     5: ("frame_of_load", "wrong_foot", "filled_gap"),
     6: ("scale_of_plate", "sign_of_load"),
+    32: ("rounded_times",),
 }
 """Some of the faults of `python -m tests.benchmarks.data_faults`, by number of the data set."""
 

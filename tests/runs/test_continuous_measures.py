@@ -58,6 +58,7 @@ EXACT = {
     "lowest": ("min(slider.x)", -A, -1.0),
     # the peak of the smaller of two: x = 0.5 - x/2 at x = 1/3, whatever the amplitude
     "kinked": ("max(min(slider.x, 0.5 - slider.x/2))", 1 / 3, 0.0),
+    "moment": ("at(slider.x, 1.234)", A * np.cos(W * 1.234), np.cos(W * 1.234)),
     "swing": ("integral(abs(slider.x - mean(slider.x)))", None, None),
 }
 
@@ -103,11 +104,11 @@ def test_recorded_rows_and_lanes_do_not_matter() -> None:
     every = mbdkit.run(spec)
     assert mbdkit.run(spec | {"output": {"every": 1000}}).integrals == every.integrals
     assert mbdkit.run(spec | {"output": {"every": 7}}).integrals == every.integrals
-    extrema = RunSpec(**spec | {"measures": {name: TEXTS[name] for name in ("peak", "lowest", "kinked")}})
+    extrema = RunSpec(**spec | {"measures": {name: TEXTS[name] for name in ("peak", "lowest", "kinked", "moment")}})
     assert why_alone(extrema) == ""
     (in_lane,) = simulate_batch([extrema])
     assert in_lane.integrals == {text: every.integrals[text] for text in in_lane.integrals}
-    assert len(in_lane.integrals) == 3
+    assert len(in_lane.integrals) == 4
     assert "integrals" in why_alone(RunSpec(**spec))
 
 
@@ -180,6 +181,32 @@ def test_points_without_derivative_are_named(measure: str, word: str | None) -> 
     found = mbdkit.gradient(spec, measure, "model.bodies.slider.position.0", check=False)
     assert bool(found.doubts) == (word is not None)
     assert word is None or word in found.doubts[0]
+
+
+@pytest.mark.parametrize("output", [{"every": 1}, {"every": 1000}])
+def test_values_at_times_of_events_and_other_results_are_those_of_the_motion(output: dict[str, Any]) -> None:
+    # v = 1 at the first turn where sin(w t) = -1/(a w), x = -sqrt(a^2 - 1/w^2) there; the mean of t is its middle
+    x = -np.sqrt(A**2 - 1 / W**2)
+    found = {
+        "at(slider.x, events.fast.time)": (x, A / x),
+        "at(slider.vx, events.fast.last_time)": (1.0, 0.0),
+        "at(slider.ax, final(t) - 0.11)": (-(W**2) * np.cos(W * (END - 0.11)), -(W**2) * np.cos(W * (END - 0.11))),
+        "at(slider.x, mean(t))": (np.cos(W * END / 2), np.cos(W * END / 2)),
+        "at(slider.x - mean(slider.x), 0.5)": (np.cos(W / 2) - np.sin(W * END) / (W * END),) * 2,
+        "abs(at(slider.position, 0.777))": (abs(np.cos(W * 0.777)),) * 2,
+    }
+    events = {"fast": {"when": "slider.vx - 1"}, "never": {"when": "slider.x - 5"}}
+    spec = oscillator({"name": "gauss", "stages": 3}, 0.05, events=events, output=output)
+    missing = "at(slider.x, events.never.time)"
+    made = mbdkit.run(spec | {"measures": {f"m{k}": text for k, text in enumerate([*found, missing])}})
+    assert [*made.measures.values()][:-1] == pytest.approx([value for value, _ in found.values()], abs=1e-9)
+    assert np.isnan(made.measures[f"m{len(found)}"])
+    gradient = mbdkit.gradient(spec, list(found), "model.bodies.slider.position.0")
+    assert gradient.jacobian[:, 0] == pytest.approx([slope for _, slope in found.values()], abs=1e-8)
+    assert gradient.value == pytest.approx([*made.measures.values()][:-1], rel=1e-12)
+    assert gradient.check is not None
+    assert gradient.check.is_passed
+    assert gradient.doubts == ()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import random
 import shutil
@@ -48,6 +49,14 @@ BADLY_SCALED = {
 """The crumb is so light that the run takes the system with pivots, which are chosen anew as the rods turn over."""
 
 TIGHT = {"adaptive": True, "rtol": 1e-10, "atol": 1e-10}
+MEASURES = {
+    "early": "at(rod2.y, 0.0123)",
+    "first": "at(rod2.vx, events.pull.time + 0.0001)",
+    "last": "at(rod2.angle, events.pull.last_time)",
+    "path": "integral(abs(rod2.vx))",
+    "smooth": "integral(rod2.vx**2)",
+    "fastest": "max(abs(rod1.angular_velocity))",
+}
 EVENTS = {"up": {"when": "rod2.y", "direction": "any"}, "pull": {"when": "J1.force - 30", "direction": "any"}}
 
 
@@ -88,7 +97,7 @@ SPECS = {
     "gauss": spec_of(GAUSS, {"steps": 6000, "step": 1e-3}, output={"every": 5}),
     "gauss, projection": spec_of(GAUSS, {"steps": 4000, "step": 1e-3}, stabilization="projection"),
     "gauss, projection, events": spec_of(
-        GAUSS, {"steps": 600, "step": 2e-3}, stabilization="projection", events=EVENTS
+        GAUSS, {"steps": 600, "step": 2e-3}, stabilization="projection", events=EVENTS, measures=MEASURES
     ),
     "dopri5, adaptive": spec_of({"name": "dopri5", **TIGHT}, {"end": 15.0}, output={"interval": 0.01}),
     "radau-iia, adaptive": spec_of({"name": "radau-iia", **TIGHT}, {"end": 10.0}, output={"interval": 0.01}),
@@ -124,6 +133,8 @@ def test_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     assert not check(part.with_suffix(""))
     counters = [name for name in whole.stats if not name.endswith("_s")]
     assert {name: run.stats[name] for name in counters} == {name: whole.stats[name] for name in counters}
+    assert dict(run.measures) == dict(whole.measures)
+    assert all(map(math.isfinite, whole.measures.values()))
     assert (run.status_reason, run.verdict_reasons) == (whole.status_reason, whole.verdict_reasons)
     assert run.provenance.get("resumed") in (1, 2)
     assert os.listdir(tmp_path) == ["run.h5"]
