@@ -72,6 +72,9 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         Why a value could not be taken, by name.
     errors
         Estimated errors by name, of runs with a check; nan where unknown.
+    remarks
+        What users should know about a value, by name: why its error is unknown although the run has a check, or that
+        recorded rows exceed it.
     """
 
     def __init__(
@@ -80,11 +83,13 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         units: Mapping[str, str],
         reasons: Mapping[str, str] | None = None,
         errors: Mapping[str, float] | None = None,
+        remarks: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(values)
         self.errors: ReadOnlyDict[str, float] = ReadOnlyDict(dict.fromkeys(values, math.nan) | dict(errors or {}))
         self.units: ReadOnlyDict[str, str] = ReadOnlyDict(units)
         self.reasons: ReadOnlyDict[str, str] = ReadOnlyDict(reasons or {})
+        self.remarks: ReadOnlyDict[str, str] = ReadOnlyDict(remarks or {})
 
     @classmethod
     def from_json(cls, text: str) -> MeasuredValues:
@@ -101,12 +106,13 @@ class MeasuredValues(ReadOnlyDict[str, float]):
             units = {name: str(one["unit"]) for name, one in found.items()}
             reasons = {name: str(one["reason"]) for name, one in found.items() if "reason" in one}
             errors = {name: _number(one["error"]) for name, one in found.items() if "error" in one}
+            remarks = {name: str(one["remark"]) for name, one in found.items() if "remark" in one}
         except (AttributeError, KeyError, TypeError) as error:
             raise ValueError("the attribute measures has no values and units by name") from error
-        return cls(values, units, reasons, errors)
+        return cls(values, units, reasons, errors, remarks)
 
     def to_dict(self) -> dict[str, dict[str, float | str | None]]:
-        """Return value, unit and, where there is one, estimated error and reason of failure of each measure.
+        """Return value, unit and, where there is one, estimated error, reason of failure and remark of each measure.
 
         Values that are not finite become None.
         """
@@ -117,6 +123,8 @@ class MeasuredValues(ReadOnlyDict[str, float]):
                 found[name]["error"] = _finite(self.errors[name])
             if name in self.reasons:
                 found[name]["reason"] = self.reasons[name]
+            if name in self.remarks:
+                found[name]["remark"] = self.remarks[name]
         return found
 
     def to_json(self) -> str:

@@ -390,7 +390,8 @@ def _measures(run: Run) -> list[tuple[str, str]]:
         error = run.measure_errors[name]
         number = f"{value:.6g}" if math.isnan(error) else f"{value:.6g} +- {error:.2g}"
         text = f"{number} {unit.removesuffix('1')}".rstrip() if math.isfinite(value) else reason
-        lines.append(("" if lines else "measures", f"{name} {text}"))
+        remark = f" ({run.measures.remarks[name]})" if name in run.measures.remarks else ""
+        lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
     return lines
 
 

@@ -127,11 +127,17 @@ def is_passing(outcome: Outcome) -> bool:
 
 def plain_outcome(outcome: Outcome) -> dict[str, Any]:
     """Return an outcome as plain data; unknown numbers are None."""
-    values = [value if math.isfinite(value) else None for value in outcome.values]
-    return {"values": values, "verdict": outcome.verdict, "reason": outcome.reason}
+    values, errors = (
+        [value if math.isfinite(value) else None for value in some] for some in (outcome.values, outcome.errors)
+    )
+    plain: dict[str, Any] = {"values": values, "verdict": outcome.verdict, "reason": outcome.reason}
+    return plain | ({"errors": errors} if errors else {})
 
 
 def outcome_of(data: dict[str, Any]) -> Outcome:
     """Return the outcome from plain data."""
-    values = tuple(math.nan if value is None else float(value) for value in data["values"])
-    return Outcome(values, str(data["verdict"]), str(data["reason"]))
+    values, errors = (
+        tuple(math.nan if value is None else float(value) for value in some)
+        for some in (data["values"], data.get("errors", ()))
+    )
+    return Outcome(values, str(data["verdict"]), str(data["reason"]), errors)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from itertools import islice
 from typing import Any
 
@@ -19,7 +19,7 @@ from mbdkit.base.logs import to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.inverse_dynamics.inverse_run import compute_run
-from mbdkit.measures.take import describe, take
+from mbdkit.measures.take import describe, error_of, take
 from mbdkit.runs.batch import simulate_batch
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
@@ -40,11 +40,14 @@ class Outcome:
         Goals and limits in their order; nan if the run failed.
     verdict, reason
         Verdict on the run, or ``failed``; and why it failed, or is doubtful or bad.
+    errors
+        Estimated errors of the values; nan where unknown, empty without a check.
     """
 
     values: tuple[float, ...]
     verdict: str
     reason: str = ""
+    errors: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,8 @@ class ScenarioRuns:
                 continue
             stored = Run(ArrayContents(result, Heading(spec)))
             values = tuple(take(measure, stored, spec) for measure in self._measures)
-            found[place] = _judged(values, result.judgement.level, result.judgement.reasons)
+            errors = tuple(map(partial(error_of, run=stored, spec=spec), self._measures, values)) if spec.check else ()
+            found[place] = replace(_judged(values, result.judgement.level, result.judgement.reasons), errors=errors)
         return [one for one in found if one is not None]
 
     @property

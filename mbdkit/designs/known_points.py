@@ -52,7 +52,8 @@ class PointFile:
     """A text file with a line of JSON for each evaluated scenario and point: ``points.jsonl``.
 
     A line has the ``scenario``, the ``settings`` of its keys, the ``values`` of goals and limits by name (null if the
-    run failed), the ``verdict`` on the run, the ``reason`` of a failure, and a check sum. Lines are added at the end,
+    run failed), the ``verdict`` on the run, the ``reason`` of a failure, the ``errors`` of the values in their order if
+    they were estimated, and a check sum. Lines are added at the end,
     so that a killed process leaves one unfinished line at most, which is removed by the next one. Damaged lines are
     removed, too, so that their points are computed again.
 

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
-from mbdkit.base.plain_data import Path
 from mbdkit.designs.evaluation import Evaluator, Job, Outcome, Settings
-from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.spec import InverseSpec, RunSpec
 
-FINER = 2.0
-"""Factor by which the steps of the finer run are shorter."""
-TIGHTER = 100.0
-"""Factor by which its tolerances are tighter, if its steps adapt."""
-GAUSS, RADAU = {"name": "gauss", "stages": 3}, {"name": "radau-iia", "stages": 3}
-"""The other method that a result is compared with: Gauss, or Radau IIA for runs of Gauss. In formulations other than
-index-1, it is Radau IIA with other stages."""
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
 """Verdicts from the worst to the best."""
 
@@ -31,9 +20,8 @@ class Trust:
     Attributes
     ----------
     errors
-        Estimated error of each goal and limit at the best point, by name: the largest difference from a run with
-        shorter steps or tighter tolerances, and from one of another method; nan for inverse dynamics, which has no
-        steps, and where no such run ended.
+        Estimated error of each goal and limit at the best point, by name: the errors of these measures in the runs
+        there (`Run.measure_errors`); nan where they are unknown, as in inverse dynamics, which has no steps.
     gain
         Decrease of each goal from the start to the best point, by name.
     is_gain
@@ -44,7 +32,7 @@ class Trust:
     reason
         Reason why this is doubtful or bad; empty otherwise.
     failures
-        Failures of runs that were to estimate errors, the first one at the start and at the best point, as sentences.
+        Why errors of runs are unknown, the first reason at the start and at the best point, as sentences.
     """
 
     errors: dict[str, float]
@@ -76,14 +64,15 @@ class Trust:
 
 
 def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
-    """Certify the best point (n,) by runs with shorter steps and with another method."""
+    """Certify the best point (n,) by runs that estimate their errors, there and at the start."""
     goals = evaluator.spec.totals
-    errors_at_start, failures_at_start = _errors(evaluator, start, "start")
-    errors, failures = _errors(evaluator, best, "best point")
+    checked_at_start, checked = (_checked(evaluator, x) for x in (start, best))
+    errors_at_start, failures_at_start = _errors(evaluator, start, checked_at_start, "start")
+    errors, failures = _errors(evaluator, best, checked, "best point")
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
     both = errors_at_start + errors
-    worst = min(_checked(evaluator, best), key=lambda one: WORST.index(one.verdict))
+    worst = min(checked, key=lambda one: WORST.index(one.verdict))
     return Trust(
         errors=dict(zip([*goals, *evaluator.spec.subject_to], errors.tolist(), strict=True)),
         gain=gain,
@@ -102,65 +91,32 @@ def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:
 
 
 def check_of(spec: RunSpec | InverseSpec) -> Settings:
-    """Return the changes of a spec that enable error estimates; inverse dynamics always estimates errors."""
-    return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.estimates_errors else []
+    """Return the changes of a spec that enable error estimates of its measures, which inverse dynamics has none of."""
+    return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.check else []
 
 
-def _errors(evaluator: Evaluator, x: np.ndarray, point: str) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the estimated errors at a point (n,), called `point` in messages, and messages about runs that fail.
+def _errors(
+    evaluator: Evaluator, x: np.ndarray, checked: list[Outcome], point: str
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the estimated errors at a point (n,), called `point` in messages, and why some of them are unknown.
 
     The errors (K,) of goals are summed over the scenarios; those of limits are the largest over the scenarios.
     """
-    settings, differences = evaluator.settings(x), []
-    changes = [_changes(runs.at(settings)) for runs in evaluator.scenarios]
-    jobs = [
-        Job(name, [*settings, *change])
-        for name, each in zip(evaluator.spec.specs, changes, strict=True)
-        for change in each.values()
-    ]
-    outcomes = iter(evaluator.run(jobs))
-    failures = []
-    for scenario, found, each in zip(evaluator.spec.specs, evaluator.outcomes(x[None])[0], changes, strict=True):
-        others = dict(zip(each, outcomes, strict=False))
+    unknown = []
+    for scenario, one in zip(evaluator.spec.specs, checked, strict=True):
         where = f" in the scenario '{scenario}'" if scenario else ""
-        failures += [
-            f"The run at the {point} with {change}{where} fails, so that errors there are unknown: "
-            f"{one.reason.rstrip('.')}."
-            for change, one in others.items()
-            if one.verdict == "failed"
-        ]
-        away = [np.abs(np.subtract(other.values, found.values)) for other in others.values()]
-        differences.append(np.max(away, axis=0) if away else np.full(len(found.values), np.nan))
+        names = [name for name, error in zip(evaluator.names, one.errors, strict=False) if np.isnan(error)]
+        if one.verdict == "failed":
+            unknown.append(f"The run at the {point} that estimates errors{where} fails: {one.reason.rstrip('.')}.")
+        elif names:
+            unknown.append(
+                f"The errors of {', '.join(names)} at the {point}{where} are unknown: the values in runs with smaller "
+                "steps or tolerances do not converge, or such a run fails."
+            )
+    table = np.array([one.errors or (np.nan,) * len(one.values) for one in checked])
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
-    table = np.array(differences)
     of_goals = table[:, :count]
     if evaluator.spec.sums_squares:  # (r + e)^2 - r^2
         values = np.abs(evaluator.values(x[None])[0][:, :count])
         of_goals = np.sum(of_goals * (2 * values + of_goals), axis=1, keepdims=True)
-    return np.concatenate([weights @ of_goals, np.max(table[:, count:], axis=0, initial=-np.inf)]), tuple(failures)
-
-
-def _changes(spec: Any) -> dict[str, Settings]:
-    """Return the changes of a run spec for a finer run and for one with another method, by description.
-
-    Empty for inverse dynamics.
-    """
-    if not isinstance(spec, RunSpec):
-        return {}
-    step = spec.time.step
-    other = RADAU if spec.integrator_item.name == "gauss" else GAUSS
-    if FORMULATIONS[spec.formulation].solves_multipliers:  # Gauss methods support no such formulation
-        other = {**RADAU, "stages": 3 if getattr(spec.integrator, "stages", 0) == 5 else 5}
-    try:
-        adaptive = spec.claims.adaptive
-    except MbdkitError:
-        adaptive = False
-    if not adaptive and step is not None:
-        halved: tuple[Path, Any] = (("time", "step"), step / FINER)
-        return {"half the step": [halved], f"half the step and {other['name']}": [(("integrator",), other), halved]}
-    tolerances = [
-        (("integrator", name), getattr(spec.integrator, name) / TIGHTER)
-        for name in ("rtol", "atol")
-        if getattr(spec.integrator, name, None) is not None
-    ]
-    return {"tighter tolerances": tolerances} if tolerances else {}
+    return np.concatenate([weights @ of_goals, np.max(table[:, count:], axis=0, initial=-np.inf)]), tuple(unknown)

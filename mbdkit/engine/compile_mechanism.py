@@ -144,7 +144,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
             row = pair.first_row + r
             rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
 
-    length = _length(mechanism)
+    length = characteristic_length(mechanism)
     topology = Topology(
         **_of_bodies(mechanism),
         **_of_pairs([pairs[k] for k in order], rows, min(1.0, length)),
@@ -392,7 +392,7 @@ class _Beams:
             elements += beam.elements
 
 
-def _length(mechanism: Mechanism) -> float:
+def characteristic_length(mechanism: Mechanism) -> float:
     """Return the largest distance [m] between two joint points, or a joint point and the centre of mass, of one body.
 
     The length of a beam counts as well. The result is 1 if all distances are 0.

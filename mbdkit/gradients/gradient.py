@@ -24,6 +24,7 @@ from mbdkit.gradients.differentiated_expressions import (
 from mbdkit.gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
 from mbdkit.gradients.differentiated_states import require_derivative
 from mbdkit.gradients.gradient_check import (
+    NATURAL,
     Direction,
     GradientCheck,
     Measured,
@@ -36,6 +37,7 @@ from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
 from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.compared_measures import other_methods
 from mbdkit.runs.preparation import build, make_method
@@ -313,11 +315,15 @@ def gradient_of_run(
     values, slopes, sizes = [], [], {}
     doubts = list(run.doubts)
     measure = MeasureOfRun(run)
+    mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
+    mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
+    scales = natural_scales(mechanism.length, mass, mechanism.topology.gravity.tolist(), duration)
     for name, one in expressions.items():
         found, slope = measure.of(one, slopes_of(one.program, prepared.seeds, of_measure(name)))
         values.append(found)
         slopes.append(slope)
-        sizes[name] = max(abs(found), measure.size)
+        natural = natural_size(one.unit, *scales)
+        sizes[name] = max(abs(found), measure.size, NATURAL * natural)
         doubts += measure.doubts
     value, jacobian = np.array(values), np.array(slopes).reshape(len(values), len(parameters))
     check = None

@@ -24,6 +24,10 @@ STEPS = (1e-4, 2e-4)
 ROUND_OFF = 1e-13
 """Assumed relative error of a measure of one run by rounding errors and by the tolerance of the stage equations."""
 
+NATURAL = np.finfo(float).eps / ROUND_OFF
+"""Smallest size of a measure, as a share of the size that follows from its unit: numbers that are zero but for rounding
+errors of the coordinates, such as the height of a rod that lies still, have no digits to be compared."""
+
 ALLOWED = 10.0
 """Multiple of the estimated error of the differences by which they may deviate."""
 

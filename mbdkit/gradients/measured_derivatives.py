@@ -182,7 +182,16 @@ class _Evaluation:
         if name == "integral":
             return total
         mean = of_operands("div", 0.0, total, Value(np.array([self._duration]), self.run.end[:, None]))
-        return of_operands("sqrt", 0.0, mean) if name == "rms" else mean
+        return self._root(mean, rows) if name == "rms" else mean
+
+    def _root(self, mean: Value, rows: Value) -> Value:
+        """Return the root of the mean square of a quantity; add a warning if this is zero but moves."""
+        if np.any(mean.value != 0.0):
+            return of_operands("sqrt", 0.0, mean)
+        if not rows.slope.any():
+            return Value.constant(mean.value, self.count)
+        self._note_sides("the operand of 'rms' is zero over the whole run")
+        return Value(mean.value, np.full_like(mean.slope, np.nan))
 
     def _of_operand(
         self, index: int, states: DifferentiatedStates, *, square: bool = False, switches: list[Value] | None = None

@@ -18,11 +18,13 @@ GUARD_RATIO = 3.0
 """Largest distance from the run of another method, relative to the estimate, of differences that decrease."""
 AGREED = 1e-5
 """Differences below this share of the value need not decrease: rounding errors of chaotic motions do not."""
+ZERO = 1e-12
+"""The same as a share of the size that follows from the unit, for numbers that are zero but for rounding errors."""
 ROUND_OFF = 1e-15
 """Smallest estimate, as a share of the value."""
 
 
-def measure_error(value: float, compared: Sequence[float]) -> float:
+def measure_error(value: float, compared: Sequence[float], natural: float = 0.0) -> float:
     """Return the estimated error of a measure; nan where it is unknown.
 
     Parameters
@@ -31,6 +33,8 @@ def measure_error(value: float, compared: Sequence[float]) -> float:
         The measure of the run.
     compared
         The same in two runs of increasing accuracy, and in one of another method.
+    natural
+        The size of numbers with its unit; see `mbdkit.measures.natural_size`.
     """
     every = value, *compared
     if len(compared) != 3 or not all(map(math.isfinite, every)):
@@ -44,7 +48,7 @@ def measure_error(value: float, compared: Sequence[float]) -> float:
         error = max(to_second, to_other)
     elif falls and apart <= GUARD_RATIO * (extrapolated := to_second / (1.0 - (between / to_first) ** 2)):
         error = max(extrapolated, to_other) if apart > 0.5 * extrapolated else extrapolated
-    elif spread <= AGREED * size:
+    elif spread <= max(AGREED * size, ZERO * natural):
         error = spread
     else:
         return math.nan

@@ -12,7 +12,7 @@ extreme value along the beam over time. Units are checked.
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, ClassVar
@@ -29,6 +29,7 @@ from mbdkit.expressions.parser import Code
 from mbdkit.expressions.program import Program, execute
 from mbdkit.measures.measured_quantities import ATTRIBUTES, recorded, unit_of
 from mbdkit.measures.reductions import (
+    EXTREMA,
     INTEGRALS,
     OF_FUNCTIONAL,
     REDUCTIONS,
@@ -51,6 +52,9 @@ _SECOND = read_unit("s")
 _END: Program = (("t", 0.0), (REDUCE + "final", 0.0))
 """The end of a run, ``final(t)``."""
 
+
+BEYOND = 1e-6
+"""Share of the range of a quantity by which a recorded row exceeds an extremum noticeably."""
 
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions of a quantity along a beam that return its largest or smallest value at each time."""
@@ -178,8 +182,37 @@ class MeasureExpression:
             return float("nan")
         return value if np.isfinite(value) else float("nan")
 
-    def _values(self, run: Run) -> np.ndarray:
-        """Return the value of the program for a run, in SI units; see `applied` for its shape."""
+    def exceeded(self, run: Run) -> list[str]:
+        """Return a remark for each extremum of the continuous motion that recorded rows exceed, as clauses."""
+        told: list[str] = []
+        if not any(one.is_extremum for one in self.functionals):
+            return told
+
+        def compared(name: str, found: np.ndarray, values: np.ndarray) -> None:
+            sign, spread = -1.0 if name == "min" else 1.0, float(np.max(values) - np.min(values))
+            row = int(np.argmax(sign * values))
+            if sign * (values[row] - found[0]) > BEYOND * spread:
+                told.append(
+                    f"the recorded row at t = {run.time[row]:.6g} s has {values[row]:.6g}, beyond the {name} of the "
+                    f"motion between the ends of steps, {found[0]:.6g}: states between steps are less accurate there"
+                )
+
+        try:
+            self._values(run, compared)
+        except NotRecordedError:
+            return []
+        return told
+
+    def _values(
+        self, run: Run, compared: Callable[[str, np.ndarray, np.ndarray], None] = lambda name, found, values: None
+    ) -> np.ndarray:
+        """Return the value of the program for a run, in SI units; see `applied` for its shape.
+
+        Parameters
+        ----------
+        compared
+            Called with the name, value and rows of each extremum of the continuous motion.
+        """
         series = Series(run.time, lambda one: recorded(one, run))
 
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
@@ -192,7 +225,10 @@ class MeasureExpression:
             duration = run.time[-1] - run.time[0]
             if found is None or not duration > 0.0:
                 return np.asarray(REDUCTIONS[name](run.time, values)[..., None])
-            return from_functional(name, found, duration, values)
+            reduced = from_functional(name, found, duration, values)
+            if name in EXTREMA:
+                compared(name, reduced, values)
+            return reduced
 
         with np.errstate(all="ignore"):
             return execute(self.program, step)

@@ -10,8 +10,10 @@ from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import message_of
+from mbdkit.engine.compile_mechanism import characteristic_length
 from mbdkit.measures.measure_error import measure_error
 from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.registry.items import MeasurePlugin
 from mbdkit.spec import InverseSpec, RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
@@ -92,8 +94,11 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: RunSpec | In
     compared = () if accuracy is None else accuracy.compared_measures.get(measure.expression, ())
     if measure.item is not None or not compared or not is_taken(measure, spec):
         return math.nan
-    factor = MeasureExpression.parse(measure.expression, spec, measure.unit).unit.factor
-    return measure_error(value, [one / factor for one in compared])
+    unit = MeasureExpression.parse(measure.expression, spec, measure.unit).unit
+    mechanism, duration = spec.mechanism(), float(run.time[-1] - run.time[0])
+    mass = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    scales = natural_scales(characteristic_length(mechanism), mass, mechanism.gravity, duration)
+    return measure_error(value, [one / unit.factor for one in compared], natural_size(unit, *scales))
 
 
 def has_error(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
@@ -110,12 +115,33 @@ def with_error(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -
 
 def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
     """Return the values of the measures of a run spec; nan, with the reason, where the measure of a plugin fails."""
-    values, units, reasons, errors = {}, {}, {}, {}
+    values, units, reasons, errors, remarks = {}, {}, {}, {}, {}
     for measure in spec.defined_measures():
         units[measure.name] = describe(measure, spec).units
         try:
             values[measure.name] = take(measure, run, spec)
             errors[measure.name] = error_of(measure, values[measure.name], run, spec)
+            told = [*_above(measure, run, spec), *_why_unknown(measure, errors[measure.name], run, spec)]
+            if told and math.isfinite(values[measure.name]):
+                remarks[measure.name] = "; ".join(told)
         except PluginError as error:
             values[measure.name], reasons[measure.name] = math.nan, message_of(error)
-    return MeasuredValues(values, units, reasons, errors)
+    return MeasuredValues(values, units, reasons, errors, remarks)
+
+
+def _above(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> list[str]:
+    """Return a remark if recorded rows exceed an extremum of the motion between the steps."""
+    if measure.item is not None:
+        return []
+    return MeasureExpression.parse(measure.expression, spec, measure.unit).exceeded(run)
+
+
+def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: RunSpec | InverseSpec) -> list[str]:
+    """Return a remark if the error of a measure is unknown although the run has a check."""
+    if not (isinstance(spec, RunSpec) and spec.check and math.isnan(error)):
+        return []
+    if measure.item is not None:
+        return ["its error is unknown: errors of measures of plugins are not estimated"]
+    if run.status != "complete":
+        return ["its error is unknown: the run is not complete"]
+    return ["its error is unknown: its values in runs with smaller errors do not converge, or such a run failed"]

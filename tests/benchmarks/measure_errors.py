@@ -1,6 +1,6 @@
 """`python -m tests.benchmarks.measure_errors [--count 200]`: errors and gradients of measures beside the truth.
 
-Random chains (`tests.witness.chain_measures`), each with 8 measures, of which 5 have kinks or are extrema. Printed are
+Random chains (`tests.witness.chain_measures`), each with 9 measures, of which 5 have kinks or are extrema. Printed are
 the share of estimates between 1/5 and 3 times the true error, and of derivatives that are within 1e-6 (smooth) or 1e-4
 (kinked) of the exact ones or said to be less accurate; then all others.
 """
@@ -8,6 +8,7 @@ the share of estimates between 1/5 and 3 times the true error, and of derivative
 from __future__ import annotations
 
 import argparse
+import sys
 
 import numpy as np
 
@@ -37,4 +38,10 @@ def told(cases: list[Case]) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=200)
-    print(told([case for seed in range(parser.parse_args().count) for case in cases_of(seed)]))
+    parser.add_argument("--first", type=int, default=0, help="number of the first chain")
+    given = parser.parse_args()
+    found: list[Case] = []
+    for seed in range(given.first, given.first + given.count):
+        found += cases_of(seed)
+        print(f"\r{seed + 1 - given.first} of {given.count} chains", end="", file=sys.stderr, flush=True)
+    print(told(found))

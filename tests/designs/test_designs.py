@@ -113,6 +113,15 @@ def pendulum(step: float = 0.01, **variables: Any) -> dict[str, Any]:
     return {"mbdkit_design": 1, "base": spec, "variables": variables, "minimize": "final(rod1.y)"}
 
 
+def test_errors_of_a_design_are_those_of_its_measures_in_the_runs() -> None:
+    given = pendulum(0.1, **{"model.length": {"bounds": [0.9, 1.1]}})
+    found = mbdkit.design(given)
+    at_best = {"name": "single-pendulum", "angle": 0.0, "length": found.best.variables["model.length"]}
+    run = mbdkit.run(given["base"] | {"model": at_best, "check": True, "measures": {"y": "final(rod1.y)"}})
+    assert found.best.goals["goal"] == run.measures["y"]
+    assert found.trust.errors["goal"] == run.measure_errors["y"] > 1e-4
+
+
 def test_a_gain_within_the_error_of_the_method_counts_as_none() -> None:
     # a length that may change by 1e-6 m changes y by about as much; steps of 0.1 s have errors of 1e-3 m and more
     given = pendulum(0.1, **{"model.length": {"bounds": [1.0, 1.000001], "start": 1.0000005}})

@@ -174,6 +174,19 @@ def test_the_derivative_of_a_coarse_run_is_said_to_be_inaccurate() -> None:
     assert (away > 2e-4 * abs(fine.check.derivative[0])) == bool(coarse.doubts)
 
 
+def test_numbers_that_are_zero_but_for_rounding_errors_pass_the_check() -> None:
+    # a pendulum that hangs at rest: positions across, kinetic energies and the moment of its joint are zero
+    measures = ["final(rod1.x)", "integral(energy.kinetic)", "rms(joints.J1.torque)", "integral(abs(rod1.vx))"]
+    rest = {"mbdkit": 1, "model": {"name": "single-pendulum", "angle": "-pi/2"}}
+    method = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}}
+    found = mbdkit.gradient(rest | method, measures, ["model.length", "model.mass"])
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+    np.testing.assert_allclose(found.jacobian, 0.0, rtol=0, atol=1e-14)
+    checked = mbdkit.run(rest | method | {"check": True, "measures": {"across": measures[0]}})
+    assert checked.measure_errors["across"] < 1e-12
+
+
 def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
     # an undamped oscillator reaches the same height again after a period
     oscillator = {

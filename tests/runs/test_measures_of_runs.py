@@ -14,6 +14,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.base.errors import SpecError
+from tests.runs.test_continuous_measures import oscillator
 
 TIME = {"end": 0.2, "step": 0.01}
 MEASURES = {
@@ -47,6 +48,19 @@ def test_they_are_kept_in_the_archive_outside_the_hash_of_the_data(tmp_path: Pat
     plain = mbdkit.run("knee", time=TIME)
     assert plain.measures == {}
     assert plain.data_sha256 == run.data_sha256
+
+
+def test_what_users_should_know_about_a_value_is_told(tmp_path: Path) -> None:
+    # the dense output of the method, from which rows between steps are taken, is less accurate than its steps
+    coarse = {"name": "dopri5", "adaptive": True, "rtol": 1e-3, "atol": 1e-3}
+    spec = oscillator(coarse, None, measures={"right": "max(slider.x)"}, output={"interval": 0.01})
+    made = mbdkit.run(spec)
+    assert made["slider"].position[:, 0].max() > made.measures["right"]
+    assert "has 1.00052, beyond the max of the motion between the ends of steps" in made.summary()
+    assert mbdkit.run(spec | {"output": {"every": 1}}).measures.remarks == {}
+    made.save(tmp_path / "run.h5")
+    with mbdkit.load(tmp_path / "run.h5") as kept:
+        assert kept.measures.remarks == made.measures.remarks != {}
 
 
 def test_values_that_are_not_finite_and_failures_survive_the_archive() -> None:

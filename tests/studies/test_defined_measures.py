@@ -174,6 +174,14 @@ def test_a_plugin_registers_a_measure_by_name(site: Path, tmp_path: Path) -> Non
         assert file["runs/drop"].attrs["units"] == "m"
 
 
+def test_a_measure_of_a_plugin_has_no_error_and_says_so(site: Path, tmp_path: Path) -> None:
+    base = {"mbdkit": 1} | FALL["base"] | {"measures": {"fall": {"name": "drop", "body": "ball"}}, "check": True}
+    (tmp_path / "s.json").write_text(json.dumps(base | {"time": {"end": 0.1, "step": 0.01}}))
+    done = python("-m", "mbdkit", "run", "s.json", path=(site,), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "m (its error is unknown: errors of measures of plugins are not estimated)" in done.stdout
+
+
 def test_a_measure_that_fails_is_told_with_its_line(site: Path, tmp_path: Path) -> None:
     done = study_of(tmp_path, ["broken"], site)
     assert done.returncode == 4

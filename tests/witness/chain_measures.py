@@ -7,7 +7,7 @@ are those of a cubic spline through 10,001 points, whose error is near 1e-14; de
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +19,8 @@ import mbdkit
 
 END = 1.5
 POINTS = 10_001
+MOMENT = 0.777
+"""Time [s] of a value between the ends of the steps."""
 METHODS: tuple[tuple[dict[str, Any], float | None], ...] = (
     ({"name": "rk4"}, 0.01),
     ({"name": "gauss", "stages": 2}, 0.01),
@@ -31,6 +33,7 @@ TIP: dict[str, tuple[str, bool]] = {
     "end": ("final(tip.x)", True),
     "work": ("integral(tip.vx**2)", True),
     "turning": ("rms(tip.angular_velocity)", True),
+    "moment": (f"at(tip.y, {MOMENT})", True),
     "path": ("mean(abs(tip.vy))", False),
     "beyond": ("integral(max(tip.x - 0.1, 0))", False),
     "less": ("integral(min(tip.vx, tip.vy))", False),
@@ -90,23 +93,34 @@ class Chain:
         arm = self._arms()[i]
         return np.array([-(arm * rate) @ np.sin(angle), (arm * rate) @ np.cos(angle)])
 
-    def _rates(self, t: float, state: np.ndarray) -> np.ndarray:
-        angle, rate = state.reshape(2, -1)
+    def _rates(self, state: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """Return the rates of angles and their rates (2, V, n) with V stiffnesses (V, n) of the springs."""
+        angle, rate = state
         arms = self._arms()
         coupling = np.einsum("i,ij,ik->jk", self.masses, arms, arms)
-        between = angle[:, None] - angle
+        between = angle[:, :, None] - angle[:, None]
         mass = coupling * np.cos(between) + np.diag(self.masses * self.lengths**2 / 12)
-        relative, speed = np.diff(angle, prepend=0.0), np.diff(rate, prepend=0.0)
-        torque = -self.stiffness * relative - self.damping * speed
-        load = torque - np.append(torque[1:], 0.0) - 9.81 * (self.masses @ arms) * np.cos(angle)
-        return np.concatenate([rate, np.linalg.solve(mass, load - (coupling * np.sin(between)) @ rate**2)])
+        relative, speed = (np.diff(x, axis=1, prepend=0.0) for x in (angle, rate))
+        torque = -stiffness * relative - self.damping * speed
+        load = torque - np.pad(torque[:, 1:], ((0, 0), (0, 1))) - 9.81 * (self.masses @ arms) * np.cos(angle)
+        load = load - np.einsum("jk,vjk,vk->vj", coupling, np.sin(between), rate**2)
+        return np.stack([rate, np.linalg.solve(mass, load[..., None])[..., 0]])
 
-    def measures(self) -> np.ndarray:
-        """Return the exact measures."""
-        start = np.concatenate([self.angles, self.rates])
-        motion = solve_ivp(self._rates, (0.0, END), start, method="DOP853", rtol=1e-13, atol=1e-13, dense_output=True)
+    def measures(self, stiffness: np.ndarray | None = None) -> np.ndarray:
+        """Return the exact measures (V, M) with V stiffnesses (V, n) of the springs; by default, those of the chain."""
+        stiffness = self.stiffness[None] if stiffness is None else stiffness
+        shape = (2, *stiffness.shape)
+        start = np.broadcast_to(np.stack([self.angles, self.rates])[:, None], shape)
+        motion = solve_ivp(
+            lambda t, y: self._rates(y.reshape(shape), stiffness).ravel(), (0.0, END), start.ravel(), method="DOP853",
+            rtol=1e-13, atol=1e-13, dense_output=True,
+        )  # fmt: skip
         t = np.linspace(0.0, END, POINTS)
-        angle, rate = motion.sol(t).reshape(2, len(self.angles), -1)
+        angles, rates = motion.sol(t).reshape(*shape, -1)
+        return np.array([self._measured(t, angle, rate) for angle, rate in zip(angles, rates, strict=True)])
+
+    def _measured(self, t: np.ndarray, angle: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the measures (M,) of angles and their rates (n, T)."""
         arm = self._arms()[-1][:, None]
         x, y = np.sum(arm * np.cos(angle), axis=0), np.sum(arm * np.sin(angle), axis=0)
         vx, vy = -np.sum(arm * rate * np.sin(angle), axis=0), np.sum(arm * rate * np.cos(angle), axis=0)
@@ -115,19 +129,19 @@ class Chain:
             return float(CubicSpline(t, values).integrate(0.0, END))
 
         return np.array([
-            x[-1], integral(vx**2), np.sqrt(integral(rate[-1] ** 2) / END), _split(t, vy, np.abs) / END,
-            _split(t, x - 0.1, lambda g: max(g, 0.0)), integral(vx) - _split(t, vx - vy, lambda g: max(g, 0.0)),
+            x[-1], integral(vx**2), np.sqrt(integral(rate[-1] ** 2) / END), CubicSpline(t, y)(MOMENT),
+            _split(t, vy, np.abs) / END, _split(t, x - 0.1, lambda g: max(g, 0.0)),
+            integral(vx) - _split(t, vx - vy, lambda g: max(g, 0.0)),
             max(_largest(t, vx), _largest(t, -vx)), -_largest(t, -y),
         ])  # fmt: skip
 
-    def derivatives(self) -> np.ndarray:
-        """Return the derivatives of the measures by the first stiffness."""
+    def exact(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the exact measures (M,) and their derivatives (M,) by the first stiffness."""
         step = 1e-3 * (1.0 + self.stiffness[0])
-
-        def at(places: float) -> np.ndarray:
-            return replace(self, stiffness=self.stiffness + np.eye(len(self.stiffness))[0] * places * step).measures()
-
-        return np.asarray((8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * step))
+        places = np.array([0.0, -2.0, -1.0, 1.0, 2.0])
+        moved = self.stiffness + step * np.outer(places, np.eye(len(self.stiffness))[0])
+        value, *others = self.measures(moved)
+        return value, np.asarray(np.array([1.0, -8.0, 8.0, -1.0]) @ np.array(others) / (12 * step))
 
 
 def _split(t: np.ndarray, g: np.ndarray, of: Callable[[float], float]) -> float:
@@ -179,7 +193,7 @@ class Case:
 def cases_of(seed: int) -> list[Case]:
     """Return the measures of a random chain with one of the methods."""
     chain, (integrator, step) = Chain.random(seed), METHODS[seed % len(METHODS)]
-    exact, slopes = chain.measures(), chain.derivatives()
+    exact, slopes = chain.exact()
     spec = chain.spec(integrator, step)
     run = mbdkit.run(spec | {"measures": TEXTS, "check": True})
     found = mbdkit.gradient(spec, TEXTS, PARAMETER)

@@ -1,0 +1,29 @@
+"""Sizes of quantities by length, mass and time of a mechanism, beside which rounding errors are told from results.
+
+Numbers that are zero but for rounding errors, such as the height of a rod that lies still, have no digits to be
+compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from mbdkit.base.units import Unit
+
+
+def natural_scales(length: float, mass: float, gravity: Sequence[float], duration: float) -> tuple[float, float, float]:
+    """Return length [m], mass [kg] and time [s] of a mechanism.
+
+    The time is that of a fall by the length, or the duration of the run [s] if that is shorter.
+    """
+    pull = math.hypot(*gravity)
+    fall = math.sqrt(length / pull) if pull > 0.0 else math.inf
+    time = min(fall, duration) if duration > 0.0 else fall
+    return length, mass, time if math.isfinite(time) else 1.0
+
+
+def natural_size(unit: Unit, length: float, mass: float, time: float) -> float:
+    """Return the size of quantities with a unit, in this unit."""
+    powers = [math.pow(x, power) for x, power in zip((length, mass, time), unit.exponents, strict=True)]
+    return math.prod(powers) / unit.factor
