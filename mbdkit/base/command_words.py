@@ -18,9 +18,14 @@ def command_line() -> str:
     return shlex.join(_words)
 
 
+def command_words() -> list[str]:
+    """Return the words of `command_line`, with which another process executes a part of the command."""
+    return list(_words)
+
+
 @contextmanager
 def executing(words: Sequence[str]) -> Iterator[None]:
-    """Let `command_line` return these words in a block."""
+    """Let `command_line` return these words in a block, in a worker process those of the command that started it."""
     global _words
     before, _words = _words, words
     try:

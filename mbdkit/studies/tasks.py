@@ -10,6 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from mbdkit.base.command_words import command_words
+
 #: External reasons of failure: a resource that is not available, a process that died, a defect of mbdkit.
 PASSING = ("no-resources", "worker-died", "error")
 
@@ -51,9 +53,9 @@ class Task:
     skip: Mapping[int, str] = field(default_factory=dict)
 
     def message(self) -> dict[str, Any]:
-        """Return the message with which a worker can carry out the task."""
+        """Return the message with which a worker can carry out the task, as a part of the command of this process."""
         skip = {str(run): reason for run, reason in self.skip.items()}
-        return {**self.content, "path": str(self.path.absolute()), "skip": skip}
+        return {**self.content, "path": str(self.path.absolute()), "skip": skip, "command": command_words()}
 
     def after_death(self, how: str) -> Task | None:
         """Return the task to try after a process died in this one, as described by `how`; None if it is not tried

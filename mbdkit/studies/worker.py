@@ -19,6 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any
 
+from mbdkit.base.command_words import executing
 from mbdkit.base.errors import SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import shown
@@ -93,7 +94,8 @@ def _answered(task: dict[str, Any], of_version: str, carry: Carry) -> dict[str, 
 
 def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) -> dict[str, Any]:
     try:
-        return carry(task, notify)
+        with executing(task["command"]):
+            return carry(task, notify)
     except SpecError as error:
         if error.file == task["path"]:  # the folder of the study was changed; the spec is not the cause
             return {"status": "missing", "reason": f"no-resources: {error}"}

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from mbdkit import load_study
+from mbdkit import load, load_study
 from mbdkit import study as study_in_this_process
 from mbdkit.archive.archive_check import check
 from mbdkit.base import progress_bars
@@ -119,6 +119,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index
     assert len(kept) == sum(point.status == "complete" for point in study.points)
     assert 0 < len(kept) < 6
     assert all(check(path) == [] for path in kept)
+    assert {load(path).provenance["command"] for path in kept} == {"mbdkit study slow.yaml --output cut"}
 
     for out in ("cut", "whole"):
         study_in_this_process(tmp_path / "slow.yaml", out=tmp_path / out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,13 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from typer.testing import CliRunner
 
 import mbdkit
+from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import SpecError
 from mbdkit.cli import app
 from mbdkit.studies import executor_pool, worker
 from mbdkit.studies.executor_pool import ExecutorPool
 from mbdkit.studies.executors import SubmititExecutor
+from mbdkit.studies.tasks import Task
 
 from .test_execution import index_hash
 
@@ -120,6 +123,19 @@ def test_an_executor_that_is_shut_down_computes_nothing_and_its_refusal_is_told(
     study = pendulums(out=tmp_path / "s", executor=executor)
     assert set(study.statuses()) == {"missing"}
     assert study.unfinished[0].startswith("no-resources: the executor refuses tasks: RuntimeError: cannot schedule new")
+
+
+def test_a_worker_records_the_command_of_the_study_and_none_of_its_own(tmp_path):
+    with executing(["mbdkit", "study", "pendulums.yaml"]):
+        of_command = Task("run", {}, tmp_path / "run.h5").message()
+    of_python = Task("run", {}, tmp_path / "run.h5").message()
+
+    def carry(task, notify):
+        return {"status": "complete", "reason": command_line()}
+
+    with executing(["another", "command"]):
+        answers = worker.compute([of_command, of_python], version("mbdkit"), carry)
+    assert [answer["reason"] for answer in answers] == ["mbdkit study pendulums.yaml", ""]
 
 
 @pytest.mark.parametrize(
