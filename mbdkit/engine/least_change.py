@@ -204,18 +204,21 @@ class LeastChange:
         The small regularisation `e` makes the matrix regular even if rows are redundant. It multiplies the change of
         the multipliers only, so that it has no influence on the converged result.
         """
-        from scipy.sparse import block_array, csr_array, diags_array
+        from scipy.sparse import csc_array
         from scipy.sparse.linalg import splu
 
-        row, column, value = jacobian
-        j = csr_array((value, (row, column)), shape=(len(self.rows), self.n)).tocsc()[:, self.free]
-        hessian = diags_array(self.mass[self.free]).tocsc()
-        trace = 1e-13 * ((j**2) @ (1 / self.mass[self.free]))
-        if stiffness is not None:
-            row, column, value = stiffness
-            hessian += csr_array((value, (row, column)), shape=(self.n, self.n)).tocsc()[self.free][:, self.free]
-        corner = -diags_array(np.where(trace > 0, trace, 1.0))
-        matrix = block_array([[hessian, j.T], [j, corner]], format="csc")
+        n, m = len(self.free), len(self.rows)
+        row, column, value = self._of_free(*jacobian)
+        masses = self.mass[self.free]
+        trace = 1e-13 * np.bincount(row, value**2 * (1 / masses)[column], minlength=m)
+        upper, place, hessian = self._hessian(stiffness)
+        rows = np.concatenate([upper, column, n + row, n + np.arange(m)])
+        columns = np.concatenate([place, n + row, column, n + np.arange(m)])
+        values = np.concatenate([hessian, value, value, -np.where(trace > 0, trace, 1.0)])
+        order = np.lexsort((rows, columns))
+        starts = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=n + m))])
+        parts = (values[order], rows[order].astype(np.int32), starts.astype(np.int32))
+        matrix = csc_array(parts, shape=(n + m, n + m))
         try:
             lu = splu(matrix)
         except RuntimeError as error:  # masses or lengths of such different sizes that an entry vanishes
@@ -230,6 +233,42 @@ class LeastChange:
             return step, solution[len(self.free) :]
 
         return solve
+
+    def _of_free(self, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> Entries:
+        """Return the entries of the Jacobian in the columns of free coordinates, column by column."""
+        column = self._free_places[column]
+        order = np.lexsort((row, column))
+        order = order[column[order] >= 0]
+        return row[order], column[order], value[order]
+
+    def _hessian(self, stiffness: Entries | None) -> Entries:
+        """Return the entries of M + K over the free coordinates that are not zero."""
+        from scipy.sparse import csr_array
+
+        if stiffness is None:
+            masses = self.mass[self.free]
+            (diagonal,) = np.nonzero(masses)
+            return diagonal, diagonal, masses[diagonal]
+        row, column, value = stiffness
+        summed = csr_array((value, (row, column)), shape=(self.n, self.n)).tocoo()
+        row, column = self._free_places[summed.row], self._free_places[summed.col]
+        free = (row >= 0) & (column >= 0)
+        n = len(self.free)
+        diagonal = np.arange(n)
+        keys, places = np.unique(
+            np.concatenate([diagonal * n + diagonal, column[free].astype(np.int64) * n + row[free]]),
+            return_inverse=True,
+        )
+        values = np.bincount(places, np.concatenate([self.mass[self.free], summed.data[free]]), minlength=len(keys))
+        keys, values = keys[values != 0], values[values != 0]
+        return keys % n, keys // n, values
+
+    @cached_property
+    def _free_places(self) -> np.ndarray:
+        """(n,) number of each coordinate among the free ones; -1 for fixed ones."""
+        places = np.full(self.n, -1, dtype=np.int64)
+        places[self.free] = np.arange(len(self.free))
+        return places
 
     def stiffness(self, q: np.ndarray, multipliers: np.ndarray) -> Entries:
         """Return d(J^T mu)/dq as (row, column, value)."""

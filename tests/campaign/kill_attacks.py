@@ -1,8 +1,8 @@
 """Runs, studies and workers that are killed at random moments, and parts of a study that begin at the same time.
 
 The commands run in forks of this process, which has imported everything already, and flush their archives fifty times a
-second, so that many kills fall into a flush. The workers of studies in blocks are forks as well: a new interpreter
-imports everything and loads the compiled code for seconds, and then computes a block within milliseconds.
+second, so that many kills fall into a flush. The workers of studies are forks as well: a new interpreter imports
+everything for a second, and then computes a block within milliseconds.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.cli import main
 from mbdkit.studies.compute_block import compute_block
+from tests.forked_worker import ForkedWorker
 
 from .attack import Attack, wait_for
-from .forked_worker import ForkedWorker
 
 FLUSH = 0.02
 """Time between two flushes [s]."""
@@ -74,6 +74,9 @@ BLOCKS = {
     ],
 }
 """44 runs in 11 blocks, those of one method in lanes."""
+
+STUDY_COMMAND = ("study", "spec.json", "--workers", "2", "--quiet")
+"""The command that computes a study with two workers."""
 
 _PENDULUM = {"mbdkit": 1, "model": {"name": "n-pendulum", "n": 3}}
 
@@ -190,8 +193,10 @@ def _whole(spec: str) -> tuple[str, float]:
 def _whole_study() -> tuple[dict[str, str], float]:
     """Return the hashes of the study that nobody disturbs by run id, and the time that it takes [s]."""
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
-        start = time.monotonic()
         study = mbdkit.study(STUDY, out=Path(folder) / "out", workers=2)
+        _write_spec(Path(folder), STUDY)
+        start = time.monotonic()
+        assert not (found := finish(Path(folder), *STUDY_COMMAND, "-o", "forked", start=start_forking)), found
         return {point.run_id: point.row.data_sha256 for point in study.points}, time.monotonic() - start
 
 
@@ -199,9 +204,6 @@ def _index_hash(folder: Path) -> str:
     """Return the hash of the index of a study without its times."""
     with h5py.File(folder / "index.h5") as file:
         return str(file.attrs["data_sha256"])
-
-
-_STUDY_IN_BLOCKS = ("study", "spec.json", "--workers", "2", "--quiet")
 
 
 @cache
@@ -214,7 +216,7 @@ def _whole_blocks() -> tuple[str, float]:
             compute_block(folder / "out", block)
         _write_spec(folder, BLOCKS)
         start = time.monotonic()
-        found = finish(folder, *_STUDY_IN_BLOCKS, "-o", "forked", start=start_forking)
+        found = finish(folder, *STUDY_COMMAND, "-o", "forked", start=start_forking)
         taken = time.monotonic() - start
         hashes = {_index_hash(folder / one) for one in ("out", "forked")}
         assert not found, found
@@ -356,7 +358,7 @@ def _study_problems(folder: Path) -> list[str]:
 def _repeated_problems(folder: Path) -> list[str]:
     """Repeat a study that was disturbed, and compare it with the undisturbed one."""
     hashes, _ = _whole_study()
-    found = finish(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    found = finish(folder, *STUDY_COMMAND, "-o", "out", start=start_forking)
     if found:
         return found
     study = mbdkit.load_study(folder / "out")
@@ -372,7 +374,7 @@ def _study_begun(random: np.random.Generator, folder: Path) -> int:
     """Start a study with two workers, wait for a random part of the time that it takes, and return its process."""
     _write_spec(folder, STUDY)
     _, seconds = _whole_study()
-    child = start_command(folder, "study", "spec.json", "-o", "out", "--workers", "2", "--quiet")
+    child = start_forking(folder, *STUDY_COMMAND, "-o", "out")
     time.sleep(random.uniform(0, seconds))
     return child
 
@@ -394,7 +396,7 @@ def kill_blocks(random: np.random.Generator, folder: Path) -> list[str]:
     _write_spec(folder, BLOCKS)
     whole, seconds = _whole_blocks()
     runs = folder / "out" / "runs"
-    arguments = [*_STUDY_IN_BLOCKS, "-o", "out"]
+    arguments = [*STUDY_COMMAND, "-o", "out"]
     found: list[str] = []
     kept: dict[str, int] = {}
     for _ in range(int(random.integers(1, 4))):
@@ -478,7 +480,7 @@ def begin_parts(random: np.random.Generator, folder: Path) -> list[str]:
     children = []
     for part in ("1/2", "2/2"):
         children.append(
-            start_command(folder, "study", "spec.json", "-o", "out", "--workers", "1", "--quiet", "--shard", part)
+            start_forking(folder, "study", "spec.json", "-o", "out", "--workers", "1", "--quiet", "--shard", part)
         )
         time.sleep(random.uniform(0, 0.005))
     found = []

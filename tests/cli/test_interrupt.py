@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from pathlib import Path
 
 import pytest
 
+import mbdkit
 from mbdkit import load
-from mbdkit.base.interrupts import TOGETHER, interrupts_noted
+from mbdkit.base import interrupts
+from mbdkit.base.interrupts import interrupts_noted
+from tests.forked_process import ForkedProcess, forked_command
 
 LONG = """\
 mbdkit: 1
@@ -25,13 +28,13 @@ limits: {max_steps: 2000000000}
 """
 
 
-def start(folder: Path, *arguments: str, **options) -> subprocess.Popen:
+def start(folder: Path, *arguments: str, **options) -> ForkedProcess:
     (folder / "long.yaml").write_text(LONG)
-    return subprocess.Popen([sys.executable, "-m", "mbdkit", "run", "long.yaml", *arguments], cwd=folder, **options)
+    return forked_command("run", "long.yaml", *arguments, folder=folder, **options)
 
 
-def wait_until_it_runs(process: subprocess.Popen, part: Path) -> None:
-    """Wait until rows have been flushed: a first run may compile for a minute before."""
+def wait_until_it_runs(process: subprocess.Popen | ForkedProcess, part: Path) -> None:
+    """Wait until rows have been flushed."""
     deadline = time.monotonic() + 300
     size = None
     while time.monotonic() < deadline and process.poll() is None:
@@ -39,13 +42,18 @@ def wait_until_it_runs(process: subprocess.Popen, part: Path) -> None:
             size, before = part.stat().st_size, size
             if before is not None and size > before:
                 return
-        time.sleep(0.3)
+        time.sleep(0.01)
     pytest.fail("the run did not get under way")
 
 
-@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_ctrl_c_and_its_like_keep_the_archive_and_are_exit_status_130(stop, tmp_path):
-    process = start(tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    if stop == "SIGINT":  # a process of its own, as users start it
+        (tmp_path / "long.yaml").write_text(LONG)
+        command = [sys.executable, "-m", "mbdkit", "run", "long.yaml"]
+        process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    else:
+        process = start(tmp_path)
     try:
         wait_until_it_runs(process, tmp_path / "long.h5.part")
         process.send_signal(getattr(signal, stop))
@@ -64,12 +72,16 @@ def test_ctrl_c_and_its_like_keep_the_archive_and_are_exit_status_130(stop, tmp_
 
 
 def test_a_run_under_nohup_goes_on(tmp_path):
-    process = start(tmp_path, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        process = start(tmp_path)
+    finally:
+        signal.signal(signal.SIGHUP, before)
     try:
         wait_until_it_runs(process, tmp_path / "long.h5.part")
         process.send_signal(signal.SIGHUP)
         with pytest.raises(subprocess.TimeoutExpired):
-            process.communicate(timeout=1)
+            process.communicate(timeout=0.4)
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=60)
     finally:
@@ -77,27 +89,14 @@ def test_a_run_under_nohup_goes_on(tmp_path):
     assert process.returncode == 130
 
 
-def run_script(text: str, folder: Path) -> subprocess.Popen:
-    """Start a script that says `ready` before it goes on."""
-    script = folder / "script.py"
-    script.write_text(textwrap.dedent(text))
-    process = subprocess.Popen([sys.executable, script], cwd=folder, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
-    return process
-
-
 def test_a_program_of_the_user_is_ended_by_sigterm_after_its_archive_is_complete(tmp_path):
     (tmp_path / "long.yaml").write_text(LONG)
-    process = run_script(
-        """
-        import mbdkit
-        print("ready", flush=True)
+
+    def program() -> None:
         mbdkit.run("long.yaml", archive="long.h5")
         print("went on")
-        """,
-        tmp_path,
-    )
+
+    process = ForkedProcess(program, tmp_path)
     try:
         wait_until_it_runs(process, tmp_path / "long.h5.part")
         process.send_signal(signal.SIGTERM)
@@ -110,30 +109,33 @@ def test_a_program_of_the_user_is_ended_by_sigterm_after_its_archive_is_complete
         assert run.status == "interrupted"
 
 
-@pytest.mark.parametrize("how", ["compiled", "interpreted"])
-def test_the_second_sigterm_ends_an_endless_loop(how, tmp_path):
-    process = run_script(
-        f"""
-        from numba import njit
-        from mbdkit.base.interrupts import interrupts_noted
+def interpreted() -> None:
+    x = 1
+    while x > 0:
+        x += 1
 
-        def endless(x):
-            while x > 0:
-                x += 1
-            return x
 
-        if {how == "compiled"}:
-            endless = njit("int64(int64)", nogil=True)(endless)  # as kernels are
+def compiled() -> None:
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # minutes of C code without the lock of the interpreter
+
+
+@pytest.mark.parametrize("endless", [compiled, interpreted])
+def test_the_second_sigterm_ends_an_endless_loop(endless, tmp_path, monkeypatch):
+    monkeypatch.setattr(interrupts, "TOGETHER", 0.2)
+
+    def program() -> None:
         with interrupts_noted(lambda: None):
-            print("ready", flush=True)
-            endless(1)
-        """,
-        tmp_path,
-    )
+            Path("ready").touch()
+            endless()
+
+    process = ForkedProcess(program, tmp_path)
     try:
+        while not (tmp_path / "ready").exists():
+            assert process.poll() is None
+            time.sleep(0.01)
         process.send_signal(signal.SIGTERM)
         with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(timeout=TOGETHER + 0.3)
+            process.wait(timeout=0.4)
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=10) == 130
     finally:
@@ -149,18 +151,19 @@ def test_signals_are_those_of_before_after_a_run(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
-def test_a_terminal_sees_a_progress_bar(tmp_path):
+def test_a_terminal_sees_a_progress_bar(tmp_path, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
     import pty
 
     master, slave = pty.openpty()
-    process = start(tmp_path, stdout=subprocess.DEVNULL, stderr=slave, env=os.environ | {"TERM": "xterm"})
+    process = start(tmp_path, stderr=slave)
     os.close(slave)
+    drawn, until = "", time.monotonic() + 60
     try:
-        wait_until_it_runs(process, tmp_path / "long.h5.part")
-        time.sleep(1.0)
+        while "of 1e+06 s" not in drawn and time.monotonic() < until:
+            drawn += os.read(master, 100_000).decode(errors="ignore")
         process.send_signal(signal.SIGINT)
         process.wait(timeout=60)
-        drawn = os.read(master, 100_000).decode(errors="ignore")
     finally:
         process.kill()
         os.close(master)

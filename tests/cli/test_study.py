@@ -37,10 +37,10 @@ mbdkit_study: 1
 base: double-pendulum
 overrides:
   integrator: {name: rk4}
-  time: {steps: 800000, step: 7.5e-6}
+  time: {steps: 400000, step: 1.5e-5}
   output.every: 4000
 axes:
-  - model.masses[0]: [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+  - model.masses[0]: [1.0, 2.0, 3.0, 4.0]
 """
 
 
@@ -117,7 +117,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index
     assert study.status == "partial"
     kept = {path: path.stat().st_mtime_ns for path in runs.iterdir()}
     assert len(kept) == sum(point.status == "complete" for point in study.points)
-    assert 0 < len(kept) < 6
+    assert 0 < len(kept) < 4
     assert all(check(path) == [] for path in kept)
     assert {load(path).provenance["command"] for path in kept} == {"mbdkit study slow.yaml --output cut"}
 
@@ -134,7 +134,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_next_call_comes_to_the_same_index
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a signal")
 def test_workers_do_not_outlive_a_study_that_is_killed(tmp_path):
     (tmp_path / "slow.yaml").write_text(
-        SLOW.replace("800000", "1000000000").replace("output", "limits.max_steps: 1e12\n  output")
+        SLOW.replace("400000", "1000000000").replace("output", "limits.max_steps: 1e12\n  output")
     )
     process = start(tmp_path, "cut")
     runs = tmp_path / "cut" / "runs"

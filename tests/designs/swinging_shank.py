@@ -14,7 +14,7 @@ MASS, INERTIA, ARM = 4.0, 0.1, 0.25
 ANGLE = 0.2
 """Angle about which the motor swings the limb [rad]."""
 T = np.linspace(0.0, 2.0, 201)
-"""Recorded times."""
+"""Times of measured angles, and of the rows of runs with steps of 0.01 s."""
 NODES, WEIGHTS = leggauss(40)
 """Nodes and weights of Gauss-Legendre quadrature, exact for these functions, on [-1, 1]."""
 ONE = {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0]}}
@@ -31,11 +31,11 @@ def shank() -> mbdkit.Mechanism:
     return m
 
 
-def swing(amplitude: float = 0.5, mechanism: mbdkit.Mechanism | None = None) -> dict[str, Any]:
+def swing(amplitude: float = 0.5, mechanism: mbdkit.Mechanism | None = None, step: float = 0.05) -> dict[str, Any]:
     """Return the spec of a run in which a motor swings the shank."""
     m = mechanism or shank()
     m.driver("motor", m.ground, "shank", coordinate="angle", motion=f"{ANGLE} + {amplitude}*sin(3*t)")
-    method = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": T[-1], "step": T[1]}}
+    method = {"integrator": {"name": "gauss", "stages": 3}, "time": {"end": T[-1], "step": step}}
     return {"mbdkit": 1, "model": m.to_spec(), **method}
 
 

@@ -11,7 +11,9 @@ from scipy.optimize import minimize
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble
+from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.least_change import LeastChange
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -119,6 +121,33 @@ def test_the_change_is_the_least_one_in_the_mass_metric(seed: int) -> None:
     for change in (state.q - q, state.v - v):
         pull = masses(m) * change.ravel()
         assert np.abs(free.T @ pull).max() < 1e-8 * np.abs(pull).max()
+
+
+@pytest.mark.parametrize("fix", [(), ("crank",)])
+def test_the_system_of_each_step_is_that_of_dense_matrices(fix: tuple[str, ...]) -> None:
+    # expected: [M + K, J^T; J, -e] [step, mu] = [-gradient, -gap] by NumPy, with e of 1e-13
+    m, rng = four_bar(0.05), np.random.default_rng(4)
+    fixed = np.repeat([name in fix for name in m.bodies], 3)
+    search = LeastChange(compile_mechanism(m), 0.0, fixed)
+    q = np.array([(*body.position, body.angle) for body in m.bodies.values()]).ravel()
+    phi, (row, column, value), _ = search.evaluate(q)
+    n, rows = len(q), len(phi)
+    jacobian, hessian = np.zeros((rows, n)), np.diag(search.mass)
+    np.add.at(jacobian, (row, column), value)
+    entries = search.stiffness(q, rng.standard_normal(rows))
+    gradient = rng.standard_normal(n)
+    for stiffness in (None, entries):
+        if stiffness is not None:
+            np.add.at(hessian, (stiffness[0], stiffness[1]), stiffness[2])
+        j, free = jacobian[:, ~fixed], ~fixed
+        small = -1e-13 * np.diag(j**2 @ (1 / search.mass[free]))
+        dense = np.block([[hessian[np.ix_(free, free)], j.T], [j, small]])
+        step, mu = search.kkt((row, column, value), stiffness)(gradient, phi)
+        assert not np.any(step[fixed])
+        expected = np.linalg.lstsq(dense, np.concatenate([-gradient[free], -phi]))[0]
+        np.testing.assert_allclose(step[free], expected[: len(j.T)], rtol=1e-9, atol=1e-9)
+        if not fix:
+            np.testing.assert_allclose(mu, expected[len(j.T) :], rtol=1e-9, atol=1e-9)
 
 
 def test_scipy_finds_no_smaller_change() -> None:

@@ -29,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def brace(folder: Path) -> ReportPage:
     start = {f"{BRACE}.stiffness": {"bounds": [0.0, 200.0], "start": 20.0}, f"{BRACE}.free_angle": {"bounds": [-2, 2]}}
-    return page_of(design_of(swing(), variables=start), folder)
+    return page_of(design_of(swing(step=T[1]), variables=start), folder)
 
 
 def test_loads_before_and_after_lie_in_their_bands(brace: ReportPage, folder: Path) -> None:

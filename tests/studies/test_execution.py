@@ -75,7 +75,7 @@ def test_a_second_call_computes_nothing_and_writes_the_same_index(copied, small)
     assert index_hash(copied) == index
 
 
-@pytest.mark.usefixtures("processes")
+@pytest.mark.usefixtures("new_processes")
 def test_two_workers_give_the_same_data_as_one(finished, small, tmp_path):
     study = mbdkit.study(small, out=tmp_path / "two", workers=2)
     assert study.computed == 5

@@ -122,6 +122,7 @@ def test_a_report_of_mbdkit_is_removed_with_its_study(copied: Path) -> None:
     assert sorted(path.name for path in copied.rglob("*")) == ["runs"]
 
 
+@pytest.mark.usefixtures("pictures")
 def test_the_figures_of_a_report_are_removed_with_it_and_other_images_are_kept(copied: Path) -> None:
     report(copied, overwrite=True)
     drawn = {path.name for path in (copied / "figures").iterdir()}

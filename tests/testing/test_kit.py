@@ -33,8 +33,9 @@ FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
 
 OTHERS = [
     *(("gauss", {"stages": s}) for s in (1, 3, 4, 5, 6)),
-    *(("radau-iia", {"stages": s}) for s in (2, 5)),
-    *((name, {}) for name in ("rk4", "rk-gill", "dopri5", "scipy-dop853", "scipy-radau")),
+    *(("radau-iia", {"stages": s}) for s in (2, 3, 5)),
+    ("gauss", {"stage_solver": "fixed-point"}),
+    *((name, {}) for name in ("rk4", "rk-gill", "dopri5", "rattle", "scipy-dop853", "scipy-radau", "scipy-lsoda")),
 ]
 """Members of families of which others are verified as well."""
 EVERY = [pytest.param(*x, marks=[pytest.mark.slow] if x in OTHERS else []) for x in VARIANTS]

@@ -7,6 +7,8 @@ import sys
 import typing
 from pathlib import Path
 
+import pytest
+
 from mbdkit.spec import RunSpec
 from mbdkit.spec.loading import Sections
 
@@ -24,6 +26,7 @@ def mypy(script: Path, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow  # mypy reads all of mbdkit, and CI runs it anyway
 def test_mypy_accepts_a_script_and_finds_its_mistakes(tmp_path: Path) -> None:
     accepted = mypy(SCRIPT, tmp_path)
     assert accepted.returncode == 0, accepted.stdout

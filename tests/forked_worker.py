@@ -5,15 +5,21 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Sequence
+from importlib import import_module
 from typing import IO
-
-from mbdkit.studies import worker
 
 
 class ForkedWorker:
-    """What `mbdkit.studies.pool` uses of ``subprocess.Popen``, for a worker that is a fork of this process."""
+    """What `mbdkit.studies.pool` uses of ``subprocess.Popen``, for a worker that is a fork of this process.
 
-    def __init__(self, command: object, *, stderr: IO[bytes], **options: object):
+    Parameters
+    ----------
+    command
+        A command that ends with the module of the worker.
+    """
+
+    def __init__(self, command: Sequence[str], *, stderr: IO[bytes], **options: object):
         (tasks, given), (taken, answers) = os.pipe(), os.pipe()
         self.code: int | None = None
         self.pid = os.fork()
@@ -22,11 +28,12 @@ class ForkedWorker:
                 os.setsid()
                 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                     signal.signal(number, signal.SIG_DFL)
+                signal.set_wakeup_fd(-1)  # the pipe of the process that starts it, closed below
                 for place, end in enumerate((tasks, answers, stderr.fileno())):
                     os.dup2(end, place)
                 os.closerange(3, os.sysconf("SC_OPEN_MAX"))  # locks, and the pipes of other workers
                 sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115
-                worker.main()
+                import_module(command[-1]).main()
             finally:
                 os._exit(1)
         os.close(tasks), os.close(answers)
