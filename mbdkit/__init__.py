@@ -189,6 +189,7 @@ higher_layers.gradients_json = _of_higher_layer("mbdkit.gradients.gradient", "gr
 higher_layers.draw_run = _of_higher_layer("mbdkit.plot.comparison", "draw_run")
 higher_layers.animation = _of_higher_layer("mbdkit.notebook.animation", "Animation")
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
+higher_layers.moment_arms = _of_higher_layer("mbdkit.inverse_dynamics.moment_arms", "moment_arms")
 higher_layers.run_frame = _of_higher_layer("mbdkit.archive.group_table", "to_frame")
 higher_layers.built_in_measures = _of_higher_layer("mbdkit.studies.measures", "built_in_measures")
 higher_layers.html_of = _of_higher_layer("mbdkit.notebook.result_views", "html_of")

@@ -303,6 +303,20 @@ class ActuatorHistory(View, of="actuators"):
     units: str
 
 
+class MuscleHistory(View, of="muscles"):
+    """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    length: np.ndarray
+    rate: np.ndarray
+    fiber_length: np.ndarray
+    fiber_rate: np.ndarray
+    activation: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+    force_error: np.ndarray
+
+
 class LoadHistory(View, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
@@ -519,6 +533,10 @@ class ObservedHistories(Histories[ObservedHistory]):
 
 class ActuatorHistories(Histories[ActuatorHistory]):
     """The actuators of inverse dynamics of a run by name."""
+
+
+class MuscleHistories(Histories[MuscleHistory]):
+    """The muscles of a run by name."""
 
 
 class LoadHistories(Histories[LoadHistory]):

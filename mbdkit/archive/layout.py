@@ -91,7 +91,7 @@ MAY_BE_UNKNOWN = tuple(kind.group for kind in KINDS if kind.may_be_unknown)
 SHARED = tuple(array.path for array in RECORDED.values() if array.is_shared)
 
 #: Groups of inverse dynamics; those without elements are absent.
-INVERSE_GROUPS = ("motion", "actuators", "loads")
+INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads")
 
 #: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")

@@ -28,10 +28,12 @@ from mbdkit.archive.history import (
     JointHistories,
     LoadHistories,
     MarkerHistories,
+    MuscleHistories,
     NotRecordedError,
     ObservedHistories,
     StateHistories,
     Steps,
+    UnknownNameError,
 )
 from mbdkit.archive.measured_values import Integrals, MeasuredValues
 from mbdkit.archive.part_file import write_image
@@ -365,6 +367,40 @@ class Run(HtmlView):
         (['J1'], 'N m')
         """
         return ActuatorHistories(BY_WORD["actuators"], self)
+
+    @cached_property
+    def muscles(self) -> MuscleHistories:
+        """Lengths, activations and tensions of the muscles by name; empty without `recruitment`."""
+        return MuscleHistories(BY_WORD["muscles"], self)
+
+    def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
+        """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.
+
+        The other coordinates that actuators act on by default, those of the joints, are constant.
+
+        Parameters
+        ----------
+        muscle
+            Name of the muscle.
+        coordinate
+            ``JOINT.angle``, or the name of a coordinate of the model.
+
+        Returns
+        -------
+        np.ndarray
+            (T,) [m]; without unit for lengths.
+
+        Raises
+        ------
+        UnknownNameError
+            If the model has no such muscle.
+        SpecError
+            If it has no such coordinate, or the coordinate cannot change.
+        """
+        if muscle not in self.mechanism.muscles:
+            raise UnknownNameError("muscle", muscle, list(self.mechanism.muscles))
+        arms: np.ndarray = higher_layers.moment_arms(self, muscle, coordinate)
+        return arms
 
     @cached_property
     def loads(self) -> LoadHistories:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.base.text import counted, shown
+from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
 if TYPE_CHECKING:
@@ -78,6 +79,9 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("fit", _fit(run)),
         ("raw data", _raw_misalignment(run)),
         ("actuators", _actuators(run)),
+        ("muscles", _muscles(run)),
+        ("contact", _contact_forces(run)),
+        ("reserves", _reserves(run)),
         ("events", _events(run)),
         *_measures(run),
         *_gradients(run),
@@ -368,6 +372,54 @@ def _actuators(run: Run) -> str:
     return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (
         f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
     )
+
+
+def _muscles(run: Run) -> str:
+    """Return the largest activation of each muscle and its time, the largest first."""
+    peaks = []
+    for name, muscle in run.muscles.items():
+        row = int(np.argmax(muscle.activation))
+        peaks.append((float(muscle.activation[row]), f"{name} {muscle.activation[row]:.3g} at {run.time[row]:.4g} s"))
+    peaks.sort(key=lambda peak: -peak[0])
+    more = f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
+    return f"largest activations {'; '.join(text for _, text in peaks[:JOINTS_NAMED])}{more}" if peaks else ""
+
+
+def _contact_forces(run: Run) -> str:
+    """Return the largest reaction force of each joint with and without muscles; empty without muscles."""
+    if not run.muscles:
+        return ""
+    without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
+    told = []
+    for index, (name, joint) in enumerate(run.joints.items()):
+        size = np.linalg.norm(joint.reaction_force, axis=1)
+        row, most = int(np.argmax(size)), float(np.max(without[:, index]))
+        error = math.nan if run.accuracy is None else float(run.accuracy.reaction_error[row, index])
+        with_muscles = f"{size[row]:.4g}" if math.isnan(error) else plus_minus(float(size[row]), error)
+        if size[row] > 1.001 * most or size[row] < 0.999 * most:
+            told.append((float(size[row]), f"{name} {with_muscles} N, {most:.4g} N without muscles"))
+    told.sort(key=lambda one: -one[0])
+    return "; ".join(text for _, text in told[:JOINTS_NAMED])
+
+
+def _reserves(run: Run) -> str:
+    """Return the share of each reserve in the moment of its actuator, as root mean squares; empty without muscles."""
+    if not run.muscles:
+        return ""
+    shares = reserve_shares(run)
+    return ", ".join(f"{name} {share:.2%}" for name, share in shares.items()) or "none"
+
+
+def reserve_shares(run: Run) -> dict[str, float]:
+    """Return the root mean square of each reserve, relative to that of the moment it is part of, by actuator."""
+    found = {}
+    for name, reserve in run.actuators.items():
+        actuator = name.removeprefix(RESERVE)
+        if name == actuator or actuator not in run.actuators:
+            continue
+        own, whole = (float(np.sqrt(np.mean(one.value**2))) for one in (reserve, run.actuators[actuator]))
+        found[actuator] = own / whole if whole > 0 else 0.0
+    return found
 
 
 def _events(run: Run) -> str:

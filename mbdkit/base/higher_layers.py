@@ -27,6 +27,9 @@ draw_run: Callable[..., Any]
 animation: Callable[[Any], Any]
 """Returns the animation of a run; see `mbdkit.archive.run_views.Animation`."""
 
+moment_arms: Callable[[Any, str, str], Any]
+"""Returns the moment arms of a muscle about a coordinate at the recorded rows of a run."""
+
 run_summary: Callable[[Any], str]
 """Returns the summary of a run as lines of text."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_simpson
@@ -16,6 +16,7 @@ from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.inverse_dynamics.measured import Measured, read_motion
+from mbdkit.inverse_dynamics.recruitment import Recruited, Recruiter
 from mbdkit.inverse_dynamics.reduced_motion import (
     Independent,
     Motion,
@@ -26,7 +27,7 @@ from mbdkit.inverse_dynamics.reduced_motion import (
 from mbdkit.inverse_dynamics.smoothing import smoothed
 from mbdkit.mechanics.source import AssembledMechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.quantities.states import States
+from mbdkit.quantities.states import Muscles, States
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.spec import InverseSpec
 from mbdkit.spec.named_actuators import NamedActuator, actuators_of
@@ -53,6 +54,8 @@ class InverseProblem:
         The measured loads by name.
     actuators
         The actuators, residual ones last.
+    recruiter
+        Recruits the muscles; None without `recruitment`.
     """
 
     spec: InverseSpec
@@ -62,6 +65,12 @@ class InverseProblem:
     measured: Measured
     loads: dict[str, LoadSeries]
     actuators: list[NamedActuator]
+    recruiter: Recruiter | None = None
+
+    @property
+    def recorded_actuators(self) -> list[NamedActuator]:
+        """The actuators, then the reserves."""
+        return [*self.actuators, *([] if self.recruiter is None else self.recruiter.reserves)]
 
     @classmethod
     def of(cls, spec: InverseSpec) -> InverseProblem:
@@ -78,11 +87,12 @@ class InverseProblem:
             loads = read_loads(spec, names, table)
             observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
             actuators = actuators_of(spec.actuators, names, observed)
+            recruiter = None if spec.recruitment is None else Recruiter(spec.recruitment, names, actuators)
         except SpecError as error:
             raise spec.placed(error) from error
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
-        return cls(spec, prepared, fitter, names, measured, loads, actuators)
+        return cls(spec, prepared, fitter, names, measured, loads, actuators, recruiter)
 
 
 @dataclass(frozen=True)
@@ -114,7 +124,10 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Inverse:
-    """The result of inverse dynamics in T frames; the independent coordinates are None if derivatives were given."""
+    """The result of inverse dynamics in T frames; the independent coordinates are None if derivatives were given.
+
+    `dynamics` are the forces without muscles; `recruited` is None without `recruitment`.
+    """
 
     problem: InverseProblem
     fitted: Fitted
@@ -122,6 +135,21 @@ class Inverse:
     motion: Motion
     loads: Loads
     dynamics: Dynamics
+    recruited: Recruited | None = None
+
+    @property
+    def lam(self) -> np.ndarray:
+        """(T, m) multipliers of the independent rows, with the forces of recruited muscles."""
+        return self.dynamics.lam if self.recruited is None else self.recruited.lam
+
+    @property
+    def actuators(self) -> np.ndarray:
+        """(T, U, 2) values and powers of `InverseProblem.recorded_actuators`."""
+        if self.recruited is None:
+            return np.stack([self.dynamics.value, self.dynamics.power], axis=-1)
+        one = self.recruited
+        values, powers = np.hstack([one.actuator, one.reserve]), np.hstack([one.actuator_power, one.reserve_power])
+        return np.stack([values, powers], axis=-1)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -141,6 +169,8 @@ class Inverse:
                 "unique: the sum of (weight * value)^2 is minimised, with torques divided by the characteristic length "
                 f"({problem.fitter.manifold.length:.4g} m)."
             )
+        if problem.names.mechanism.muscles and problem.recruiter is None:
+            told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
         if problem.spec.unbalanced == "report" and np.any(dynamics.unbalanced):
             worst = largest_unbalanced(dynamics, problem.fitter.bodies)
             told.append(
@@ -214,12 +244,18 @@ def motion_of(problem: InverseProblem, fitted: Fitted) -> tuple[Independent | No
     return independent, motion_of_series(fitter, independent, measured.time, fitted.q, series)
 
 
-def forces_of(problem: InverseProblem, fitted: Fitted, independent: Independent | None, motion: Motion) -> Inverse:
-    """Return the result whose forces produce a motion; see `compute` for errors."""
+def forces_of(
+    problem: InverseProblem, fitted: Fitted, independent: Independent | None, motion: Motion, *, strict: bool = True
+) -> Inverse:
+    """Return the result whose forces produce a motion; see `compute` for errors, and `Recruiter.recruited` for
+    `strict`.
+    """
     loads = loads_on(motion, problem.loads, problem.fitter.bodies)
     report = problem.spec.unbalanced == "report"
-    dynamics = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
-    return Inverse(problem, fitted, independent, motion, loads, dynamics)
+    dynamics, balance, needed = solve_dynamics(problem.fitter, motion, loads, problem.actuators, report=report)
+    recruiter = problem.recruiter
+    recruited = None if recruiter is None else recruiter.recruited(motion, dynamics, balance, needed, strict=strict)
+    return Inverse(problem, fitted, independent, motion, loads, dynamics, recruited)
 
 
 def recorded_states(result: Inverse) -> States:
@@ -227,7 +263,7 @@ def recorded_states(result: Inverse) -> States:
     motion, dynamics = result.motion, result.dynamics
     workspace, manifold = result.problem.prepared.workspace, result.problem.fitter.manifold
     count = len(motion.time)
-    found = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam)
+    found = manifold.reactions(motion.time, motion.q, motion.v, result.lam)
     q, v, a = (np.column_stack([x, np.zeros((count, 3))]) for x in (motion.q, motion.v, motion.a))
     observer = StateObserver(workspace)
     observed: Observed = observer.arrays(count)
@@ -247,6 +283,21 @@ def recorded_states(result: Inverse) -> States:
         work=work,
         dissipated=dissipated,
         start_energy=start,
-        actuators=np.stack([dynamics.value, dynamics.power], axis=-1),
+        actuators=result.actuators,
+        muscles=_muscles(result),
         elapsed=np.zeros(count),
     )
+
+
+def _muscles(result: Inverse) -> Muscles | None:
+    """Return the recorded values of the recruited muscles."""
+    one = result.recruited
+    if one is None:
+        return None
+    return Muscles(one.length, one.rate, one.fiber_length, one.fiber_rate, one.activation, one.force, one.power)
+
+
+def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
+    """Return the reaction forces (T, J, 2) [N] if actuators produced the motion without muscles."""
+    without = replace(result, recruited=None)
+    return recorded_states(without).reactions[:, :, :2]

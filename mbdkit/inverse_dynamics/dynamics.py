@@ -53,8 +53,8 @@ class Dynamics:
 
 def solve_dynamics(
     fitter: Fitter, motion: Motion, loads: Loads, actuators: Sequence[NamedActuator], *, report: bool = False
-) -> Dynamics:
-    """Return the forces that produce a motion.
+) -> tuple[Dynamics, Balance, np.ndarray]:
+    """Return the forces that produce a motion, the balance, and the generalized forces (T, n) that it has to supply.
 
     Parameters
     ----------
@@ -72,9 +72,10 @@ def solve_dynamics(
     frames = manifold.frames(motion.time, motion.q, motion.v, forces=True)
     balance = Balance(manifold, motion, actuators, manifold.directions(frames.jacobian))
     rank = _rank(fitter, balance.directions, balance.effect, motion, report)
-    value, lam, unbalanced = balance.solved(manifold.mass * motion.a - frames.force - loads.generalized)
+    needed = manifold.mass * motion.a - frames.force - loads.generalized
+    value, lam, unbalanced = balance.solved(needed)
     power = value * (np.swapaxes(balance.columns, 1, 2) @ motion.v[..., None])[..., 0]
-    return Dynamics(value, power, lam, unbalanced, len(actuators) - rank)
+    return Dynamics(value, power, lam, unbalanced, len(actuators) - rank), balance, needed
 
 
 class Balance:
@@ -115,9 +116,7 @@ class Balance:
 
     def solved(self, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return values (T, U), multipliers (T, m) and unbalanced forces (T, n) for needed forces (T, n)."""
-        if self._inverse is None:
-            self._inverse = np.linalg.pinv(self.effect, rcond=WEAK)
-        inverse, effect = self._inverse, self.effect
+        inverse, effect = self._inverted(), self.effect
         right = (self._free @ needed[..., None])[..., 0]
         scaled = (inverse @ right[..., None])[..., 0]
         scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]  # rounding errors
@@ -127,6 +126,17 @@ class Balance:
         size = np.where(self._scale > 0, self._scale, 1.0)
         unbalanced = (self.directions.free @ left[..., None])[..., 0] / size
         return value, self.directions.multipliers(pushed - needed), unbalanced
+
+    def as_actuators(self, forces: np.ndarray) -> np.ndarray:
+        """Return the values (T, U, M) of actuators with the effect of generalized forces (T, n, M)."""
+        values: np.ndarray = (self._inverted() @ (self._free @ forces)) / self._weight[:, None]
+        return values
+
+    def _inverted(self) -> np.ndarray:
+        """Return the pseudoinverse of `effect`."""
+        if self._inverse is None:
+            self._inverse = np.linalg.pinv(self.effect, rcond=WEAK)
+        return self._inverse
 
 
 def columns_of(q: np.ndarray, actuators: Sequence[NamedActuator]) -> np.ndarray:

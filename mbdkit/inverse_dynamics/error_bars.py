@@ -48,31 +48,37 @@ class ErrorBars:
     deviation
         (K,) standard deviations of the noise of the observed quantities.
     actuators
-        (T, U) bounds of the values of the actuators.
+        (T, U) bounds of the values of the actuators and reserves.
+    muscles
+        (T, M) bounds of the tensions of the muscles.
     accuracy
         Bounds of the errors of bodies and joints; those of reaction forces bound the norm of the vector error.
     """
 
     deviation: np.ndarray
     actuators: np.ndarray
+    muscles: np.ndarray
     accuracy: Accuracy
 
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Results that have error bars: actuators (T, U), reactions (T, J, 3), positions and velocities (T, B, 3)."""
+    """Results that have error bars: actuators (T, U), reactions (T, J, 3), positions and velocities (T, B, 3), muscles
+    (T, M).
+    """
 
     actuators: np.ndarray
     reactions: np.ndarray
     position: np.ndarray
     velocity: np.ndarray
+    muscles: np.ndarray
 
     def minus(self, other: _Outcome) -> _Outcome:
         return _Outcome(*(a - b for a, b in zip(self.parts, other.parts, strict=True)))
 
     @property
     def parts(self) -> tuple[np.ndarray, ...]:
-        return self.actuators, self.reactions, self.position, self.velocity
+        return self.actuators, self.reactions, self.position, self.velocity, self.muscles
 
 
 class _Response:
@@ -85,13 +91,14 @@ class _Response:
         base = self.result
         fitter, q = base.problem.fitter, base.motion.q
         motion = motion_of_series(fitter, self.independent, base.motion.time, q, series)
-        return _outcome(forces_of(base.problem, base.fitted, self.independent, motion))
+        return _outcome(forces_of(base.problem, base.fitted, self.independent, motion, strict=False))
 
 
 def _outcome(result: Inverse) -> _Outcome:
     states, count = recorded_states(result), len(result.motion.time)
     q, v = (x.reshape(count, -1, 3) for x in (result.motion.q, result.motion.v))
-    return _Outcome(result.dynamics.value, states.reactions, q, v)
+    muscles = np.zeros((count, 0)) if result.recruited is None else result.recruited.force
+    return _Outcome(result.actuators[:, :, 0], states.reactions, q, v, muscles)
 
 
 def error_bars(result: Inverse) -> ErrorBars | None:
@@ -131,10 +138,11 @@ def error_bars(result: Inverse) -> ErrorBars | None:
                 beyond[index] += (change**2 - noise) / len(group)
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
     method = _method(result, deviation, *([one.name for one in group] for group in groups))
-    actuators, force, torque, position, velocity = (np.sqrt(square) for square in squares)
+    actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
     return ErrorBars(
         deviation,
         actuators,
+        muscles,
         Accuracy(
             times, position, velocity, force, torque, float(times[-1]), np.nan, method, time.perf_counter() - begin
         ),
@@ -186,7 +194,8 @@ def _with_loads(
     for name, series in problem.loads.items():
         for component, deviation in series.deviation.items():
             loads = problem.loads | {name: series.moved(component, deviation)}  # the outcome is linear in each of them
-            moved = forces_of(replace(problem, loads=loads), result.fitted, result.independent, result.motion)
+            with_noise = replace(problem, loads=loads)
+            moved = forces_of(with_noise, result.fitted, result.independent, result.motion, strict=False)
             columns.append([part / deviation for part in _outcome(moved).minus(base).parts])
             deviations.append(deviation)
     if not columns:
@@ -200,7 +209,7 @@ def _with_loads(
 
 
 def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
-    """Return the bounds, due to noise, of actuators, reaction forces, torques, positions and velocities."""
+    """Return the bounds, due to noise, of actuators, reaction forces, torques, positions, velocities and muscles."""
     reactions, factor = sensitivity[1], np.sqrt(chi2.ppf(LEVEL, 1))
     x, y = reactions[..., 0], reactions[..., 1]
     found = [factor * np.sqrt(square) for square in _squares(sensitivity, covariance)]
@@ -209,11 +218,13 @@ def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.nd
 
 
 def _squares(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
-    """Return the mean squares, due to noise, of actuators, norms of forces, torques, positions and velocities."""
-    actuators, reactions, position, velocity = sensitivity
+    """Return the mean squares, due to noise, of actuators, norms of forces, torques, positions, velocities and
+    muscles.
+    """
+    actuators, reactions, position, velocity, muscles = sensitivity
     x, y, torque = (_product(moveaxi, moveaxi, covariance) for moveaxi in np.moveaxis(reactions, -1, 0))
-    own, place, rate = (_product(one, one, covariance) for one in (actuators, position, velocity))
-    return [own, x + y, torque, place, rate]
+    own, place, rate, pull = (_product(one, one, covariance) for one in (actuators, position, velocity, muscles))
+    return [own, x + y, torque, place, rate, pull]
 
 
 def _product(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -258,7 +269,7 @@ class _Other:
         """Return the other way of this outcome."""
         one = outcome.minus(base)
         force, torque = np.linalg.norm(one.reactions[..., :2], axis=2), one.reactions[..., 2]
-        return cls(name, noise, [one.actuators, force, torque, one.position, one.velocity])
+        return cls(name, noise, [one.actuators, force, torque, one.position, one.velocity, one.muscles])
 
 
 def _other_cutoffs(response: _Response, path: NoisePath, coordinates: np.ndarray, how: list[Smoothing]) -> list[_Other]:

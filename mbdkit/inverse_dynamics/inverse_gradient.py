@@ -111,6 +111,8 @@ def gradient_of_inverse(
 ) -> Gradient:
     """Return the gradient of measures of a validated spec; see `inverse_gradient`."""
     spec = varied_inverse(spec, WITHOUT_BARS)
+    if spec.recruitment is not None:
+        raise SpecError("gradients do not include muscles so far; leave `recruitment` out", key="recruitment")
     problem = InverseProblem.of(spec)
     expressions = expressions_of(spec, definitions)
     for expression in expressions.values():

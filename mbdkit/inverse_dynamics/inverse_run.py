@@ -20,7 +20,13 @@ from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.logs import logger_of
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, recorded_states
+from mbdkit.inverse_dynamics.compute import (
+    Inverse,
+    InverseProblem,
+    compute,
+    reaction_forces_without_muscles,
+    recorded_states,
+)
 from mbdkit.inverse_dynamics.data_verdict import doubts_about_data, verdict_on_data
 from mbdkit.inverse_dynamics.error_bars import ErrorBars, error_bars
 from mbdkit.inverse_dynamics.fit import raw_misalignment
@@ -192,25 +198,27 @@ def _measured(result: Inverse, file: h5py.File) -> str:
 def _groups(result: Inverse) -> list[str]:
     """Return the groups of inverse dynamics that have elements."""
     there = {"motion": True, "actuators": result.problem.actuators, "loads": result.loads.names}
+    there["muscles"] = result.recruited is not None
     return [group for group in layout.INVERSE_GROUPS if there[group]]
 
 
 def _names(result: Inverse) -> ArchiveNames:
-    measured, actuators = result.fitted.measured, result.problem.actuators
+    measured, actuators = result.fitted.measured, result.problem.recorded_actuators
     return replace(
         archive_names(result.problem.prepared.workspace.mechanism),
         observed=measured.names,
         observed_units=[quantity.unit for quantity in measured.quantities.quantities],
         actuators=[actuator.name for actuator in actuators],
         actuator_units=[actuator.unit for actuator in actuators],
+        muscles=() if result.problem.recruiter is None else result.problem.recruiter.muscles,
         loads=result.loads.names,
         load_bodies=result.loads.bodies,
     )
 
 
 def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
-    """Return the arrays of motion, actuators and loads, by key."""
-    problem, fitted, loads, dynamics = result.problem, result.fitted, result.loads, result.dynamics
+    """Return the arrays of motion, actuators, muscles and loads that are not taken from states, by key."""
+    problem, fitted, loads = result.problem, result.fitted, result.loads
     mechanism = problem.prepared.workspace.mechanism
     rows = {
         "motion/raw": fitted.measured.raw,
@@ -219,11 +227,17 @@ def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
         "motion/raw_misalignment": raw_misalignment(
             problem.fitter.manifold, mechanism, fitted.measured.target, fitted.q
         ),
-        "actuators/value_error": np.full(dynamics.value.shape, np.nan) if bars is None else bars.actuators,
+        "actuators/value_error": np.full(result.actuators.shape[:2], np.nan) if bars is None else bars.actuators,
         "loads/force": loads.force,
         "loads/point": loads.point,
         "loads/torque": loads.torque,
         "loads/power": loads.power,
     }
+    if result.recruited is not None:
+        rows |= {
+            "muscles/force_error": np.full(result.recruited.force.shape, np.nan) if bars is None else bars.muscles,
+            "muscles/certificate": result.recruited.certificate,
+            "muscles/reaction_force_without": reaction_forces_without_muscles(result),
+        }
     groups = _groups(result)
     return {path: values for path, values in rows.items() if path.partition("/")[0] in groups}

@@ -32,14 +32,14 @@ Knee of `leg-four-bar`
     That of the model `four-bar-knee` on a thigh that moves: rods `acl` and `pcl`, joints A and B on the shank, C and D
     on the thigh. Knee flexion is the angle between thigh and shank.
 
-Further joints, forces (springs, torques, laws) and markers are added by name, as in the model `mechanism`, with points
-in the frames of the bodies, whose origins are the centres of mass, or by `at`, `from` and `to` in global coordinates at
-the start.
+Further joints, forces (springs, torques, laws), markers and muscles are added by name, as in the model `mechanism`,
+with points in the frames of the bodies, whose origins are the centres of mass, or by `at`, `from` and `to` in global
+coordinates at the start.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -51,6 +51,7 @@ from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
+from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._knee_linkage import Frame, knee_of, xy
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
@@ -64,6 +65,8 @@ FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
 
 class LegOptions(StrictModel):
     """Parameters of `leg`."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("muscles",)
 
     height: Positive = 1.8
     """Body height [m]; scales the segments."""
@@ -103,6 +106,8 @@ class LegOptions(StrictModel):
     """Force elements by name."""
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Further points of bodies whose positions and velocities are recorded, by name."""
+    muscles: dict[str, Muscle] = Field(default_factory=dict)
+    """Muscles by name; they act in inverse dynamics, with `recruitment`."""
 
 
 class LegFourBarOptions(LegOptions):
@@ -254,6 +259,7 @@ class _Leg:
             joints=self.joints | o.joints,
             forces=o.forces,
             markers=markers | o.markers,
+            muscles=o.muscles,
             coordinates=self.coordinates,
         )
         return Mechanism.from_data(data, name=name)

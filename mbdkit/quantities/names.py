@@ -44,6 +44,8 @@ class ArchiveNames:
         Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
     actuators, actuator_units
         Names of the actuators, and the unit of the value of each, ``N`` or ``N m``.
+    muscles
+        Names of the muscles.
     loads, load_bodies
         Names of the measured loads, and the body of each.
     """
@@ -67,6 +69,7 @@ class ArchiveNames:
     observed_units: Sequence[str] = ()
     actuators: Sequence[str] = ()
     actuator_units: Sequence[str] = ()
+    muscles: Sequence[str] = ()
     loads: Sequence[str] = ()
     load_bodies: Sequence[str] = ()
 
@@ -85,6 +88,7 @@ class ArchiveNames:
             "state": len(self.states),
             "observed": len(self.observed),
             "actuator": len(self.actuators),
+            "muscle": len(self.muscles),
             "load": len(self.loads),
         }
 

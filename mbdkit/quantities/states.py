@@ -17,6 +17,29 @@ NONE = np.zeros(0)
 
 
 @dataclass(frozen=True)
+class Muscles:
+    """Muscles in T states; all arrays are (T, M).
+
+    Attributes
+    ----------
+    length, rate
+        Lengths of the paths [m] and their rates [m/s].
+    fiber_length, fiber_rate
+        Lengths of the fibres [m] and their rates [m/s].
+    activation, force, power
+        Activations, tensions [N], and powers that the muscles supply to the bodies [W].
+    """
+
+    length: np.ndarray
+    rate: np.ndarray
+    fiber_length: np.ndarray
+    fiber_rate: np.ndarray
+    activation: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+
+
+@dataclass(frozen=True)
 class States:
     """T states of a mechanism.
 
@@ -39,6 +62,8 @@ class States:
         Total energy at the start of the run [J]; (T,) for states of several runs.
     actuators
         (T, A, 2) value and power of each actuator of inverse dynamics.
+    muscles
+        Muscles; None where there are none.
     elapsed
         (T,) wall time since the first step [s]; empty where not known.
     multipliers
@@ -56,6 +81,7 @@ class States:
     dissipated: np.ndarray = field(default_factory=lambda: NONE)
     start_energy: float | np.ndarray = 0.0
     actuators: np.ndarray = field(default_factory=lambda: NONE)
+    muscles: Muscles | None = None
     elapsed: np.ndarray = field(default_factory=lambda: NONE)
     multipliers: np.ndarray | None = None
     z: np.ndarray = field(default_factory=lambda: NONE)
@@ -95,6 +121,10 @@ class States:
         x = self.observed.reactions
         summed = joint_sums(self.mechanism).sum(x.reshape(*x.shape[:2], math.prod(x.shape[2:])))
         return summed.reshape(*summed.shape[:2], *x.shape[2:])
+
+    def of_muscles(self, name: str) -> np.ndarray:
+        """Return an array (T, M) of `Muscles`; empty if there are none."""
+        return NONE if self.muscles is None else np.asarray(getattr(self.muscles, name))
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Return the values (T, m) of the constraint rows, in the order of the archive, from those of pairs."""

@@ -47,6 +47,7 @@ _TE = ("time", "element")
 _TM = ("time", "constraint")
 _TK = ("time", "observed")
 _TA = ("time", "actuator")
+_TU = ("time", "muscle")
 _TL = ("time", "load")
 _TLA = ("time", "load", "axis")
 
@@ -57,6 +58,18 @@ _MISALIGNMENT: Mapping[str, Any] = {
     "is_not_negative": True,
     "no_derivative": "a misalignment is an error of the method, and almost zero",
 }
+
+
+def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
+    return Recorded(
+        name,
+        _TU,
+        units,
+        what,
+        take=lambda s: s.of_muscles(name),
+        no_derivative="muscles have no derivatives yet",
+        **more,
+    )
 
 
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
@@ -361,6 +374,30 @@ KINDS = (
             row_units="row_units"),
         since="1.1", optional=True, word="actuators", one="actuator", example="value", axis="actuator",
         is_optional=True, may_be_unknown=True,
+    ),
+    _kind(
+        "muscles",
+        Array("time", _T, "s", "time of the recorded row"),
+        _texts("muscle", "muscle", "name of the muscle", lambda names: names.muscles),
+        _JOINT,
+        _AXIS,
+        _of_muscles("length", "m", "length of the path"),
+        _of_muscles("rate", "m/s", "rate of length"),
+        _of_muscles("fiber_length", "m", "length of the fibres; nan where recruitment does not need it"),
+        _of_muscles("fiber_rate", "m/s", "rate of fiber_length"),
+        _of_muscles("activation", "1", "activation, from 0 to 1",
+            charts=(Chart("activations", "Activations of the muscles", "Active force over capacity.", "activation",
+                "1"),)),
+        _of_muscles("force", "N", "tension",
+            charts=(Chart("tensions", "Tensions of the muscles", "Along the tendons.", "tension", "N"),)),
+        _of_muscles("power", "W", "power that the muscle supplies to the bodies"),
+        Array("force_error", _TU, "N",
+            "bound of the error of force that holds with a probability of 95 % at each time, nan where unknown"),
+        Array("certificate", _T, "1",
+            "largest violation of the conditions of optimality by recruitment, relative to the size of each"),
+        Array("reaction_force_without", _TJA, "N", "reaction_force if actuators produced the motion without muscles"),
+        since="1.1", optional=True, word="muscles", one="muscle", example="force", axis="muscle", is_optional=True,
+        may_be_unknown=True,
     ),
     _kind(
         "loads",

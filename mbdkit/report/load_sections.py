@@ -52,6 +52,7 @@ def inverse_charts(run: Run) -> list[Figure]:
             caption = f"Measured minus fitted value of each of the observed {word}."
             axis = Axis("residual", unit)
             found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, lines))
+    found += _contact_chart(run)
     raw = run.raw_misalignment
     known = [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]
     if known:
@@ -61,6 +62,21 @@ def inverse_charts(run: Run) -> list[Figure]:
         axis = Axis("misalignment", "m")
         found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, lines))
     return found
+
+
+def _contact_chart(run: Run) -> list[Figure]:
+    """Return the chart of the joint forces with and without muscles; none without muscles."""
+    if not run.muscles:
+        return []
+    lines: list[Line] = []
+    for path, word in (("joints/reaction_force", ""), ("muscles/reaction_force_without", " without muscles")):
+        sizes = np.linalg.norm(run.array(path), axis=2)
+        curves = bands(np.asarray(run.time), sizes, points=_POINTS)
+        lines += [Line(f"{name}{word}", *curves.curve(k)) for k, name in enumerate(run.joint_names)]
+    caption = "Force in each joint with the forces of the muscles, and if actuators drove the joints instead."
+    return [
+        Figure("contact", "Joint forces with and without muscles", caption, _TIME, Axis("force", "N"), tuple(lines))
+    ]
 
 
 def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:

@@ -137,7 +137,7 @@ def recorded_charts(run: Run, path: str) -> list[Figure]:
     for chart in array.charts:
         lines = _lines(run, path, names, [column for column, unit in enumerate(units) if unit == chart.unit])
         if lines:
-            axis = Axis(chart.axis, chart.unit)
+            axis = Axis(chart.axis, "" if chart.unit == "1" else chart.unit)
             found.append(Figure(chart.name, chart.title, chart.caption, _TIME, axis, lines))
     return found
 

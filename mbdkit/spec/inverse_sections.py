@@ -293,6 +293,29 @@ class Actuator(Section):
         return self
 
 
+class Recruitment(Section):
+    """How muscles share the moments of actuators.
+
+    In each frame, the sum of ``(activation / weight)^exponent`` over the muscles, and of ``(reserve / its optimal
+    force)^exponent``, is minimised. Muscles and reserves together exert the moment of each actuator that a muscle acts
+    on.
+    """
+
+    exponent: Annotated[int, Field(ge=1, le=20)] | Literal["inf"] = 2
+    """A whole number, or `inf`: the largest share is minimised. Of equally good solutions, as they exist for 1 and
+    `inf`, the one with the smallest sum of squares is chosen."""
+    minimum: Annotated[float, Field(ge=0, lt=1)] = 0.01
+    """Smallest activation."""
+    reserves: Positive | dict[str, Positive] = Field(default_factory=dict)
+    """Optimal force or torque of a reserve beside the muscles, on each actuator, or on those that are named; none by
+    default. The smaller it is, the less the reserve is used."""
+    capacity: Literal["full", "isometric"] = "full"
+    """Largest active tension of a muscle: `full`, max_force times the curves of force by length and velocity times the
+    cosine of the pennation, on a rigid tendon; or `isometric`, max_force."""
+    passive: bool = False
+    """Whether the force of passive fibres is added to that of active ones."""
+
+
 class Span(Section):
     """The part of the motion that is used; all of it by default."""
 

@@ -15,9 +15,9 @@ from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
-from mbdkit.spec.inverse_sections import Actuator, Criterion, Load, MeasuredMotion, Span
+from mbdkit.spec.inverse_sections import Actuator, Criterion, Load, MeasuredMotion, Recruitment, Span
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.named_actuators import actuators_of
+from mbdkit.spec.named_actuators import actuators_of, reserves_of
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 
 
@@ -42,6 +42,7 @@ class InverseSpec(ModelSpec):
         "parameters",
         "loads",
         "actuators",
+        "recruitment",
         "measures",
         "unbalanced",
         "accept",
@@ -54,6 +55,8 @@ class InverseSpec(ModelSpec):
     actuators: Annotated[dict[str, Actuator], AfterValidator(_named)] = Field(default_factory=dict)
     """Actuators by name; by default, one for each observed relative angle or travel. Bodies that no joint connects to
     the ground have residual actuators in addition: root.x, root.y and root.angle, or those of the model's names."""
+    recruitment: Recruitment | None = None
+    """How the muscles of the model share the moments of the actuators; without it, muscles exert no force."""
     unbalanced: Literal["refuse", "report"] = "refuse"
     """Whether actuators that cannot produce the motion are refused, or chosen by least squares of the generalized
     forces that they leave unbalanced, which are reported."""
@@ -85,7 +88,9 @@ class InverseSpec(ModelSpec):
             groups = [{name: quantity} for name, quantity in names.candidates().items()]
         else:
             groups = [{name: names.find(name, path_text(("motion", "columns", name))) for name in columns}]
-        return {one.name: one.unit for group in groups for one in actuators_of(self.actuators, names, group)}
+        found = [one for group in groups for one in actuators_of(self.actuators, names, group)]
+        reserves = [] if self.recruitment is None else reserves_of(self.recruitment, found)
+        return {one.name: one.unit for one in [*found, *(reserve.actuator for reserve in reserves)]}
 
     @property
     def folder(self) -> Path:

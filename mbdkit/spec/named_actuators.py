@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mbdkit.base.errors import SpecError
@@ -20,7 +20,10 @@ from mbdkit.mechanism.mechanism_quantities import (
     without_scale,
 )
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit.spec.inverse_sections import Actuator
+from mbdkit.spec.inverse_sections import Actuator, Recruitment
+
+RESERVE = "reserve."
+"""Beginning of the names of reserves."""
 
 ROOT = "root"
 """Name of the residual actuators of the only free root, before the name of the coordinate."""
@@ -38,16 +41,61 @@ class NamedActuator:
         The power of a value u is u times the rate of this quantity.
     weight
         Weight of the value, see `mbdkit.spec.inverse_sections.Actuator`.
+    is_residual
+        Whether it acts on a body that no joint connects to the ground, from outside.
     """
 
     name: str
     quantity: Quantity
     weight: float = 1.0
+    is_residual: bool = False
 
     @property
     def unit(self) -> str:
         """Unit of the value: N for a force, N m for a torque."""
         return "N m" if self.quantity.unit == "rad" else "N"
+
+
+@dataclass(frozen=True)
+class Reserve:
+    """A reserve: an actuator beside the muscles.
+
+    Attributes
+    ----------
+    of
+        Index of the actuator whose moment it shares with the muscles.
+    actuator
+        The reserve itself, ``reserve.ACTUATOR``.
+    optimal
+        Its optimal force or torque.
+    """
+
+    of: int
+    actuator: NamedActuator
+    optimal: float
+
+
+def reserves_of(asked: Recruitment, actuators: Sequence[NamedActuator]) -> list[Reserve]:
+    """Return the reserves of recruitment, in the order of the actuators; residual actuators have none.
+
+    Raises
+    ------
+    SpecError
+        If one is named after an actuator that does not exist.
+    """
+    own = {one.name: index for index, one in enumerate(actuators) if not one.is_residual}
+    optimal = asked.reserves if isinstance(asked.reserves, dict) else dict.fromkeys(own, asked.reserves)
+    for name in optimal:
+        if name not in own:
+            raise SpecError(
+                f"there is no actuator '{name}'{did_you_mean(name, list(own)) or f'; actuators: {listed(list(own))}'}",
+                key=f"recruitment.reserves.{name}",
+            )
+    return [
+        Reserve(index, NamedActuator(RESERVE + name, actuators[index].quantity), optimal[name])
+        for name, index in own.items()
+        if name in optimal
+    ]
 
 
 def actuators_of(
@@ -138,7 +186,7 @@ def _residuals(names: QuantityNames) -> list[NamedActuator]:
         axes = AXES if mechanism.bodies[root].inertia is not None else AXES[:2]
         named = _coordinates_of_body(body, names)
         own = {f"{prefix}.{axis}": Coordinate(body, index) for index, axis in enumerate(axes)}
-        found += [NamedActuator(*one) for one in (named if len(named) == len(axes) else own).items()]
+        found += [NamedActuator(*one, is_residual=True) for one in (named if len(named) == len(axes) else own).items()]
     return found
 
 

@@ -1,0 +1,50 @@
+"""Moment arms of muscles about coordinates, at the recorded rows of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import SpecError
+from mbdkit.inverse_dynamics.manifold import Manifold
+from mbdkit.mechanics.source import AssembledMechanism
+from mbdkit.mechanism.mechanism_quantities import Quantities
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.muscles.muscle_path import MusclePath
+from mbdkit.spec import InverseSpec
+
+DEPENDENT = 1e-6
+"""Share of a quantity that must be independent of those chosen before."""
+
+
+def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
+    """Return the moment arms (T,); see `mbdkit.archive.run.Run.moment_arms`."""
+    spec = InverseSpec(**run.spec)
+    names = QuantityNames(spec.mechanism())
+    own = names.find(coordinate, "coordinate")
+    time = np.asarray(run.time)
+    q = np.asarray(run.array("trajectory/position")).reshape(len(time), -1)
+    path = MusclePath(muscle, names.mechanism.muscles[muscle], names).at(time, q)
+    manifold = Manifold(AssembledMechanism.at(spec, float(time[0]), float(time[-1])))
+    free = manifold.directions(manifold.frames(time, q).jacobian).free * manifold.scale[:, None]
+    joints = [names.joint(name, "coordinate") for name in names.mechanism.joints]
+    rates = Quantities([own, *joints, *names.candidates().values()]).jacobian(q) @ free
+    rows = _independent(rates[len(time) // 2])
+    if 0 not in rows:
+        raise SpecError(f"'{coordinate}' cannot change, so that muscles have no moment arms about it", key="coordinate")
+    one = np.zeros((len(time), len(rows), 1))
+    one[:, 0] = 1.0
+    alone = (free @ np.linalg.solve(rates[:, rows], one))[..., 0]
+    return -path.rate(alone)
+
+
+def _independent(rates: np.ndarray) -> list[int]:
+    """Return the first quantities that determine the motion, given their rates (K, f) along its free directions."""
+    rows: list[int] = []
+    basis = np.zeros((0, rates.shape[1]))
+    for index, row in enumerate(rates):
+        rest = row - (row @ basis.T) @ basis
+        if len(rows) < rates.shape[1] and np.linalg.norm(rest) > DEPENDENT * np.linalg.norm(row):
+            rows.append(index)
+            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
+    return rows

@@ -1,0 +1,267 @@
+"""Recruitment: the forces of muscles that produce the moments of inverse dynamics, by optimality in each frame.
+
+Actuators stand for the net moments of the muscles around joints. With tensions F of the muscles, which have moment arms
+R on these coordinates, and reserves r,
+
+    R F + r = u,    F = capacity a + passive,
+
+where u are the values of the actuators. Activations a between a minimum and 1 minimise the sum of ``(a / weight)^p``
+and of ``(r / optimal force)^p``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.text import counted, listed
+from mbdkit.inverse_dynamics.dynamics import Balance, Dynamics
+from mbdkit.inverse_dynamics.reduced_motion import Motion
+from mbdkit.inverse_dynamics.shared_loads import Programme, share_loads, smallest_supplement
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.muscles.fibers import fibers_on_rigid_tendon
+from mbdkit.muscles.muscle_path import MusclePath
+from mbdkit.spec.inverse_sections import Recruitment
+from mbdkit.spec.named_actuators import NamedActuator, Reserve, reserves_of
+
+NO_ARM = 1e-9
+"""Moment arm [m, or 1 for lengths] below which a muscle does not act on a coordinate."""
+
+TIMES_NAMED = 6
+
+
+@dataclass(frozen=True)
+class Recruited:
+    """Muscles that produce a motion in T frames.
+
+    Attributes
+    ----------
+    length, rate
+        (T, M) lengths of the paths [m] and their rates [m/s].
+    fiber_length, fiber_rate
+        (T, M) lengths of the fibres [m] and their rates [m/s].
+    activation, force, power
+        (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
+    reserve, reserve_power
+        (T, R) values of the reserves [N, N m] and their powers [W].
+    actuator, actuator_power
+        (T, U) values of the actuators and their powers. Muscles and reserves produce those of joints that muscles act
+        on; the others act beside them.
+    lam
+        (T, m) multipliers of the independent rows, with the forces of the muscles.
+    certificate
+        (T,) see `mbdkit.inverse_dynamics.shared_loads.Shared`.
+    """
+
+    length: np.ndarray
+    rate: np.ndarray
+    fiber_length: np.ndarray
+    fiber_rate: np.ndarray
+    activation: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+    reserve: np.ndarray
+    reserve_power: np.ndarray
+    actuator: np.ndarray
+    actuator_power: np.ndarray
+    lam: np.ndarray
+    certificate: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Contraction:
+    """Muscles of a motion in T frames: geometry, and what they can exert, all (T, M) but `pull`.
+
+    Attributes
+    ----------
+    length, rate, fiber_length, fiber_rate
+        See `Recruited`.
+    capacity, passive
+        Active tension per activation, and tension without activation [N].
+    pull
+        (T, n, M) generalized forces of unit tensions.
+    """
+
+    length: np.ndarray
+    rate: np.ndarray
+    fiber_length: np.ndarray
+    fiber_rate: np.ndarray
+    capacity: np.ndarray
+    passive: np.ndarray
+    pull: np.ndarray
+
+
+class Recruiter:
+    """Recruits the muscles of a mechanism.
+
+    Parameters
+    ----------
+    asked
+        The section `recruitment` of the spec.
+    names
+        Quantities of the mechanism by name.
+    actuators
+        The U actuators of the spec.
+
+    Attributes
+    ----------
+    muscles
+        Names of the muscles.
+
+    Raises
+    ------
+    SpecError
+        If the mechanism has no muscles, a muscle has an elastic tendon, or a reserve refers to an unknown actuator.
+    """
+
+    def __init__(self, asked: Recruitment, names: QuantityNames, actuators: Sequence[NamedActuator]):
+        own = names.mechanism.muscles
+        if not own:
+            raise SpecError("needs muscles, but the model has none", key="recruitment")
+        self.asked, self._muscles, self._actuators = asked, own, actuators
+        self.muscles = tuple(own)
+        self._paths = {name: MusclePath(name, muscle, names) for name, muscle in own.items()}
+        for name, muscle in own.items():
+            if muscle.tendon == "elastic" and (asked.capacity == "full" or asked.passive):
+                raise SpecError(
+                    "recruitment takes tendons as rigid so far; write `rigid`, or use `capacity: isometric`",
+                    key=f"model.muscles.{name}.tendon",
+                )
+        self._joined = np.array([not one.is_residual for one in actuators], dtype=bool)
+        self._reserves = reserves_of(asked, actuators)
+
+    @property
+    def reserves(self) -> list[NamedActuator]:
+        """The reserves, in the order of their actuators."""
+        return [reserve.actuator for reserve in self._reserves]
+
+    def recruited(
+        self, motion: Motion, dynamics: Dynamics, balance: Balance, needed: np.ndarray, *, strict: bool = True
+    ) -> Recruited:
+        """Return the muscles that produce a motion.
+
+        Parameters
+        ----------
+        dynamics
+            The forces that produce it without muscles.
+        balance, needed
+            Balance of forces of the motion, and the generalized forces (T, n) that actuators and joints supply.
+        strict
+            Whether frames that muscles and reserves cannot produce are refused; otherwise, their forces are nan.
+
+        Raises
+        ------
+        RunError
+            If a path is not possible, or muscles and reserves cannot produce the motion; the message has the smallest
+            reserves with which they can.
+        """
+        if balance.effect.shape[1] != balance.effect.shape[2] or dynamics.surplus:
+            raise SpecError(
+                f"recruitment needs one actuator for each of the {counted(balance.effect.shape[1], 'degree')} of "
+                f"freedom, whose moments the muscles produce; there are {balance.effect.shape[2]}",
+                key="actuators",
+            )
+        own = self._contraction(motion)
+        arms = balance.as_actuators(own.pull)  # (T, U, M)
+        driven = self._joined & np.any(np.abs(arms) > NO_ARM, axis=(0, 2))
+        if not driven.any():
+            raise SpecError("no muscle acts on an actuator: muscles must cross joints that move", key="recruitment")
+        places = [reserve.of for reserve in self._reserves]
+        spare = [reserve for reserve in self._reserves if driven[reserve.of]]
+        net = dynamics.value[:, driven] - (arms[:, driven] @ own.passive[..., None])[..., 0]
+        programme = self._programme(own, arms[:, driven], net, np.flatnonzero(driven), spare)
+        shared = share_loads(programme, math.inf if self.asked.exponent == "inf" else float(self.asked.exponent))
+        failed = ~np.isfinite(shared.certificate)
+        if strict and failed.any():
+            raise self._impossible(
+                programme, motion.time, failed, [self._actuators[int(k)] for k in np.flatnonzero(driven)]
+            )
+        activation = np.where(failed[:, None], np.nan, shared.value[:, : len(self.muscles)])
+        force = own.capacity * activation + own.passive
+        left = dynamics.value - (arms @ force[..., None])[..., 0]
+        beside = left.copy()  # what actuators exert beside the muscles
+        beside[:, [place for place in np.flatnonzero(driven) if place not in places]] = 0.0
+        pushed = (balance.columns @ beside[..., None] + own.pull @ force[..., None])[..., 0]
+        speed = (np.swapaxes(balance.columns, 1, 2) @ motion.v[..., None])[..., 0]
+        actuator = np.where(driven, dynamics.value, beside)
+        reserve = np.where(driven, beside, 0.0)[:, places]
+        return Recruited(
+            own.length,
+            own.rate,
+            own.fiber_length,
+            own.fiber_rate,
+            activation,
+            force,
+            -force * own.rate,
+            reserve,
+            reserve * speed[:, places],
+            actuator,
+            actuator * speed,
+            balance.directions.multipliers(pushed - needed),
+            shared.certificate,
+        )
+
+    def _contraction(self, motion: Motion) -> _Contraction:
+        """Return geometry and possible forces of the muscles."""
+        is_full = self.asked.capacity == "full"
+        columns: list[tuple[np.ndarray, ...]] = []
+        for name, muscle in self._muscles.items():
+            path = self._paths[name].at(motion.time, motion.q)
+            rate = path.rate(motion.v)
+            if is_full or self.asked.passive:
+                fibers = fibers_on_rigid_tendon(name, muscle, motion.time, path.length, rate)
+                lengths = fibers.length, fibers.rate
+                forces = fibers.active, fibers.passive
+            else:
+                lengths = np.full_like(rate, np.nan), np.full_like(rate, np.nan)
+                forces = rate, np.zeros_like(rate)
+            active = forces[0] if is_full else np.full_like(rate, muscle.max_force)
+            passive = forces[1] if self.asked.passive else np.zeros_like(rate)
+            columns.append((path.length, rate, *lengths, active, passive, -path.gradient))
+        return _Contraction(*(np.stack(one, axis=-1) for one in zip(*columns, strict=True)))
+
+    def _programme(
+        self, own: _Contraction, arms: np.ndarray, net: np.ndarray, driven: np.ndarray, spare: Sequence[Reserve]
+    ) -> Programme:
+        """Return the convex programmes of all frames; unknowns are activations and shares of reserves."""
+        frames, count = len(net), len(self.muscles)
+        matrix = arms * own.capacity[:, None]
+        reserves = np.zeros((frames, len(driven), len(spare)))
+        for column, reserve in enumerate(spare):
+            reserves[:, np.flatnonzero(driven == reserve.of), column] = reserve.optimal
+        low, high = np.full((frames, count), self.asked.minimum), np.ones((frames, count))
+        without = np.full((frames, len(spare)), np.inf)
+        weight = [*(muscle.weight for muscle in self._muscles.values()), *(1.0 for _ in spare)]
+        return Programme(
+            np.concatenate([matrix, reserves], axis=2),
+            net,
+            np.hstack([low, -without]),
+            np.hstack([high, without]),
+            np.array(weight),
+        )
+
+    def _impossible(
+        self, programme: Programme, time: np.ndarray, failed: np.ndarray, driven: Sequence[NamedActuator]
+    ) -> RunError:
+        """Return the error for frames without solution, with the smallest reserves that would do."""
+        rows = np.flatnonzero(failed)
+        lacking = np.abs(smallest_supplement(programme.only(rows)))
+        largest = np.max(lacking, axis=0)
+        told = [
+            f"{one.name} {most:.4g} {one.unit} (t = {time[rows[int(np.argmax(lacking[:, k]))]]:.6g} s)"
+            for k, (one, most) in enumerate(zip(driven, largest, strict=True))
+            if most > 1e-9 * np.max(programme.size[rows][:, k])
+        ]
+        times = listed([f"{time[row]:.6g}" for row in rows[:TIMES_NAMED]], "" if len(rows) > TIMES_NAMED else "and")
+        more = ", ..." if len(rows) > TIMES_NAMED else ""
+        if not told:
+            return RunError(f"recruitment was not solved at t = {times}{more} s; use another `exponent`, or reserves")
+        return RunError(
+            f"the muscles cannot produce the motion in {len(rows)} of {counted(len(time), 'frame')}, at t = "
+            f"{times}{more} s; the smallest reserves with which they can are {listed(told, 'and')}: state "
+            "`recruitment.reserves`"
+        )

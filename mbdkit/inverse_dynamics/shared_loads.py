@@ -1,0 +1,290 @@
+"""How muscles share loads: the convex programme of recruitment, solved for all frames at once.
+
+In each frame, ``sum of |x / weight|^p`` is minimised subject to ``matrix x = right`` and bounds of x. For p > 1, this
+is done in the multipliers y of the K equations (the dual problem), which are few: x follows from ``g = matrix^T y`` for
+each unknown by itself, clipped to its bounds, so that ``matrix x(y) = right`` is a system of K equations. Its Jacobian,
+``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method with a line search on the concave dual function solves it
+to rounding errors: for p = 2 it is piecewise linear, so that the iteration ends once the right bounds are active. A
+proximal term keeps the Jacobian regular (method of multipliers); it starts large, and each problem starts from the
+multipliers of the one before.
+
+p = 1 and the minimum of the largest share are linear programmes, which HiGHS solves. Of several solutions, that with
+the smallest sum of squares is chosen: with the multipliers of one solution, the others are those that leave the
+unknowns at their bounds whose reduced costs do not vanish.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+ITERATIONS = 60
+"""Newton iterations of one proximal problem; 5 to 15 are usual."""
+PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, *(1e-11,) * 6)
+"""Proximal terms of the problems, relative to half of the trace of the product of the matrix and its transpose; four
+problems are usual."""
+ROUNDING = 1e-14
+"""Rounding errors of the dual function, relative to its parts."""
+REACHED = 1e-13
+"""Residual of the equations, relative to their size, at which the iteration ends."""
+SOLVED = 1e-9
+"""Residual below which a frame counts as solved; larger ones are those of programmes without solution."""
+REDUCED_COST = 1e-7
+"""Reduced costs above this share of the largest cost keep unknowns at their bounds."""
+TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+"""Options of HiGHS."""
+LEAST_SLOPE = 1e-12
+"""Share of the largest derivative dx/dg to which others are raised for p > 2, where it is infinite at x = 0."""
+
+
+@dataclass(frozen=True)
+class Programme:
+    """Convex programmes of T frames with N unknowns and K equations.
+
+    Attributes
+    ----------
+    matrix, right
+        (T, K, N) and (T, K).
+    low, high
+        (T, N) bounds; may be infinite.
+    weight
+        (N,) weights of the unknowns, positive.
+    """
+
+    matrix: np.ndarray
+    right: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def size(self) -> np.ndarray:
+        """Size (T, K) of each equation: of its right side, and of all that bounded unknowns can give."""
+        largest = np.where(np.isfinite(self.high), np.abs(self.high), 0.0)
+        size: np.ndarray = np.abs(self.right) + np.sum(np.abs(self.matrix) * largest[:, None], axis=2)
+        return np.where(size > 0, size, 1.0)
+
+    def only(self, rows: np.ndarray) -> Programme:
+        """Return the programmes of some frames."""
+        return Programme(self.matrix[rows], self.right[rows], self.low[rows], self.high[rows], self.weight)
+
+
+@dataclass(frozen=True)
+class Shared:
+    """Solutions of T programmes.
+
+    Attributes
+    ----------
+    value
+        (T, N) unknowns.
+    certificate
+        (T,) largest violation of the conditions of optimality: of an equation relative to its size, and of the sign of
+        a derivative of the Lagrangian relative to the largest derivative of the cost. Inf where there is no solution.
+    """
+
+    value: np.ndarray
+    certificate: np.ndarray
+
+
+def share_loads(programme: Programme, exponent: float) -> Shared:
+    """Solve programmes.
+
+    Parameters
+    ----------
+    exponent
+        p: 1, 2, 3, ..., or infinity for the smallest largest share.
+    """
+    # In units of weights, all weights are 1, and equations of size 1 have multipliers of the size of the cost.
+    size, weight = programme.size, programme.weight
+    scaled = Programme(
+        programme.matrix * weight / size[..., None],
+        programme.right / size,
+        programme.low / weight,
+        programme.high / weight,
+        np.ones_like(weight),
+    )
+    solve = _linear if exponent == 1 or math.isinf(exponent) else _dual_newton
+    value, certificate = solve(scaled, exponent)
+    return Shared(value * weight, np.where(certificate <= SOLVED, certificate, np.inf))
+
+
+def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return solutions (T, N) and certificates (T,) for p > 1 and weights of 1."""
+    frames, equations, _ = programme.matrix.shape
+    y = np.zeros((frames, equations))
+    if p > 2:  # from the solution for p = 2, where the derivative of the cost is 2 x instead of p x^(p - 1)
+        x, _ = _dual_newton(programme, 2.0)
+        cost = p * np.sign(x) * np.abs(x) ** (p - 1)
+        y = (np.linalg.pinv(np.swapaxes(programme.matrix, 1, 2), rcond=1e-10) @ cost[..., None])[..., 0]
+    trace = np.einsum("tkn,tkn->t", programme.matrix, programme.matrix) * 0.5
+    trace = np.where(trace > 0, trace, 1.0)
+    left = np.arange(frames)
+    for proximal in PROXIMAL:
+        y[left] = _proximal_newton(programme.only(left), y[left], p, proximal * trace[left])
+        x, _ = _unknowns(programme, y, p)
+        residual = np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0)
+        left = np.flatnonzero(residual > REACHED)
+        if not left.size:
+            break
+    y = _polished(programme, y, p, trace)
+    x, _ = _unknowns(programme, y, p)
+    return x, _certificate(programme, x, y, p)
+
+
+def _polished(programme: Programme, y: np.ndarray, p: float, trace: np.ndarray) -> np.ndarray:
+    """Return the multipliers after a Newton step of the equations, in frames where it reduces the residual."""
+    x, slope = _unknowns(programme, y, p)
+    before = _residual(programme, x)
+    regular = 1e-14 * trace[:, None, None] * np.eye(y.shape[1])
+    jacobian = (programme.matrix * slope[:, None]) @ np.swapaxes(programme.matrix, 1, 2) + regular
+    moved = y + np.linalg.solve(jacobian, before[..., None])[..., 0]
+    after = _residual(programme, _unknowns(programme, moved, p)[0])
+    better = np.max(np.abs(after), axis=1, initial=0.0) < np.max(np.abs(before), axis=1, initial=0.0)
+    return np.where(better[:, None], moved, y)
+
+
+def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal: np.ndarray) -> np.ndarray:
+    """Return the multipliers (T, K) that maximise the dual function minus ``proximal |y - start|^2 / 2``."""
+    y = start.copy()
+    eye = np.eye(y.shape[1])
+    left = np.arange(len(y))
+    for _ in range(ITERATIONS):
+        own, near, own_start = programme.only(left), proximal[left], start[left]
+        x, slope = _unknowns(own, y[left], p)
+        gradient = _residual(own, x) - near[:, None] * (y[left] - own_start)
+        jacobian = (own.matrix * slope[:, None]) @ np.swapaxes(own.matrix, 1, 2) + near[:, None, None] * eye
+        step = np.linalg.solve(jacobian, gradient[..., None])[..., 0]
+        before = _dual(own, y[left], x, p) - 0.5 * near * np.sum((y[left] - own_start) ** 2, axis=1)
+        rise, norm = np.sum(gradient * step, axis=1), np.max(np.abs(gradient), axis=1)
+        rounding = ROUNDING * (np.sum(np.abs(x) ** p, axis=1) + np.sum(np.abs(y[left] * own.right), axis=1))
+        size, moved = np.ones(len(left)), y[left] + step
+        waiting = np.ones(len(left), dtype=bool)
+        for _ in range(40):
+            x, _ = _unknowns(own, moved, p)
+            after = _dual(own, moved, x, p) - 0.5 * near * np.sum((moved - own_start) ** 2, axis=1)
+            waiting &= after < before + 1e-4 * size * rise - rounding
+            if not waiting.any():
+                break
+            size[waiting] *= 0.5
+            moved[waiting] = y[left][waiting] + size[waiting, None] * step[waiting]
+        y[left] = np.where(waiting[:, None], y[left], moved)
+        left = left[(norm > 0.1 * REACHED) & ~waiting]
+        if not left.size:
+            break
+    return y
+
+
+def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the unknowns (T, N) that minimise the Lagrangian, and their derivatives by g."""
+    g = (np.swapaxes(programme.matrix, 1, 2) @ y[..., None])[..., 0]
+    if p == 2:
+        x, slope = 0.5 * g, np.full_like(g, 0.5)
+    else:
+        size = np.abs(g)
+        x = np.sign(g) * (size / p) ** (1.0 / (p - 1.0))
+        slope = np.abs(x) / np.where(size > 0, size, 1.0) / (p - 1.0)
+        slope = np.maximum(slope, LEAST_SLOPE * np.max(slope, axis=1, initial=1e-300)[:, None])
+    free = (x > programme.low) & (x < programme.high)
+    return np.clip(x, programme.low, programme.high), np.where(free, slope, 0.0)
+
+
+def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
+    left: np.ndarray = programme.right - (programme.matrix @ x[..., None])[..., 0]
+    return left
+
+
+def _dual(programme: Programme, y: np.ndarray, x: np.ndarray, p: float) -> np.ndarray:
+    """Return the dual function (T,): the Lagrangian at its minimum."""
+    value: np.ndarray = np.sum(np.abs(x) ** p, axis=1) + np.sum(y * _residual(programme, x), axis=1)
+    return value
+
+
+def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:
+    """Return the largest violation (T,) of the conditions of optimality, see `Shared`."""
+    cost = p * np.sign(x) * np.abs(x) ** (p - 1)
+    g = (np.swapaxes(programme.matrix, 1, 2) @ y[..., None])[..., 0]
+    slope = cost - g  # zero between the bounds, not negative at the lower one, and not positive at the upper one
+    slope = np.where((x <= programme.low) & (slope > 0), 0.0, slope)
+    slope = np.where((x >= programme.high) & (slope < 0), 0.0, slope)
+    largest = np.maximum(np.max(np.abs(cost), axis=1), np.max(np.abs(g), axis=1))
+    wrong = np.max(np.abs(slope), axis=1) / np.where(largest > 0, largest, 1.0)
+    found: np.ndarray = np.maximum(wrong, np.max(np.abs(_residual(programme, x)), axis=1, initial=0.0))
+    return found
+
+
+def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return solutions (T, N) and certificates (T,) for p = 1 or infinity and weights of 1.
+
+    Unknowns that may be negative are differences of two that are not.
+    """
+    frames, _, count = programme.matrix.shape
+    signed = np.flatnonzero(np.any(programme.low < 0, axis=0))
+    matrix = np.concatenate([programme.matrix, -programme.matrix[:, :, signed]], axis=2)
+    low = np.hstack([np.maximum(programme.low, 0.0), np.zeros((frames, len(signed)))])
+    high = np.hstack([programme.high, -programme.low[:, signed]])
+    solved = np.zeros(frames, dtype=bool)
+    for row in range(frames):
+        found = _optimal_face(matrix[row], programme.right[row], (low[row], high[row]), math.isinf(exponent))
+        if found is not None:
+            (low[row], high[row]), solved[row] = found, True
+    face = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]))
+    split, certificate = _dual_newton(face, 2.0)
+    value = split[:, :count].copy()
+    value[:, signed] -= split[:, count:]
+    wrong = np.max(np.abs(_residual(programme, value)), axis=1, initial=0.0)
+    return value, np.where(solved, np.maximum(certificate, wrong), np.inf)
+
+
+def _optimal_face(
+    matrix: np.ndarray, right: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], is_largest: bool
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return bounds (N,) within which all solutions of a linear programme are; None if it has no solution.
+
+    Parameters
+    ----------
+    matrix, right
+        Equations of one frame, (K, N) and (K,).
+    bounds
+        Bounds (N,) of the unknowns, none of which may be negative.
+    is_largest
+        Whether the largest unknown is minimised, which is one more unknown, instead of their sum.
+    """
+    (low, high), count = bounds, len(bounds[0])
+    more = {}
+    if is_largest:
+        matrix = np.hstack([matrix, np.zeros((len(matrix), 1))])
+        more = {"A_ub": np.hstack([np.eye(count), -np.ones((count, 1))]), "b_ub": np.zeros(count)}
+        low, high = np.append(low, 0.0), np.append(high, np.inf)
+    cost = np.append(np.zeros(count), 1.0) if is_largest else np.ones(count)
+    best = linprog(cost, A_eq=matrix, b_eq=right, bounds=np.column_stack([low, high]), options=TIGHT, **more)
+    if best.status != 0:
+        return None
+    reduced = best.lower.marginals[:count] + best.upper.marginals[:count]
+    least, most = low[:count].copy(), high[:count].copy()
+    if is_largest:
+        most = np.minimum(most, best.x[-1])
+        reduced = reduced + best.ineqlin.marginals
+    fixed = np.abs(reduced) > REDUCED_COST
+    return np.where(fixed & (reduced < 0), most, least), np.where(fixed & (reduced > 0), least, most)
+
+
+def smallest_supplement(programme: Programme) -> np.ndarray:
+    """Return the smallest supplement (T, K) to the right sides with which the programmes have solutions.
+
+    The sum of its parts, relative to the sizes of the equations, is least.
+    """
+    found = np.zeros_like(programme.right)
+    size = programme.size
+    for row in range(len(found)):
+        equations, unknowns = programme.matrix[row].shape
+        eye = np.eye(equations)
+        matrix = np.hstack([programme.matrix[row] / size[row][:, None], eye, -eye])
+        bounds = [*zip(programme.low[row], programme.high[row], strict=True), *[(0.0, None)] * (2 * equations)]
+        cost = np.append(np.zeros(unknowns), np.ones(2 * equations))
+        best = linprog(cost, A_eq=matrix, b_eq=programme.right[row] / size[row], bounds=bounds, method="highs")
+        parts = best.x[unknowns:]
+        found[row] = (parts[:equations] - parts[equations:]) * size[row]
+    return found
