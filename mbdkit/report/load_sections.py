@@ -8,6 +8,8 @@ import numpy as np
 from markupsafe import Markup
 
 from mbdkit.analysis.workload import ElementWorkload, workload
+from mbdkit.archive.run_summary import reserve_shares
+from mbdkit.base.text import listed
 from mbdkit.figures.curves import bands
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name
 from mbdkit.figures.page_model import Axis, Cell, Column, Figure, Illustration, Line, Section, Table, columns_of
@@ -34,6 +36,7 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
     return (
         Section("loads", "Loads over the motion", (), load_drawing(run, mechanism)),
         Section("workload", "Workload", (), _bars(elements), (_workload_table(elements),)),
+        *_muscles(run),
         _disagreement(run),
     )
 
@@ -62,6 +65,51 @@ def inverse_charts(run: Run) -> list[Figure]:
         axis = Axis("misalignment", "m")
         found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, lines))
     return found
+
+
+def _muscles(run: Run) -> tuple[Section, ...]:
+    """Return the section on joint forces with and without muscles, and on reserves; none without muscles."""
+    if not run.muscles:
+        return ()
+    without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
+    joints: list[tuple[Cell, ...]] = []
+    for index, (name, joint) in enumerate(run.joints.items()):
+        peak = float(np.max(np.linalg.norm(joint.reaction_force, axis=1)))
+        alone = float(np.max(without[:, index]))
+        joints.append((name, peak, alone, peak / alone if alone > 0 else None))
+    muscles: list[tuple[Cell, ...]] = []
+    for name, one in run.muscles.items():
+        row = int(np.argmax(one.force))
+        error = float(one.force_error[row])
+        values = (float(np.max(one.activation)), float(np.mean(one.activation)), float(one.force[row]))
+        muscles.append((name, *values, error if np.isfinite(error) else None, float(run.time[row])))
+    shares = reserve_shares(run)
+    told = [f"{share:.2%} of {name}" for name, share in shares.items()]
+    sentence = (
+        f"Reserves exert {listed(told, 'and')} (root mean squares); muscles exert the rest."
+        if told
+        else "Muscles alone exert the moments of the joints that they act on: there are no reserves."
+    )
+    tables = (
+        Table(
+            "contact-forces",
+            "Largest joint forces",
+            columns_of("joint; with muscles [N]; without muscles [N]; ratio"),
+            tuple(joints),
+            "Without muscles, actuators would drive the joints.",
+        ),
+        Table(
+            "muscles",
+            "Muscles",
+            columns_of(
+                "muscle; largest activation; mean activation; largest tension [N]; error of the largest [N]; "
+                "time of the largest [s]"
+            ),
+            tuple(muscles),
+            "Errors are bounds that hold with a probability of 95 %.",
+        ),
+    )
+    return (Section("muscles", "Muscles", (sentence,), None, tables),)
 
 
 def _contact_chart(run: Run) -> list[Figure]:

@@ -8,6 +8,7 @@ import pytest
 
 import mbdkit
 from mbdkit import RunError, SpecError
+from mbdkit.report.report import report
 from tests.muscles.recruited import leg_spec
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["recruitment"]
@@ -84,6 +85,17 @@ def test_the_elbow_of_a_resting_forearm_carries_the_muscle_less_the_weight():
     summary = run.summary()
     assert f"elbow {force - weight:.4g} N, {weight:.4g} N without muscles" in summary
     assert "reserves      none" in summary
+
+
+def test_the_report_says_what_joints_carry_and_what_reserves_exert(tmp_path):
+    spec = forearm(recruitment={"capacity": "isometric", "reserves": {"elbow": 2.0}})
+    mbdkit.inverse(spec, archive=tmp_path / "arm.h5").close()
+    text = report(tmp_path / "arm.h5", tmp_path / "arm.html").read_text(encoding="utf-8")
+    share = 1 / (1 + (0.04 * 600 / 2) ** 2)
+    assert f"Reserves exert {share:.2%} of elbow" in text
+    assert "Largest joint forces" in text
+    assert "Joint forces with and without muscles" in text
+    assert "Activations of the muscles" in text
 
 
 def test_reserves_share_the_moment_by_their_optimal_force_and_are_reported():
