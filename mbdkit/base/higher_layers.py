@@ -15,6 +15,9 @@ installed_plugins: Callable[[], Any]
 symbolic_system: Callable[..., Any]
 """Returns the `SymbolicSystem` of a mechanism; `numbers=True` selects numbers instead of symbols for its parameters."""
 
+state_program: Callable[..., Any]
+"""Returns the program of an expression of the state, and the quantities in it; see `mbdkit.events.state_program`."""
+
 check_gradients: Callable[[Any, Any], None]
 """Raises `SpecError` if the gradients that a run spec asks for do not exist with this method."""
 

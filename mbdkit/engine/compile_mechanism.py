@@ -11,15 +11,23 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
-from mbdkit.engine.compiled_mechanism import CompiledMechanism, ElementState, ForceElement, Row
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, ElementState, ForceElement, Row, SampledController
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
-from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
+from mbdkit.engine.kernels.applied_forces import (
+    BODY_FORCE,
+    PATHWAYS,
+    POINT_FORCE,
+    POSITION_INPUT,
+    TORQUE,
+    VELOCITY_INPUT,
+)
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.system import Topology
+from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program, derivative_of
 from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
@@ -27,6 +35,7 @@ from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway, path_ends
+from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.values import Motion, Table, curve_of
 
 Numbers = tuple[float, ...]
@@ -85,6 +94,8 @@ class _Motions:
         return (("table", float(begin)),)
 
     def _program(self, motion: Motion) -> Program:
+        if is_of_state(motion):
+            return (("const", 0.0),)  # kernels replace this value
         if isinstance(motion, str):
             return Expression.parse(motion).program
         if not isinstance(motion, Table):
@@ -129,6 +140,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     motions = _Motions()
     pairs = _pairs(mechanism, number, motions)
     forces = _Forces(mechanism, number, motions)
+    forces.add_expressions(mechanism)
     beams = _Beams(mechanism, number)
     centered = _add_centers(pairs, motions)
     order, below = minimum_degree(neighbours([pair.bodies for pair in pairs], ground))
@@ -175,6 +187,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         motions=tuple(motions.numbers),
         laws=tuple(forces.laws),
         states=tuple(forces.states),
+        controllers=tuple(forces.controllers),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
@@ -300,6 +313,12 @@ class _Forces:
         self.law_parameters: list[float] = []
         self.states: list[ElementState] = []
         self.state_rows: list[Numbers] = []
+        self.state_places: list[Numbers] = []
+        self.inputs: list[Numbers] = []
+        self.load_values: list[Numbers] = []
+        self.slopes: list[Numbers] = []
+        self.first_segments: dict[str, int] = {}
+        self.controllers: list[SampledController] = []
         self.elements: list[ForceElement] = []
         self.spring_places: list[int] = []
         self.load_places: list[int] = []
@@ -317,6 +336,10 @@ class _Forces:
             "linear": np.array(self.linear, dtype=float).reshape(-1, 3),
             "laws": np.array(self.law_rows, dtype=np.int64).reshape(-1, 4),
             "states": np.array(self.state_rows, dtype=np.int64).reshape(-1, 3),
+            "state_places": np.array(self.state_places, dtype=np.int64).reshape(-1, 2),
+            "inputs": np.array(self.inputs, dtype=np.int64).reshape(-1, 3),
+            "load_values": np.array(self.load_values, dtype=np.int64).reshape(-1, 2),
+            "slopes": np.array(self.slopes, dtype=np.int64).reshape(-1, 5),
             "law_parameters": np.array(self.law_parameters, dtype=float),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
@@ -336,7 +359,7 @@ class _Forces:
         self, name: str, pathway: Pathway | SpringDamper | TorsionSpring, linear: Numbers, law: int = -1
     ) -> None:
         segments = pathway.segments(self.joints)
-        first, count = len(self.springs), len(segments)
+        first, count = self.first_segments.setdefault(name, len(self.springs)), len(segments)
         for index, segment in enumerate(segments):
             self.spring_places.append(len(self.elements))
             ends = [self.number[body] for body in segment.bodies]
@@ -358,10 +381,11 @@ class _Forces:
         names = [parameter for parameter, _ in compiled.parameters]
         for number, state in enumerate(law.states, len(self.laws) + 1):
             self.states.append(ElementState(f"{name}.{state.name}", state.unit))
-            self.state_rows.append((segment, begin + 1 + names.index(state.name), number))
+            place = begin + 1 + names.index(state.name)
+            self.state_places.append((len(self.state_rows), place))
+            self.state_rows.append((segment, place, number))
         for one in (compiled, *rates):
-            self.laws.append((name, one))
-            self.law_rows.append((one.address, begin, one.claims, one.program))
+            self._add_law_row(name, one, begin)
         self.law_parameters += block
 
     def add_load(self, name: str, load: AppliedLoad) -> None:
@@ -371,6 +395,79 @@ class _Forces:
         bodies = (self.number[load.body], self.number[load.reaction_body])
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
+
+    def add_expressions(self, mechanism: Mechanism) -> None:
+        """Add the expressions of the state: values of loads, and rates of the mechanism's own states."""
+        held = [(name, value, 0.0) for name, one in mechanism.controllers.items() for value in one.outputs]
+        held += [
+            (name, value, state.initial)
+            for name, one in mechanism.controllers.items()
+            for value, state in one.states.items()
+        ]
+        names = [one.name for one in self.states] + [*mechanism.states, *(f"{name}.{value}" for name, value, _ in held)]
+        numbering = Numbering(mechanism, self.number, self.first_segments, {name: i for i, name in enumerate(names)})
+        loads = [name for name, force in mechanism.forces.items() if isinstance(force, Torque | PointForce)]
+        for k, name in enumerate(loads):
+            force = mechanism.forces[name]
+            assert isinstance(force, Torque | PointForce)
+            for component, text in enumerate(force.load.values):
+                if is_of_state(text):
+                    self._add_load_value(numbering, name, k, component, str(text))
+        for name, state in mechanism.states.items():
+            law, _, _ = self._add_expression(numbering, f"model.states.{name}.rate", name, state.rate)
+            self._add_state(ElementState(name, state.unit), state.initial, law)
+        for name, value, initial in held:
+            self._add_state(ElementState(f"{name}.{value}", "1"), initial, -1)
+        for name, controller in mechanism.controllers.items():
+            rows = {
+                key: self._add_expression(numbering, f"model.controllers.{name}.{key}", name, text)[0]
+                for key, text in controller.expressions()
+            }
+            place = numbering.states
+            outputs = tuple((place[f"{name}.{value}"], rows[f"outputs.{value}"]) for value in controller.outputs)
+            states = tuple((place[f"{name}.{value}"], rows[f"states.{value}.next"]) for value in controller.states)
+            self.controllers.append(SampledController(name, controller.period, controller.delay, outputs, states))
+
+    def _add_state(self, state: ElementState, initial: float, law: int) -> None:
+        place = len(self.law_parameters) + 1
+        self.law_parameters += [1.0, initial]
+        self.state_places.append((len(self.states), place))
+        self.state_rows.append((-1, place, law))
+        self.states.append(state)
+
+    def _add_load_value(self, numbering: Numbering, name: str, load: int, component: int, text: str) -> None:
+        law, begin, expression = self._add_expression(numbering, f"model.forces.{name}.value", name, text)
+        self.load_values.append((law, int(self.loads[load][3 + component])))
+        inputs = iter(range(len(self.inputs) - len(expression.slopes), len(self.inputs)))
+        for slope, number in zip(expression.slopes, inputs, strict=True):
+            kind, index, _ = self.inputs[number]
+            is_coordinate = kind in (POSITION_INPUT, VELOCITY_INPUT)
+            for segment in range(1 if is_coordinate else int(self.springs[int(index)][5])):
+                place = -1 if is_coordinate else int(index) + segment
+                self.slopes.append((load, component, len(self.laws), number, place))
+            self._add_law_row(name, slope, begin)
+
+    def _add_expression(self, numbering: Numbering, key: str, name: str, text: str) -> tuple[int, int, StateExpression]:
+        """Add an expression; return its row of laws, the place of its parameters, and the expression."""
+        try:
+            expression = numbering.expression(text, name)
+        except SpecError as error:
+            raise error.located(prefix=key) from None
+        begin, law = len(self.law_parameters), len(self.laws)
+        names = [parameter for parameter, _ in expression.law.parameters]
+        self.law_parameters += expression.parameters
+        self._add_law_row(name, expression.law, begin)
+        for i, (kind, index) in enumerate(expression.inputs):
+            place = begin + 1 + names.index(f"input_{i}")
+            if kind == STATE_INPUT:
+                self.state_places.append((index, place))
+            else:
+                self.inputs.append((kind, index, place))
+        return law, begin, expression
+
+    def _add_law_row(self, name: str, law: CompiledLaw, begin: int) -> None:
+        self.laws.append((name, law))
+        self.law_rows.append((law.address, begin, law.claims, law.program))
 
 
 class _Beams:

@@ -56,6 +56,28 @@ class ElementState:
 
 
 @dataclass(frozen=True)
+class SampledController:
+    """A sampled controller.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    period, delay
+        Time between two samples, and from a sample until its outputs apply [s].
+    outputs, states
+        For each output and state its number among the first-order states, and the row of ``topology.laws`` of its
+        value after a sample.
+    """
+
+    name: str
+    period: float
+    delay: float
+    outputs: tuple[tuple[int, int], ...]
+    states: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
 class Redundancy:
     """Redundant constraints of a mechanism; none by default.
 
@@ -128,7 +150,9 @@ class CompiledMechanism:
     redundancy
         Constraints that are excluded because they follow from the others.
     states
-        First-order states of force elements.
+        First-order states of force elements and of the mechanism, and what controllers hold.
+    controllers
+        Sampled controllers.
     """
 
     topology: Topology
@@ -151,6 +175,7 @@ class CompiledMechanism:
     well_scaled: bool
     redundancy: Redundancy = Redundancy()
     states: tuple[ElementState, ...] = ()
+    controllers: tuple[SampledController, ...] = ()
 
     def freedoms(self) -> str:
         """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
@@ -175,7 +200,7 @@ class CompiledMechanism:
         """Raise SpecError if the mechanism has first-order states, for something that does not include them."""
         if self.states:
             names = listed([state.name for state in self.states], "and")
-            raise SpecError(f"{what} does not include the states of force elements ({names})", key="model.forces")
+            raise SpecError(f"{what} does not include first-order states ({names})", key="model")
 
     def beam_elements(self, name: str) -> slice:
         """Return the numbers of the elements of a beam among those of all beams."""

@@ -72,7 +72,10 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
         Whether Baumgarte's terms are part of gamma, whose derivatives then have at least the pattern of the Jacobian.
     """
     top = mechanism.topology
-    tables = (top.pairs, top.rows, top.spare, top.springs, top.couplings, top.loads, top.sections, mechanism.row_index)
+    tables = (
+        top.pairs, top.rows, top.spare, top.springs, top.couplings, top.loads, top.sections, mechanism.row_index,
+        top.slopes, top.inputs,
+    )  # fmt: skip
     return _terms(len(mechanism.bodies), tuple(map(_Table.of, tables)), tuple(offsets.items()), stabilized)
 
 
@@ -97,7 +100,9 @@ def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
     """Return the terms of a mechanism with these integers; cached, because runs of a study usually share them."""
-    pairs, rows, spare, springs, couplings, loads, sections, row_index = (table.array for table in tables)
+    pairs, rows, spare, springs, couplings, loads, sections, row_index, slopes, inputs = (
+        table.array for table in tables
+    )
     terms = _Terms(3 * count, row_index, dict(places))
     diagonal = np.arange(3 * count)
     terms.add(diagonal, diagonal, diagonal, CONSTANT)
@@ -114,6 +119,13 @@ def _terms(
         first = 3 * loads[members, 1]
         for entry in entries:
             terms.add(terms.offsets["load_stiff"] + 3 * members + entry, first + entry, first + 2, RATE_SQUARED)
+    if len(slopes):
+        given, segment = inputs[slopes[:, 3]], slopes[:, 4]
+        by_coordinate = np.repeat(given[:, 1:2] // 3, 2, axis=1)
+        of_input = np.where(segment[:, None] < 0, by_coordinate, springs[:, 1:3][segment] if len(springs) else 0)
+        sides = loads[slopes[:, 0], 1:3], of_input
+        # The columns of the second body of an input that is a coordinate are zero.
+        terms.add_tangents("slope", 36 * np.arange(len(slopes)), 6, sides, range(6))
     for nodes in range(2, NODES + 1):
         members = np.flatnonzero(sections[:, 1] == nodes)
         bodies = sections[members, 2:]

@@ -195,7 +195,8 @@ class Workspace:
 
     def take_states(self, z: np.ndarray) -> None:
         """Use the values `z` (Z,) of first-order states in the forces that are evaluated next."""
-        self.scratch.law_values[self.mechanism.topology.states[:, 1]] = z
+        state, place = self.mechanism.topology.state_places.T
+        self.scratch.law_values[place] = z[state]
 
     def motions_are_finite(self) -> bool:
         """Return whether drivers and loads were finite in the last evaluation."""
@@ -205,6 +206,8 @@ class Workspace:
         """Return a clause that names the force or motion that was not finite in the last evaluation; empty if all were
         finite.
         """
+        if self.scratch.faulty[0] in self.mechanism.topology.load_values[:, 0]:
+            return f"the value of load '{self.unusable_law()}' is not finite"
         if not self.motions_are_finite():
             return "the value of a driver, a load or a moving center is not finite"
         if force := self.unusable_law():
@@ -301,6 +304,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         "jac": (p, 12), "stiff": (p, 36), "gamma_v": (p, 12), "res_q": (p, 12),
         "spring_stiff": (s, 36), "spring_damp": (s, 36),
         "coupled_stiff": (couplings, 36), "coupled_damp": (couplings, 36), "load_stiff": (loads, 3),
+        "slope_stiff": (len(top.slopes), 36), "slope_damp": (len(top.slopes), 36),
         "beam_stiff": (sections, 81), "beam_damp": (sections, 81),
     }  # fmt: skip
     offsets, total = {"mass": 0}, n3
@@ -334,7 +338,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         section_energy=np.zeros((sections, 2)),
         section_stiff=np.zeros((sections, 16)),
         section_damp=np.zeros((sections, 16)),
-        law_values=top.law_parameters.copy() if len(top.states) else top.law_parameters,
+        law_values=top.law_parameters.copy() if len(top.states) + len(top.inputs) else top.law_parameters,
         faulty=np.array([-1]),
         source=source,
         loose=np.zeros((len(top.spare), 6)),

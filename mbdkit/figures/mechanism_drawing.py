@@ -24,6 +24,7 @@ from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.motion_corners import jet_of
 from mbdkit.mechanism.pathways import JointAngles
+from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.trust.criteria import ROUND_OFF
 
 WIDE, NARROW = 900.0, 350.0
@@ -281,8 +282,12 @@ def _axis(shown: NamedPose, driver: Any) -> Array:
 
 
 def _load_direction(shown: NamedPose, load: Any) -> Array:
-    """Return the direction on the canvas of a force at the time at which it is largest."""
-    force = np.stack([jet_of(value, shown.times).value for value in load.values], axis=-1)
+    """Return the direction on the canvas of a force at the time at which it is largest.
+
+    A component that is an expression of the state counts as positive and constant.
+    """
+    values = [1.0 if is_of_state(value) else value for value in load.values]
+    force = np.stack([jet_of(value, shown.times).value for value in values], axis=-1)
     x, y = force[int(np.argmax(np.nan_to_num(np.hypot(*force.T))))]
     if load.kind == "body_force":
         x, y = shown.place(load.body, (x, y)) - shown.place(load.body, (0.0, 0.0))

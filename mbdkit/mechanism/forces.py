@@ -9,7 +9,8 @@ from pydantic import Field, SerializeAsAny
 from mbdkit.mechanism.bodies import GROUND, AtPoint, Element
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.pathways import AnglePathway, LinePathway
-from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number
+from mbdkit.mechanism.state_values import Value, ValuePair, of_state, of_time
+from mbdkit.mechanism.values import Motion, NotNegative, Number
 
 
 class LinearForce(NamedTuple):
@@ -109,8 +110,8 @@ class Torque(Element):
     type: Literal["torque"] = "torque"
     body: str
     """Name of the body that the torque acts on."""
-    value: Motion
-    """Torque [N m]: number, expression of t, or table."""
+    value: Value
+    """Torque [N m]: number, expression of t or of the state, or table."""
     reaction_body: str | None = None
     """Name of the body that the opposite torque acts on; none by default."""
 
@@ -125,7 +126,11 @@ class Torque(Element):
 
     def motions(self) -> list[tuple[str, Motion]]:
         """Return (key, value) of each prescribed function of time."""
-        return [("value", self.value)]
+        return of_time([("value", self.value)])
+
+    def expressions(self) -> list[tuple[str, str]]:
+        """Return (key, text) of each expression of the state."""
+        return of_state([("value", self.value)])
 
     @property
     def load(self) -> AppliedLoad:
@@ -137,8 +142,8 @@ class PointForce(AtPoint):
     """A force on a point of a body, with components in the global frame or in the body's frame."""
 
     type: Literal["force"] = "force"
-    value: MotionPair
-    """Force (x, y) [N]: numbers, expressions of t, or tables."""
+    value: ValuePair
+    """Force (x, y) [N]: numbers, expressions of t or of the state, or tables."""
     frame: Literal["global", "body"] = "global"
     """Frame of the components of the force: `global`, or `body`, in which case the force turns with the body."""
 
@@ -148,6 +153,13 @@ class PointForce(AtPoint):
 
     def motions(self) -> list[tuple[str, Motion]]:
         """Return (key, value) of each prescribed function of time."""
+        return of_time(self._values())
+
+    def expressions(self) -> list[tuple[str, str]]:
+        """Return (key, text) of each expression of the state."""
+        return of_state(self._values())
+
+    def _values(self) -> list[tuple[str, Motion]]:
         return [(f"value[{i}]", value) for i, value in enumerate(self.value)]
 
     @property

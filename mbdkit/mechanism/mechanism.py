@@ -23,6 +23,7 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.muscles import Muscle, check_moving_points
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
+from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Point, Table
 
@@ -62,6 +63,10 @@ class Mechanism(HtmlView):
         Settings for making the initial state consistent.
     coordinates : dict
         Quantities that have a name of their own, `NamedCoordinate` by name.
+    states : dict
+        First-order states of the mechanism itself by name.
+    controllers : dict
+        Sampled controllers by name.
     warnings : tuple of str
         Warnings for every run of the mechanism, such as parts of a file that were ignored. It does not change the
         verdict, and is not part of a spec.
@@ -86,6 +91,8 @@ class Mechanism(HtmlView):
         self.muscles: dict[str, Muscle] = {}
         self.assembly = Assembly()
         self.coordinates: dict[str, NamedCoordinate] = {}
+        self.states: dict[str, FirstOrderState] = {}
+        self.controllers: dict[str, Controller] = {}
         self.warnings: tuple[str, ...] = ()
 
     @property
@@ -656,6 +663,63 @@ class Mechanism(HtmlView):
         check_coordinates({name: one}, self.joints, self.bodies, self.markers)
         self.coordinates[name] = one
 
+    def state(self, name: str, *, rate: float | str, initial: float = 0.0, unit: str = "1") -> None:
+        """Add a first-order state z, such as the current of a motor or the output of a filter.
+
+        Parameters
+        ----------
+        name
+            Name of the state; expressions contain it as ``states.NAME``.
+        rate
+            Its derivative by time, an expression of t, of kinematic quantities of bodies, joints and markers, of
+            lengths, rates and values of springs, and of states.
+        initial, unit
+            Value at the start, and its unit.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> leg = m.body("leg", mass=3.0, inertia=0.05)
+        >>> m.state("lagged", rate="(bodies.leg.angle - states.lagged)/0.05", unit="rad")
+        """
+        key = self._new(name, self.states, "states")
+        self.states[name] = _make(FirstOrderState, key, rate=rate, initial=initial, unit=unit)
+
+    def controller(
+        self,
+        name: str,
+        *,
+        period: float,
+        outputs: Mapping[str, float | str],
+        states: Mapping[str, Mapping[str, float | str]] | None = None,
+        delay: float = 0.0,
+    ) -> None:
+        """Add a sampled controller, whose outputs are held between samples.
+
+        Parameters
+        ----------
+        name
+            Name of the controller; expressions contain its outputs and states as ``controllers.NAME.OUTPUT``.
+        period, delay
+            Time between two samples, and from a sample to the outputs that follow from it [s]. The first sample is at
+            the start of the run; until its outputs apply, they are 0.
+        outputs
+            Expressions of the state at a sample, by name.
+        states
+            For each state of the controller ``{"initial": value, "next": expression}``, by name; `next` is its value
+            after the sample.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> leg = m.body("leg", mass=3.0, inertia=0.05)
+        >>> m.controller("pd", period=0.01, outputs={"u": "-20*leg.angle - 2*leg.angular_velocity"})
+        >>> m.torque("motor", leg, value="controllers.pd.u")
+        """
+        key = self._new(name, self.controllers, "controllers")
+        given = {"period": period, "delay": delay, "outputs": dict(outputs), "states": dict(states or {})}
+        self.controllers[name] = _make(Controller, key, **given)
+
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:
         """Set the bodies that assembly does not move, and the tolerance of assembly.
 
@@ -697,6 +761,16 @@ class Mechanism(HtmlView):
             for row, unit in zip(joint.rows, joint.units, strict=True)
         ]
 
+    def state_names(self) -> list[str]:
+        """Return the names of all first-order states, those of force elements as ``element.state``."""
+        of_elements = [
+            f"{name}.{state.name}"
+            for name, force in self.forces.items()
+            if isinstance(force, Law)
+            for state in force.force_law.states
+        ]
+        return [*of_elements, *self.states]
+
     def description(self) -> str:
         """Return a line of text with the numbers of elements and of constraint rows."""
         drivers = sum(joint.is_driver for joint in self.joints.values())
@@ -724,6 +798,37 @@ class Mechanism(HtmlView):
             check_name(name, f"model.coordinates.{name}")
         check_coordinates(self.coordinates, self.joints, self.bodies, self.markers)
         check_moving_points(self.muscles, self.coordinates, "model.")
+        for kind, names in {
+            "states": list(self.states),
+            "controllers": list(self.controllers),
+            **{f"controllers.{name}.states": list(one.states) for name, one in self.controllers.items()},
+            **{f"controllers.{name}.outputs": list(one.outputs) for name, one in self.controllers.items()},
+        }.items():
+            for name in names:
+                check_name(name, f"model.{kind}.{name}")
+        for name, controller in self.controllers.items():
+            if name in self.forces:
+                raise SpecError(f"'{name}' is also a force; choose another name", key=f"model.controllers.{name}")
+            if twice := [one for one in controller.outputs if one in controller.states]:
+                key = f"model.controllers.{name}.outputs.{twice[0]}"
+                raise SpecError(f"'{twice[0]}' is also a state of the controller; choose another name", key=key)
+        for key, text in self.expressions():
+            try:
+                higher_layers.state_program(text, self)
+            except SpecError as error:
+                raise error.located(prefix=key) from None
+
+    def expressions(self) -> list[tuple[str, str]]:
+        """Return (key path, text) of every expression of the state."""
+        loads = [(name, force) for name, force in self.forces.items() if isinstance(force, Torque | PointForce)]
+        of_loads = [(f"model.forces.{name}.{key}", text) for name, force in loads for key, text in force.expressions()]
+        of_states = [(f"model.states.{name}.rate", one.rate) for name, one in self.states.items()]
+        sampled = [
+            (f"model.controllers.{name}.{key}", text)
+            for name, one in self.controllers.items()
+            for key, text in one.expressions()
+        ]
+        return of_loads + of_states + sampled
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].
@@ -762,6 +867,10 @@ class Mechanism(HtmlView):
                 name: coordinate.of if coordinate == NamedCoordinate(of=coordinate.of) else _plain(coordinate)
                 for name, coordinate in self.coordinates.items()
             }
+        if self.states:
+            spec["states"] = {name: _plain(state) for name, state in self.states.items()}
+        if self.controllers:
+            spec["controllers"] = {name: _plain(one) for name, one in self.controllers.items()}
         if self.assembly != Assembly():
             spec["assembly"] = _plain(self.assembly)
         return spec
@@ -774,7 +883,8 @@ class Mechanism(HtmlView):
         ----------
         spec
             Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
-            ``muscles``, ``coordinates`` and ``assembly``; ``name`` is optional and must be ``mechanism``.
+            ``muscles``, ``coordinates``, ``states``, ``controllers`` and ``assembly``; ``name`` is optional and must be
+            ``mechanism``.
         parameters
             Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 
@@ -812,6 +922,8 @@ class Mechanism(HtmlView):
             elements |= {name: mechanism._with_points(one, f"model.{kind}.{name}") for name, one in given.items()}
         mechanism.assembly = data.assembly
         mechanism.coordinates = dict(data.coordinates)
+        mechanism.states = dict(data.states)
+        mechanism.controllers = dict(data.controllers)
         mechanism.validate()
         return mechanism
 

@@ -15,6 +15,7 @@ from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.muscles import Muscle, check_moving_points
+from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.values import Number, Point, Positive, sequence
 
 OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
@@ -105,7 +106,9 @@ class Assembly(StrictModel):
 class MechanismData(StrictModel):
     """Data of the model `mechanism`: gravity, named bodies, beams, joints, forces, markers, muscles, and assembly."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", "markers", "muscles", "coordinates")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "beams", "markers", "muscles", "coordinates", "states", "controllers",
+    )  # fmt: skip
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
@@ -123,6 +126,10 @@ class MechanismData(StrictModel):
     """Muscles by name; they act in inverse dynamics, with `recruitment`."""
     coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)
     """Names of quantities, such as ``knee_angle: knee.angle`` or ``knee_angle: {of: knee.angle, scale: -1}``."""
+    states: dict[str, FirstOrderState] = Field(default_factory=dict)
+    """First-order states by name, such as ``i: {rate: "(u - R*states.i)/L", unit: A}``."""
+    controllers: dict[str, Controller] = Field(default_factory=dict)
+    """Sampled controllers by name."""
     assembly: Assembly = Assembly()
     """Settings for making the initial state consistent."""
 

@@ -26,6 +26,7 @@ from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
 from mbdkit.mechanism.coordinate_function import CoordinateCompiler, CoordinateExpressionError
 from mbdkit.mechanism.law_element import PluginLookup
+from mbdkit.mechanism.state_values import StateExpressionError, StateSyntax
 from mbdkit.mechanism.validation_errors import spec_error, value_path, walk
 from mbdkit.mechanism.values import TextForNumberError
 
@@ -33,18 +34,29 @@ Validated = TypeVar("Validated")
 Values = Mapping[str, float]
 Written = dict[Path, str]
 """Expressions by key path."""
-Kind = Literal["number", "whole number", "function of time", "function of an angle", "function of coordinates"]
+Kind = Literal[
+    "number", "whole number", "function of time", "function of the state", "function of an angle",
+    "function of coordinates",
+]  # fmt: skip
 
 _COMPILERS: Mapping[Kind, type[Compiler]] = {
     "function of time": Compiler,
+    "function of the state": StateSyntax,
     "function of an angle": AngleCompiler,
     "function of coordinates": CoordinateCompiler,
 }
+_KINDS: tuple[tuple[type[ExpressionError], Kind], ...] = (
+    (AngleExpressionError, "function of an angle"),
+    (StateExpressionError, "function of the state"),
+    (ExpressionError, "function of time"),
+)
 
 RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 
 _NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
+_NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[.\[])")
+"""A name that is no part of a quantity; quoted names are matched as well, and left as they are."""
 
 
 def parameter_values(given: Any) -> dict[str, float]:
@@ -246,7 +258,7 @@ def _replacements(
             continue
         text = details["input"]
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
-            yield path, text, "function of an angle" if isinstance(inner, AngleExpressionError) else "function of time"
+            yield path, text, next(kind for error, kind in _KINDS if isinstance(inner, error))
         elif details["type"] == "float_type" and _is_expression(text, values):
             yield path, text, "number"
         elif details["type"] == "int_type" and _is_expression(text, values):
@@ -272,7 +284,8 @@ def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | s
     except SpecError as error:
         raise error.located(prefix=path_text(path)) from None
     known = {name: value for name, value in values.items() if name != _COMPILERS[kind].variable}
-    return _NAME.sub(lambda match: f"({known[match[0]]!r})" if match[0] in known else match[0], text)
+    name = _NAME_ALONE if kind == "function of the state" else _NAME
+    return name.sub(lambda match: f"({known[match[0]]!r})" if match[0] in known else match[0], text)
 
 
 def _at(data: Any, path: Path) -> Any:

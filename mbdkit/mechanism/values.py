@@ -48,7 +48,7 @@ def sequence(value: Any) -> Any:
     return tuple(plain) if isinstance(plain, list) else plain
 
 
-def _motion(value: Any) -> Any:
+def motion(value: Any) -> Any:
     """Accept finite numbers and valid expressions of time, and convert mappings to tables."""
     if isinstance(value, str):
         Expression.parse(value)
@@ -230,6 +230,6 @@ def curve_of(table: Table) -> Any:
     return PPoly(curve.c[:, 5:-5], curve.x[5:-5], extrapolate=beyond)
 
 
-Motion = Annotated[Number | str | Table, BeforeValidator(_motion)]
+Motion = Annotated[Number | str | Table, BeforeValidator(motion)]
 """A function of time: a number, an expression of t, or a table."""
 MotionPair = Annotated[tuple[Motion, Motion], BeforeValidator(pair("two numbers, expressions of t or tables [x, y]"))]

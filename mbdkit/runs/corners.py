@@ -13,6 +13,7 @@ from mbdkit.mechanism.checks import motions_by_key
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.stepping.interface import SAME_TIME
+from mbdkit.stepping.sampled_control import sample_times
 
 if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
@@ -33,13 +34,14 @@ OVERSHOOT = 0.1
 
 @dataclass(frozen=True)
 class Stops:
-    """Times at which steps end [s], their margins [s], and those times at which the velocity of a driver is
-    discontinuous.
+    """Times at which steps end [s], their margins [s], and those of them at which the velocity of a driver is
+    discontinuous, or what a controller holds changes.
     """
 
     times: tuple[float, ...] = ()
     margins: tuple[float, ...] = ()
     impacts: tuple[float, ...] = ()
+    samples: tuple[float, ...] = ()
 
 
 def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
@@ -59,19 +61,37 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     times: list[float] = []
     margins: list[float] = []
     impacts: list[float] = []
-    for corner, is_impact in sorted(found, key=lambda item: item[0].time):
-        if _is_at_end(corner, start, end):
+    samples: list[float] = []
+    places = [(corner.time, corner.margin, impacts if is_impact else None) for corner, is_impact in found]
+    places += [(time, margin, samples) for time, margin in _samples(spec)]
+    for time, margin, kind in sorted(places, key=lambda item: item[0]):
+        if _is_at_end(time, margin, start, end):
             continue
-        if times and corner.time - times[-1] <= 2.0 * (
-            corner.margin + margins[-1]
-        ):  # two motions have a discontinuity at the same time
-            margins[-1] = max(margins[-1], corner.time + corner.margin - times[-1])
+        if times and time - times[-1] <= 2.0 * (margin + margins[-1]):  # both change at the same time
+            margins[-1] = max(margins[-1], time + margin - times[-1])
         else:
-            times.append(corner.time)
-            margins.append(corner.margin)
-        if is_impact and times[-1] not in impacts:
-            impacts.append(times[-1])
-    return Stops(tuple(times), tuple(margins), tuple(impacts))
+            times.append(time)
+            margins.append(margin)
+        if kind is not None and (not kind or kind[-1] != times[-1]):
+            kind.append(times[-1])
+    return Stops(tuple(times), tuple(margins), tuple(impacts), tuple(samples))
+
+
+def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
+    """Yield time and margin of every change of what controllers hold."""
+    start, end = spec.time.start, spec.time.final
+    controllers = spec.mechanism().controllers
+    for name, one in controllers.items():
+        if (end - start) / one.period > spec.limits.max_steps:
+            raise spec.placed(
+                SpecError(
+                    f"the controller would be sampled more often than limits.max_steps = {spec.limits.max_steps}",
+                    key=f"model.controllers.{name}.period",
+                )
+            )
+    margin = 4.0 * float(np.spacing(max(abs(start), abs(end))))
+    for time in sample_times([(one.period, one.delay) for one in controllers.values()], start, end):
+        yield time, margin
 
 
 def knots_of(spec: RunSpec) -> tuple[float, ...]:
@@ -102,7 +122,7 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
     """Raise SpecError if the value or the velocity of the motion of a driver is discontinuous."""
     start, end = spec.time.start, spec.time.final
     for corner in corners_of(motion, start, end):
-        if _is_at_end(corner, start, end):
+        if _is_at_end(corner.time, corner.margin, start, end):
             _check_end(motion, corner, start, end, unit)
         elif corner.jumps[0]:
             raise SpecError(
@@ -139,9 +159,9 @@ def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _is_at_end(corner: Corner, start: float, end: float) -> bool:
+def _is_at_end(time: float, margin: float, start: float, end: float) -> bool:
     """Return whether a discontinuity is at the start or the end of the run, up to rounding errors."""
-    return min(corner.time - start, end - corner.time) <= SAME_TIME * corner.margin
+    return min(time - start, end - time) <= SAME_TIME * margin
 
 
 def _motions(spec: RunSpec) -> Iterator[tuple[str, Motion]]:

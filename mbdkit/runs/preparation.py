@@ -143,7 +143,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
 
 
 def require_states(mechanism: CompiledMechanism, spec: RunSpec, *, has_integrals: bool) -> None:
-    """Raise SpecError if a part of a run does not include the first-order states of force elements."""
+    """Raise SpecError if a part of a run does not include first-order states."""
     for what, is_wanted in (
         ("the search for events", bool(spec.events)),
         ("the check of its accuracy", spec.estimates_errors),
@@ -191,6 +191,7 @@ def timetable(
         stops=stops.times,
         stop_margins=stops.margins,
         impacts=stops.impacts,
+        samples=stops.samples,
     )
     return replace(table, single=table.single or not rows_are_ends(table)) if ends else table
 

@@ -172,6 +172,7 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
         # evaluating an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
+        "sampler": stepper.sampler.stored(),
         "impacts": [[impact.time, impact.energy, impact.velocity] for impact in stepper.impacts],
     }
 
@@ -192,6 +193,8 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
         stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
         stepper._pinned_state.replace(stepper.run_state)
     stepper._renewed = {(int(done), int(status)) for done, status in state["renewed"]}
+    if "sampler" in state:  # not in checkpoints of earlier versions
+        stepper.sampler.restore(state["sampler"])
     stepper.impacts[:] = [Impact(*map(float, one)) for one in state["impacts"]]
     stepper._count()
 

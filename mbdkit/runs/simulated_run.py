@@ -50,6 +50,7 @@ from mbdkit.runs.warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
+from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 from mbdkit.trust.criteria import judge
 
@@ -215,7 +216,7 @@ class SimulatedRun:
         workspace, none = self.workspace, np.zeros(1)
         first = Stretch(
             np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
-            z=workspace.mechanism.initial_states[None],
+            z=states_at_start(workspace)[None],
         )  # fmt: skip
         self.failure = self.recorder.record(first, (0.0, 0.0), start=True)
 

@@ -19,6 +19,7 @@ from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
 from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
+from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.describe import claim_texts, options_in
@@ -84,6 +85,8 @@ def page(installed: Registry) -> str:
         *_model("### `muscles`", Muscle),
         *_model("#### Items of `path`", PathItem),
         *_model("### `coordinates`", NamedCoordinate),
+        *_model("### `states`", FirstOrderState),
+        *_model("### `controllers`", Controller),
         *_model("### `assembly`", Assembly),
         "## Other models",
         *(part for item in installed.of_kind("model") if item.name != "mechanism" for part in _item(item)),

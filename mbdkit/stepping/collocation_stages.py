@@ -19,6 +19,7 @@ from mbdkit.engine.native.functions import inlined
 from mbdkit.engine.workspace import example_workspace
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.stepping.convergence import IterationLimit, new_limit
+from mbdkit.stepping.element_states import is_coupled
 from mbdkit.stepping.stage_polynomials import collocation_polynomials
 
 if TYPE_CHECKING:
@@ -345,8 +346,10 @@ def new_stages(rk: Coefficients, workspace: Workspace, settings: Settings, by_po
 
 def _new_states(workspace: Workspace, stages: int) -> StageStates:
     """Return storage for the first-order states of a mechanism at the stages."""
-    states = workspace.mechanism.topology.states
-    most = max(np.unique(states[:, 0], return_counts=True)[1], default=0) * stages
+    top = workspace.mechanism.topology
+    states = top.states
+    together = len(states) if is_coupled(top) else max(np.unique(states[:, 0], return_counts=True)[1], default=0)
+    most = int(together) * stages
     rate, z, length, speed = np.zeros((4, stages, len(states)))
     first_rate, slope = np.zeros((2, len(states)))
     return StageStates(rate, first_rate, z, length, speed, slope, np.zeros((most, most)), np.zeros(most))

@@ -48,6 +48,7 @@ from mbdkit.stepping.run_state import (
     RHS,
     new_run_state,
 )
+from mbdkit.stepping.sampled_control import Sampler
 from mbdkit.stepping.step_control import SOLVER_FAILURE_FACTOR, Control, first_step
 from mbdkit.stepping.step_guards import ENERGY_JUMP, FELL_APART
 from mbdkit.stepping.step_watch import guard_evidence, guard_failure
@@ -126,6 +127,10 @@ class CompiledStepper:
         iterates = method.carries_stages or self.mode == SYMMETRIC
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.impacts: list[Impact] = []
+        self.sampler = Sampler(workspace)
+        self._samples = frozenset(timetable.samples)
+        if workspace.mechanism.controllers:  # the start has these states already; the sampler remembers pending outputs
+            self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
@@ -228,6 +233,9 @@ class CompiledStepper:
         passed = int(progress.passed[0])
         self.workspace.clamp_motions(*table.sides(passed))
         stop = table.stops[passed - 1]
+        if stop in self._samples:
+            c.z[:] = self.sampler.passed(stop, c.q, c.v, c.z)
+            c.z_low[self.workspace.mechanism.topology.states[:, 2] < 0] = 0.0
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
             try:
                 impact, v = impulse(self.workspace, float(progress.restart[0]), c.q, c.v, stop)

@@ -8,16 +8,25 @@ A state acts on bodies through its element only, and bodies act on it through th
 given positions and velocities of the stages, the equations of each element are therefore a small system of their own,
 which Newton's method solves before every iteration of the bodies' equations. The derivatives k are the unknowns, since
 those of a stiff element would amplify the round-off of z.
+
+If there are expressions of the state, a rate may depend on all states, also through the tension of an element with
+states of its own. All states of the stages are then one system.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.kernels.applied_forces import path_rate, pathway_lengths, state_rate
+from mbdkit.engine.kernels.applied_forces import (
+    applied_forces,
+    expression_value,
+    law_value,
+    path_rate,
+    pathway_lengths,
+)
 from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
 from mbdkit.engine.native.arithmetic import is_lanes
-from mbdkit.engine.native.functions import overload, subkernel
+from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 MOST_ITERATIONS = 50
 DIFFERENCE = 1e-7
@@ -45,12 +54,13 @@ def _solve_states(c, m, t, h):
         pathway_lengths(top, c.w, m.q_stage[i])
         for e in range(len(c.from_z)):
             k = top.states[e, 0]
-            room.length[i, e] = c.w.s[k, 0]
-            room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
+            if k >= 0:
+                room.length[i, e] = c.w.s[k, 0]
+                room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
     first = 0
     while first < len(c.from_z):
         last = first + 1
-        while last < len(c.from_z) and top.states[last, 0] == top.states[first, 0]:
+        while last < len(c.from_z) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
             last += 1
         if not _solve_element(c, m, t, h, first, last):
             c.report[0] = np.inf
@@ -102,6 +112,34 @@ def add_up_states(c, m, h, first, last):
             m.states.z[i, e] = c.from_z[e] + h * total
 
 
+@inlined
+def is_coupled(top):
+    """Return whether the rate of a state may depend on the states of other elements."""
+    return len(top.inputs) + len(top.load_values) > 0 or len(top.state_places) > len(top.states)
+
+
+@inlined
+def _put_state(c, f, z):
+    """Use the value `z` of state `f` in what is evaluated next."""
+    top, w = c.top, c.w
+    w.law_values[top.states[f, 1]] = z
+    if is_coupled(top):
+        for k in range(len(top.state_places)):
+            if top.state_places[k, 0] == f:
+                w.law_values[top.state_places[k, 1]] = z
+
+
+@subkernel
+def _rate(c, m, i, e, at):
+    """Return the rate of state `e` at stage `i`, at the values of the states taken last."""
+    top, w, room = c.top, c.w, m.states
+    if top.states[e, 2] < 0:
+        return 0.0
+    if top.states[e, 0] < 0:
+        return expression_value(top, w, top.states[e, 2])
+    return law_value(top, w, top.states[e, 2], room.length[i, e], room.speed[i, e], at)
+
+
 @subkernel
 def _linearize(c, m, t, h, first, last):
     """Write matrix and right side of the equations of an element, ordered by stages."""
@@ -109,26 +147,30 @@ def _linearize(c, m, t, h, first, last):
     for i in range(len(m.rk.c)):
         at = t + m.rk.c[i] * h
         for e in range(first, last):
-            w.law_values[top.states[e, 1]] = room.z[i, e]
+            _put_state(c, e, room.z[i, e])
+        if is_coupled(top):
+            prepare(top, w, at, m.q_stage[i])
+            applied_forces(top, w, m.q_stage[i], m.v_stage[i])
         for e in range(first, last):
-            now = state_rate(top, w, e, room.length[i, e], room.speed[i, e], at)
-            room.right[i * n + e - first] = now - room.rate[i, e]
+            room.right[i * n + e - first] = _rate(c, m, i, e, at) - room.rate[i, e]
         for f in range(first, last):
-            z = room.z[i, f]
+            z, is_held = room.z[i, f], top.states[f, 2] < 0
             step = DIFFERENCE * max(abs(z), abs(h * room.rate[i, f]))
             if step == 0.0:
                 step = DIFFERENCE
-            w.law_values[top.states[f, 1]] = z + step
+            _put_state(c, f, z + step)
+            if is_coupled(top) and not is_held:
+                applied_forces(top, w, m.q_stage[i], m.v_stage[i])
             for e in range(first, last):
-                row = i * n + e - first
-                there = state_rate(top, w, e, room.length[i, e], room.speed[i, e], at)
-                slope = (there - room.right[row] - room.rate[i, e]) / step
+                row, slope = i * n + e - first, 0.0
+                if not is_held:
+                    slope = (_rate(c, m, i, e, at) - room.right[row] - room.rate[i, e]) / step
                 for j in range(len(m.rk.c)):
                     is_own = i == j and e == f
                     room.matrix[row, j * n + f - first] = (1.0 if is_own else 0.0) - h * m.rk.a[i, j] * slope
                 if e == f:
                     room.slope[e] = slope
-            w.law_values[top.states[f, 1]] = z
+            _put_state(c, f, z)
 
 
 @subkernel

@@ -122,6 +122,8 @@ class Timetable:
         Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities. A row at
         the end of a step shows the state before the impulse, at the time of the stop less its margin; a row by
         `interval` the state after it, at the time of the stop plus its margin.
+    samples
+        Stops at which what controllers hold changes. A row at the end of a step shows it before the change.
     """
 
     start: float
@@ -137,6 +139,7 @@ class Timetable:
     stops: tuple[float, ...] = ()
     stop_margins: tuple[float, ...] = ()
     impacts: tuple[float, ...] = ()
+    samples: tuple[float, ...] = ()
 
     def sides(self, passed: int) -> tuple[float, float]:
         """Return the first and the last time at which motions are evaluated after `passed` stops [s]; may be inf."""

@@ -115,6 +115,7 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
         and (is_fixed or method.traits.tolerances is not None)
         and not table.single
         and not table.stops
+        and not mechanism.controllers
         and not mechanism.needs_pivots
         and len(mechanism.topology.spare) == 0
     )

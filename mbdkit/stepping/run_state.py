@@ -14,6 +14,7 @@ from mbdkit.engine.kernels.system import Scratch, Solver, Topology
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.engine.workspace import example_workspace
+from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.step_guards import GuardState, new_guard_state
 
 if TYPE_CHECKING:
@@ -233,7 +234,7 @@ def new_run_state(
     def by_pair() -> np.ndarray:
         return np.zeros((pairs, 2))
 
-    q, v, z = workspace.q0.copy(), workspace.v0.copy(), workspace.mechanism.initial_states
+    q, v, z = workspace.q0.copy(), workspace.v0.copy(), states_at_start(workspace)
     return RunState(
         top=top, still=still, w=workspace.scratch, solver=workspace.solver,
         has_power=np.array([int(workspace.mechanism.has_power)]),

@@ -1,8 +1,9 @@
 """SciPy's adaptive solvers, applied to the first-order form y = (q, v) of the index-1 equations.
 
 If loads, drivers or dampers are present, work and dissipated energy [J] are two additional components of y, so that
-they are integrated with the weights of the method. Solvers that use a Jacobian get the exact Jacobian of the
-accelerations. Events are located on the solvers' dense output, whose order can be lower than that of the steps.
+they are integrated with the weights of the method. First-order states z follow. Solvers that use a Jacobian get the
+exact Jacobian of the accelerations; with first-order states, they estimate it by differences. Events are located on the
+solvers' dense output, whose order can be lower than that of the steps.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from mbdkit.stepping.interface import (
     Stretch,
     Timetable,
 )
+from mbdkit.stepping.sampled_control import Sampler, states_at_start
 from mbdkit.stepping.step_control import unit_of_length
 from mbdkit.stepping.step_watch import StepWatch
 
@@ -67,7 +69,6 @@ class SciPyStepper:
         self.finished = False
         self.failure: Failure | None = None
         self.time = timetable.start
-        workspace.mechanism.refuse_states("a method of SciPy")
         pairs = len(workspace.mechanism.topology.pairs)
         self.worst_pairs = np.zeros(pairs)
         self.has_power = workspace.mechanism.has_power
@@ -76,12 +77,16 @@ class SciPyStepper:
         self._lam = np.zeros((pairs, 2))
         self._times: list[float] = []
         self._finite = True
-        y0 = np.concatenate([workspace.q0[: self.n3], workspace.v0[: self.n3], np.zeros(2 * self.has_power)])
+        self._first_z = 2 * self.n3 + 2 * self.has_power
+        z0 = states_at_start(workspace)
+        y0 = np.concatenate([workspace.q0[: self.n3], workspace.v0[: self.n3], np.zeros(2 * self.has_power), z0])
+        self.sampler = Sampler(workspace)
+        self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
         solver = getattr(scipy.integrate, method.solver) if isinstance(method.solver, str) else method.solver
         options: dict[str, Any] = {"rtol": method.rtol, "atol": self._absolute(method)}
         if method.max_step is not None:
             options["max_step"] = method.max_step
-        if method.needs_jacobian:
+        if method.needs_jacobian and not len(z0):
             options["jac"] = self.jacobian
         if timetable.step is not None:
             options["first_step"] = min(timetable.step, timetable.end - timetable.start)
@@ -116,7 +121,8 @@ class SciPyStepper:
         if length == 1.0:
             return method.atol
         bodies = np.tile([length, length, 1.0], 2 * self.n3 // 3)
-        return method.atol * np.concatenate([bodies, np.full(2 * self.has_power, length * length)])
+        states = np.ones(len(self.workspace.mechanism.states))
+        return method.atol * np.concatenate([bodies, np.full(2 * self.has_power, length * length), states])
 
     def _start_solver(self, t: float) -> None:
         """Start the solver from `t` to the next stop, or to the end."""
@@ -155,6 +161,9 @@ class SciPyStepper:
             self.y[self.n3 : 2 * self.n3] = v[: self.n3]
             if self.has_power:
                 self.y[2 * self.n3] += impact.energy
+        if stop in table.samples:
+            self.y = self.y.copy()
+            self.y[self._first_z :] = self.sampler.passed(stop, *self._state(self.y), self.y[self._first_z :])
         self._passed += 1
         self._stopped = False
         self._start_solver(stop)
@@ -165,8 +174,9 @@ class SciPyStepper:
         self.counters.rhs_evaluations += 1
         self.counters.factorizations += 1
         self._times.append(t)
-        out = np.empty(2 * self.n3 + 2)
-        full = y if self.has_power else np.concatenate([y, np.zeros(2)])
+        without = slice(2 * self.n3, 2 * self.n3 + 2)
+        full = np.ascontiguousarray(y if self.has_power else np.insert(y, without.start, [0.0, 0.0]))
+        out = np.empty(len(full))
 
         def solve() -> int:
             return int(first_order_rates(self._engine, self.has_power, float(t), full, self._acc, self._lam, out))
@@ -174,7 +184,7 @@ class SciPyStepper:
         if not self._is_solved(t, y, solve):
             out[:] = np.nan
         self._finite = self._finite and bool(np.all(np.isfinite(out)))
-        return out if self.has_power else out[: 2 * self.n3]
+        return out if self.has_power else np.delete(out, without)
 
     @property
     def _engine(self) -> int:
@@ -369,7 +379,8 @@ class SciPyStepper:
     def _watched(self, begin: float, old: np.ndarray) -> Failure | None:
         """Apply the guards to the step from `begin`, where y was `old`; return why the run has to stop, or None."""
         n3, y = self.n3, self.y
-        gain = y[2 * n3 :] - old[2 * n3 :] if self.has_power else np.zeros(2)
+        energies = slice(2 * n3, 2 * n3 + 2)
+        gain = y[energies] - old[energies] if self.has_power else np.zeros(2)
         q, v = slice(0, n3), slice(n3, 2 * n3)
         return self._watch.step((begin, self.time), old[q], old[v], y[q], y[v], gain)
 
@@ -440,13 +451,14 @@ class SciPyStepper:
         for i, (_, y, _, _) in enumerate(rows):
             q[i, :n3], v[i, :n3] = y[:n3], y[n3 : 2 * n3]
             if self.has_power:
-                work[i], lost[i] = y[2 * n3 :]
+                work[i], lost[i] = y[2 * n3 : self._first_z]
         intervals = np.array([effort for _, _, effort, _ in rows]).reshape(-1, 6)
         corrections = None
         if self._stabilized:
             corrections = np.array([(0.0, 0.0, 0.0, pull) for *_, pull in rows]).reshape(-1, 4)
         times = np.array([t for t, *_ in rows])
-        return Stretch(times, q, v, work, lost, intervals, corrections=corrections)
+        z = np.array([y[self._first_z :] for _, y, *_ in rows]).reshape(count, len(self.y) - self._first_z)
+        return Stretch(times, q, v, work, lost, intervals, corrections=corrections, z=z)
 
     def last_state(self) -> Stretch:
         """See `Stepper.last_state`."""

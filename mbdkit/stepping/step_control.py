@@ -26,6 +26,7 @@ import numpy as np
 from mbdkit.engine.kernels.observe import first_order_rates
 from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.functions import subkernel
+from mbdkit.stepping.sampled_control import states_at_start
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -247,11 +248,11 @@ def factor_after_rejection(control, solved, error):
 def first_step(workspace: Workspace, span: float, control: Control) -> float:
     """Return a small first step from the start of a workspace in a run of length `span` [s]; see `first_size`."""
     n3 = 3 * len(workspace.mechanism.bodies)
-    y = np.concatenate([workspace.q0[:n3], workspace.v0[:n3], np.zeros(2)])
+    y = np.concatenate([workspace.q0[:n3], workspace.v0[:n3], np.zeros(2), states_at_start(workspace)])
     rates = np.zeros_like(y)
     acc, lam = np.zeros((3, workspace.mechanism.size)), np.zeros((len(workspace.stepping_topology.pairs), 2))
     first_order_rates(workspace.stepping_engine, False, workspace.t0, y, acc, lam, rates)
-    return first_size(y[:-2], rates[:-2], span, control)
+    return first_size(y[: 2 * n3], rates[: 2 * n3], span, control)
 
 
 def first_size(y: np.ndarray, rates: np.ndarray, span: float, control: Control) -> float:

@@ -29,6 +29,7 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway, Segment
+from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.symbolic_system import SymbolicSystem
 from mbdkit.mechanism.values import Table, curve_of
 from mbdkit.symbolic import definitions as d
@@ -60,6 +61,8 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
         If the mechanism is not valid, or a force has no symbolic form.
     """
     mechanism.validate()
+    if mechanism.states:
+        raise SpecError("first-order states have no symbolic form", key="model.states")
     return _Builder(mechanism, numbers).system()
 
 
@@ -208,6 +211,8 @@ class _Builder:
 
     def add_load(self, name: str, load: AppliedLoad) -> None:
         """Add the generalized forces of a load."""
+        if any(map(is_of_state, load.values)):
+            raise SpecError("an expression of the state has no symbolic form", key=f"model.forces.{name}.value")
         values = [_jet(x)[0] for x in load.values]
         if load.kind == "torque":
             gradient = _pathway_terms("relative_angle")[1]
@@ -234,7 +239,7 @@ class _Builder:
         """
         law = force.force_law
         if law.states:
-            raise SpecError("first-order states of force elements have no symbolic form", key=f"model.forces.{name}")
+            raise SpecError("first-order states have no symbolic form", key=f"model.forces.{name}")
         names, values = law_parameters(law, force, force.law_id)
         if not isinstance(law, ExpressionLaw):
             function = self.numeric_law(name, law.function, np.array(values))

@@ -191,7 +191,7 @@ def test_runs_in_lanes_have_the_states_of_single_runs() -> None:
 )
 def test_what_does_not_include_states_says_so(more: dict[str, Any], words: str) -> None:
     spec = spec_of(model(), {"name": "rk4"})
-    with pytest.raises(SpecError, match=rf"{words}.*does not include the states of force elements \(motor.current\)"):
+    with pytest.raises(SpecError, match=rf"{words}.*does not include first-order states \(motor.current\)"):
         mbdkit.run({**spec, **more})
 
 

@@ -5,7 +5,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 import scipy.interpolate
-from scipy.integrate import solve_bvp
+from scipy.integrate import solve_bvp, solve_ivp
 
 import mbdkit
 from mbdkit.spec import example_names, load_spec
@@ -32,6 +32,7 @@ NAMES = [
     "pendulum",
     "quick-return",
     "roll-up",
+    "series-elastic-knee",
     "sit-to-stand",
     "slider-crank",
     "spin-up-beam",
@@ -339,3 +340,38 @@ def test_leaf_spring_has_the_stiffness_of_the_elastica_at_60_degrees():
         assert abs(run.joints["clamp"].reaction_torque[-1]) == pytest.approx(abs(moment), rel=1e-3)  # one inertia
         stress = 6 * abs(moment) / (0.03 * 1.5e-3**2) / 1e6  # at the clamp; that of the example is half an element off
         assert 0.9 * stress < run.measures["stress"] < stress
+
+
+def test_the_series_elastic_actuator_moves_as_its_equations_say():
+    """Against DOP853 in the minimal coordinate, from one change of the voltage to the next."""
+    end, inertia, volts, wanted = 0.3, 0.06 + 3.5 * 0.22**2, 0.0, 0.0
+
+    def rates(t, y):
+        angle, speed, current, motor_speed, motor_angle = y
+        torque = 250 * (motor_angle / 50 - angle)
+        return [
+            speed,
+            (torque - 3.5 * 9.81 * 0.22 * np.sin(angle)) / inertia,
+            (volts - 0.6 * current - 0.03 * motor_speed) / 0.002,
+            (0.03 * current - torque / 50) / 1e-5,
+            motor_speed,
+        ]
+
+    y, now, following = np.zeros(5), 0.0, 0.0
+    for k in range(round(end / 0.005)):
+        for time, applies in ((0.005 * k, False), (0.005 * k + 0.002, True)):
+            if time > now:
+                y = solve_ivp(rates, (now, time), y, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+                now = time
+            if applies:
+                volts = following
+            else:
+                following = np.clip(0.6 * wanted / (50 * 0.03) + 0.03 * 50 * y[1], -24, 24)
+                wanted = -60 * (y[0] - 0.5 * np.sin(2 * np.pi * time / 1.2)) - 6 * y[1]
+    y = solve_ivp(rates, (now, end), y, method="DOP853", rtol=1e-10, atol=1e-12).y[:, -1]
+    run = mbdkit.run("series-elastic-knee", time={"end": end, "step": 0.0005})
+    found = [
+        run["shank"].angle[-1],
+        *(run.states[name].value[-1] for name in ("current", "motor_speed", "motor_angle")),
+    ]
+    np.testing.assert_allclose(found, y[[0, 2, 3, 4]], rtol=1e-6, atol=1e-6)

@@ -20,6 +20,8 @@ PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY = range(len(PATHWAYS))
 COUPLED = "pulley"
 """The only kind of pathway that may have several segments; its second derivatives are zero."""
+POSITION_INPUT, VELOCITY_INPUT, LENGTH_INPUT, RATE_INPUT, TENSION_INPUT = range(5)
+"""Kinds of inputs of expressions of the state: a coordinate, its velocity; length, rate and tension of a pathway."""
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
 """Kinds of loads. A POINT_FORCE is given in the global frame, a BODY_FORCE in the frame of its body."""
 
@@ -107,17 +109,14 @@ def evaluate_tension(top, w, k, rate):
 @subkernel
 def take_states(top, w, z):
     """Use the values `z` (Z,) of first-order states in the forces and rates that are evaluated next."""
-    for i in range(len(z)):
-        put_in_place(w.law_values, top.states[i, 1], z[i])
+    for i in range(len(top.state_places)):
+        put_in_place(w.law_values, top.state_places[i, 1], z[top.state_places[i, 0]])
 
 
 @subkernel
-def state_rate(top, w, i, length, rate, t):
-    """Return the derivative by time of state `i`, at the values of the states taken last.
-
-    The length and the rate of the pathway of its element are given.
-    """
-    law, spare = top.states[i, 2], len(top.springs)
+def law_value(top, w, law, length, rate, t):
+    """Return the value of the law in row `law` of ``top.laws`` at the present parameters."""
+    spare = len(top.springs)
     code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
     call_law(code, program, length, rate, t, w.law_values, first, w.tension, spare)
     return w.tension[spare, 0]
@@ -127,8 +126,113 @@ def state_rate(top, w, i, length, rate, t):
 def state_rates(top, w, v, out):
     """Write the derivatives of all states into `out` (Z,); requires `take_states` and `applied_forces`."""
     for i in range(len(top.states)):
-        k = top.states[i, 0]
-        out[i] = state_rate(top, w, i, w.s[k, 0], path_rate(k, top.springs, v, w.grad), w.time[0])
+        k, law = top.states[i, 0], top.states[i, 2]
+        if law < 0:
+            out[i] = 0.0
+        elif k >= 0:
+            out[i] = law_value(top, w, law, w.s[k, 0], path_rate(k, top.springs, v, w.grad), w.time[0])
+        else:
+            out[i] = expression_value(top, w, law)
+
+
+@inlined
+def expression_value(top, w, law):
+    """Return the value of an expression, whose inputs are among its parameters, so that it needs no pathway."""
+    unused = 0.0 * w.cs[0, 0]
+    return law_value(top, w, law, unused, 0.0, w.time[0])
+
+
+@subkernel
+def evaluate_expressions(top, w, q, v):
+    """Evaluate the loads that are expressions of the state into ``w.u``; requires the tensions at the same state.
+
+    The inputs of all expressions, also of those that are rates of states, are put among their parameters.
+    """
+    for i in range(len(top.inputs)):
+        kind, k, place = top.inputs[i, 0], top.inputs[i, 1], top.inputs[i, 2]
+        if kind == POSITION_INPUT:
+            put_in_place(w.law_values, place, q[k])
+        elif kind == VELOCITY_INPUT:
+            put_in_place(w.law_values, place, v[k])
+        elif kind == LENGTH_INPUT:
+            put_in_place(w.law_values, place, w.s[k, 0])
+        elif kind == RATE_INPUT:
+            put_in_place(w.law_values, place, path_rate(k, top.springs, v, w.grad))
+        else:
+            put_in_place(w.law_values, place, w.tension[k, 0])
+    for i in range(len(top.load_values)):
+        law = top.load_values[i, 0]
+        value = expression_value(top, w, law)
+        w.u[top.load_values[i, 1], 0] = value
+        if is_refused(abs(value) < np.inf):
+            w.faulty[0] = law
+
+
+@subkernel
+def load_slope(top, w, v, i):
+    """Write -dQ/dq and -dQ/dv of a load by an input of its value into row `i` of ``w.slope_stiff`` and ``slope_damp``.
+
+    Rows are the coordinates of the load's two bodies, columns those of the bodies of the input. Requires the second
+    derivatives of the pathways.
+    """
+    load, component, law = top.slopes[i, 0], top.slopes[i, 1], top.slopes[i, 2]
+    given, k = top.slopes[i, 3], top.slopes[i, 4]
+    kind = top.inputs[given, 0]
+    slope = expression_value(top, w, law)
+    stiff, damp = w.slope_stiff[i], w.slope_damp[i]
+    for row in range(6):
+        along = -slope * load_direction(top, w, load, component, row)
+        for column in range(6):
+            stiff[6 * row + column] = 0.0
+            damp[6 * row + column] = 0.0
+            if kind == POSITION_INPUT:
+                if column == top.inputs[given, 1] % 3:
+                    stiff[6 * row + column] = along
+            elif kind == VELOCITY_INPUT:
+                if column == top.inputs[given, 1] % 3:
+                    damp[6 * row + column] = along
+            elif kind == LENGTH_INPUT:
+                stiff[6 * row + column] = along * w.grad[k, column]
+            elif kind == RATE_INPUT:
+                stiff[6 * row + column] = along * rate_slope(top, w, v, k, column)
+                damp[6 * row + column] = along * w.grad[k, column]
+            else:
+                by_position = w.tension[k, 1] * w.grad[k, column]
+                stiff[6 * row + column] = along * (by_position + w.tension[k, 2] * rate_slope(top, w, v, k, column))
+                damp[6 * row + column] = along * w.tension[k, 2] * w.grad[k, column]
+
+
+@subkernel
+def rate_slope(top, w, v, k, column):
+    """Return the derivative ``(s_q v)_q`` of the rate of segment `k` by a coordinate of its two bodies."""
+    a, b = top.springs[k, 1], top.springs[k, 2]
+    bend = 0.0 * w.cs[0, 0]
+    if top.springs[k, 0] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y):
+        for i in range(3):
+            bend += w.hess[k, 6 * i + column] * v[3 * a + i] + w.hess[k, 6 * (3 + i) + column] * v[3 * b + i]
+    return where(w.s[k, 0] != 0.0, bend, 0.0)
+
+
+@subkernel
+def load_direction(top, w, k, component, i):
+    """Return the generalized force of a unit of the torque, or of a component of the force, of load `k`, for coordinate
+    `i` of its two bodies.
+    """
+    loads, points, cs = top.loads, top.load_points, w.cs
+    body = loads[k, 1]
+    c, sn = cs[body, 0], cs[body, 1]
+    px, py = c * points[k, 0] - sn * points[k, 1], sn * points[k, 0] + c * points[k, 1]
+    none = 0.0 * c
+    if loads[k, 0] == TORQUE:
+        return none + 1.0 if i == 2 else (none - 1.0 if i == 5 else none)
+    if i > 2:
+        return none
+    x, y = none + (1.0 if component == 0 else 0.0), none + (1.0 if component == 1 else 0.0)
+    if loads[k, 0] == BODY_FORCE:
+        x, y = c * x - sn * y, sn * x + c * y
+    if i == 0:
+        return x
+    return y if i == 1 else px * y - py * x
 
 
 @subkernel
@@ -148,6 +252,8 @@ def applied_forces(top, w, q, v):
         for i in range(3):
             force[3 * a + i] -= pull * grad[k, i]
             force[3 * b + i] -= pull * grad[k, 3 + i]
+    if len(top.inputs) + len(top.load_values) > 0:
+        evaluate_expressions(top, w, q, v)
     for k in range(len(loads)):
         body = loads[k, 1]
         if loads[k, 0] == TORQUE:
@@ -187,7 +293,8 @@ def force_tangents(top, w, q, v):
     ``K = F_s s_q^T s_q + F s_qq + F_s' s_q^T (s_q v)_q`` and ``C = F_s' s_q^T s_q``, with the s_q of one segment;
     ``w.coupled_stiff`` and ``w.coupled_damp`` (X, 36) the products of two segments, whose s_qq are zero (`COUPLED`).
     ``w.load_stiff`` (L, 3) receives the terms of the point forces: entries x-theta and y-theta of forces that turn with
-    their body, entry theta-theta of forces with a fixed direction. A torque depends on time only and has no tangent.
+    their body, entry theta-theta of forces with a fixed direction. A torque has no tangent, unless its value is an
+    expression of the state; see `load_slope`.
     For beams see `mbdkit.engine.kernels.cross_sections.beam_tangents`.
     """
     springs, loads, points, cs = top.springs, top.loads, top.spring_points, w.cs
@@ -230,6 +337,10 @@ def force_tangents(top, w, q, v):
                 product = grad[k, i] * grad[other, j]
                 w.coupled_stiff[c, 6 * i + j] = w.tension[k, 1] * product
                 w.coupled_damp[c, 6 * i + j] = w.tension[k, 2] * product
+    if len(top.inputs) + len(top.load_values) > 0:
+        evaluate_expressions(top, w, q, v)
+    for i in range(len(top.slopes)):
+        load_slope(top, w, v, i)
     for k in range(len(loads)):
         if loads[k, 0] == TORQUE:
             continue

@@ -256,10 +256,11 @@ def baumgarte_at(engine: int, t: float, q: RealVector, v: RealVector) -> float:
 def first_order_rates(
     engine: int, has_power: bool, t: float, y: RealVector, acc: RealMatrix, lam: RealMatrix, rates: RealVector
 ) -> int:  # fmt: skip
-    """Write the right-hand side of the first-order form, y = (q, v, work, dissipated), into `rates`; return a status.
+    """Write the right-hand side of the first-order form into `rates`; return a status.
 
-    `y` and `rates` are (6 B + 2,); `acc` (3, 3 (B + 1)) and `lam` (P, 2) are scratch arrays. If `has_power` is false,
-    the rates of work and dissipation are zero.
+    `y` and `rates` are (6 B + 2 + Z,): positions, velocities, work, dissipated energy, first-order states. `acc`
+    (3, 3 (B + 1)) and `lam` (P, 2) are scratch arrays. If `has_power` is false, the rates of work and dissipation are
+    zero.
     """
     h = load_engine(engine)
     top, w, solver = h.top, h.w, h.solver
@@ -268,7 +269,9 @@ def first_order_rates(
     copy(y[:n3], q)
     copy(y[n3 : 2 * n3], v)
     prepare(top, w, t, q)
+    take_states(top, w, y[2 * n3 + 2 :])
     status = solve_accelerations(top, w, solver, q, v, a, lam, True)
+    state_rates(top, w, v, rates[2 * n3 + 2 :])
     copy(v[:n3], rates)
     copy(a[:n3], rates[n3:])
     rates[2 * n3] = rates[2 * n3 + 1] = 0.0

@@ -88,8 +88,17 @@ class Topology(NamedTuple):
     law_parameters: RealVector
     """(N,) for each law its number of parameters, followed by their values; of a state, the initial value."""
     states: IntMatrix
-    """(Z, 3) first-order states of force elements: first segment, place among `law_parameters`, row of `laws` of its
-    rate; the states of an element follow one another."""
+    """(Z, 3) first-order states: first segment of the force element (-1: none), place among `law_parameters`, row of
+    `laws` of its rate (-1: it is held between samples); the states of an element follow one another."""
+    state_places: IntMatrix
+    """(Y, 2) all places among `law_parameters` that hold the value of a state: state, place."""
+    inputs: IntMatrix
+    """(N, 3) inputs of expressions of the state: kind (`mbdkit.engine.kernels.applied_forces`), coordinate or first
+    segment, place among `law_parameters`."""
+    load_values: IntMatrix
+    """(V, 2) components of loads that are expressions of the state: row of `laws`, motion whose value they replace."""
+    slopes: IntMatrix
+    """(D, 5) derivatives of these components by their inputs: load, component, row of `laws`, input, segment."""
     loads: IntMatrix
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: RealMatrix
@@ -171,8 +180,8 @@ class Scratch(NamedTuple):
     section_damp: RealMatrix
     """(G, 16) derivatives of the forces by the rates."""
     law_values: RealVector
-    """(N,) parameters of laws as in `Topology.law_parameters`, with the present values of states in their places. It is
-    the same array if there are no states."""
+    """(N,) parameters of laws as in `Topology.law_parameters`, with the present values of states and inputs in their
+    places. It is the same array if there are none."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector
@@ -193,6 +202,10 @@ class Scratch(NamedTuple):
     """(X, 36) -dQ/dq of springs with several segments: Q on the first segment of a coupling, q of the second."""
     coupled_damp: RealMatrix
     """(X, 36) -dQ/dv likewise."""
+    slope_stiff: RealMatrix
+    """(D, 36) -dQ/dq of loads whose value is an expression of the state, by one of its inputs."""
+    slope_damp: RealMatrix
+    """(D, 36) -dQ/dv likewise."""
     load_stiff: RealMatrix
     """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
     beam_stiff: RealMatrix

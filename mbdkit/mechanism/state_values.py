@@ -1,0 +1,122 @@
+"""Values that are expressions of the state of a run, and first-order states of the mechanism itself."""
+
+from __future__ import annotations
+
+import ast
+import re
+from typing import Annotated, Any, ClassVar
+
+from pydantic import BeforeValidator, Field
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.expressions.parser import Code, Compiler, ExpressionError
+from mbdkit.mechanism.values import Motion, NotNegative, Number, Positive, Table, pair
+from mbdkit.mechanism.values import motion as checked_motion
+
+_QUANTITY = re.compile(r"[A-Za-z_\]]\w*\s*\.\s*[A-Za-z_]|\[\s*[\"']")
+
+
+class StateExpressionError(ExpressionError):
+    """An error in an expression of the state, whose names may be those of parameters."""
+
+
+class StateSyntax(Compiler):
+    """Checks the syntax of an expression of the state; its quantities are checked when the mechanism is complete."""
+
+    wanted = "an expression of the state, which consists of numbers, t, pi, quantities such as bodies.NAME.angle"
+    error = StateExpressionError
+
+    def unquoted(self) -> str:
+        """Return the text with quoted names replaced by blanks of the same length."""
+        return re.sub(r"\"[^\"\\]*\"|'[^'\\]*'", lambda match: " " * len(match[0]), self.source)
+
+    def operand(self, node: ast.expr) -> Code:
+        """Accept any quantity."""
+        match node:
+            case ast.Attribute() | ast.Subscript():
+                return [("get", 0.0)]
+        return super().operand(node)
+
+
+def is_of_state(value: Any) -> bool:
+    """Return whether a value is the text of an expression that contains quantities of a run."""
+    return isinstance(value, str) and _QUANTITY.search(value) is not None
+
+
+def _value(given: Any) -> Any:
+    """Accept functions of time, and expressions of the state."""
+    if not is_of_state(given):
+        return checked_motion(given)
+    StateSyntax(given).program()
+    return given
+
+
+Value = Annotated[Number | str | Table, BeforeValidator(_value)]
+"""A function of time, or an expression of the state such as ``"-20*bodies.leg.angle"``."""
+ValuePair = Annotated[tuple[Value, Value], BeforeValidator(pair("two numbers, expressions or tables [x, y]"))]
+
+
+def _rate(given: Any) -> Any:
+    if isinstance(given, str):
+        StateSyntax(given).program()
+        return given
+    if isinstance(given, bool) or not isinstance(given, int | float):
+        raise SpecError(f'should be a number or an expression such as "(u - states.i)/0.01", not {given!r}')
+    return repr(float(given))
+
+
+Expression = Annotated[str, BeforeValidator(_rate)]
+"""An expression of the state, or a number."""
+
+
+class FirstOrderState(StrictModel):
+    """A first-order state z of the mechanism, z' = rate, such as the current of a motor or the output of a filter."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("initial", "unit")
+
+    initial: Number = 0.0
+    """Its value at the start."""
+    rate: Expression
+    """Its derivative by time: an expression of t and of the quantities of the mechanism, such as `states.NAME`."""
+    unit: str = "1"
+    """Its unit."""
+
+
+class ControllerState(StrictModel):
+    """A state of a controller, which changes at its samples only."""
+
+    initial: Number = 0.0
+    """Its value before the first sample."""
+    next: Expression
+    """Its value after a sample, an expression of the state at the sample."""
+
+
+class Controller(StrictModel):
+    """A sampled controller: outputs that are held between samples, as a digital controller gives them."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("delay", "states")
+
+    period: Positive
+    """Time between two samples [s]; the first one is at the start of the run."""
+    delay: NotNegative = 0.0
+    """Time from a sample until the outputs have the values that follow from it [s]; they are 0 before."""
+    states: dict[str, ControllerState] = Field(default_factory=dict)
+    """States by name, such as ``sum: {next: "controllers.pid.sum + 0.01*bodies.leg.angle"}``."""
+    outputs: dict[str, Expression] = Field(min_length=1)
+    """Outputs by name: expressions of the state at a sample; loads contain them as ``controllers.NAME.OUTPUT``."""
+
+    def expressions(self) -> list[tuple[str, str]]:
+        """Return (key, text) of each expression."""
+        of_states = [(f"states.{name}.next", one.next) for name, one in self.states.items()]
+        return of_states + [(f"outputs.{name}", text) for name, text in self.outputs.items()]
+
+
+def of_time(values: list[tuple[str, Motion]]) -> list[tuple[str, Motion]]:
+    """Return those of (key, value) that are functions of time."""
+    return [(key, value) for key, value in values if not is_of_state(value)]
+
+
+def of_state(values: list[tuple[str, Motion]]) -> list[tuple[str, str]]:
+    """Return those of (key, value) that are expressions of the state."""
+    return [(key, value) for key, value in values if isinstance(value, str) and is_of_state(value)]

@@ -1,0 +1,323 @@
+"""Loads that are expressions of the state, and first-order states of a mechanism, against independent solutions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+import mbdkit
+from mbdkit import Mechanism, SpecError
+from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.matrix_terms import RATE
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.runs.preparation import build
+from mbdkit.spec import load_spec
+from tests.runs.resuming.killed_runs import killed
+
+INERTIA, STIFFNESS, DAMPING, LAG = 0.17, 40.0, 3.0, 0.05
+"""A leg of 3 kg on a hip 0.2 m above its centre of mass; gains of its controller, and the time constant of a filter."""
+
+
+def leg(value: str = "-Kp*(leg.angle - 0.5*sin(2*t)) - Kd*leg.angular_velocity + states.i") -> dict[str, Any]:
+    """A leg under proportional and derivative control, with a filtered angle as a state."""
+    return {
+        "name": "mechanism",
+        "bodies": {"leg": {"mass": 3.0, "inertia": 0.05, "position": [0.0, -0.2]}},
+        "joints": {"hip": {"type": "revolute", "bodies": ["ground", "leg"], "points": [[0, 0], [0, 0.2]]}},
+        "forces": {"motor": {"type": "torque", "body": "leg", "value": value}},
+        "states": {"i": {"rate": "(bodies.leg.angle - states.i)/lag", "initial": 0.1, "unit": "N m"}},
+    }
+
+
+def spec_of(integrator: dict[str, Any], step: float | None = 0.01, **more: Any) -> dict[str, Any]:
+    time = {"end": 0.5} if step is None else {"end": 0.5, "step": step}
+    parameters = {"Kp": STIFFNESS, "Kd": DAMPING, "lag": LAG}
+    return {"mbdkit": 1, "parameters": parameters, "model": leg(), "integrator": integrator, "time": time} | more
+
+
+def exact() -> np.ndarray:
+    """Angle, angular velocity and state at the end, by DOP853 in the minimal coordinate."""
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        angle, speed, filtered = y
+        torque = -STIFFNESS * (angle - 0.5 * np.sin(2 * t)) - DAMPING * speed + filtered
+        return [speed, (torque - 3 * 9.81 * 0.2 * np.sin(angle)) / INERTIA, (angle - filtered) / LAG]
+
+    return np.asarray(
+        solve_ivp(rates, (0, 0.5), [0.0, 0.0, 0.1], method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    )  # fmt: skip
+
+
+EXACT = exact()
+
+
+def at_end(run: mbdkit.Run) -> np.ndarray:
+    return np.array([run["leg"].angle[-1], run["leg"].angular_velocity[-1], run.states["i"].value[-1]])
+
+
+@pytest.mark.parametrize(
+    ("integrator", "more", "order"),
+    [
+        ({"name": "rk4"}, {}, 4),
+        ({"name": "rk4"}, {"stabilization": "projection"}, 4),
+        ({"name": "gauss", "stages": 2}, {}, 4),
+        ({"name": "gauss", "stages": 2, "stage_solver": "fixed-point"}, {}, 4),
+        ({"name": "radau-iia", "stages": 2}, {}, 3),
+        ({"name": "radau-iia", "stages": 2}, {"formulation": "index-2"}, 3),
+        ({"name": "radau-iia", "stages": 2}, {"formulation": "ggl"}, 3),
+    ],
+)
+def test_methods_keep_their_order(integrator: dict[str, Any], more: dict[str, Any], order: int) -> None:
+    errors = [
+        np.abs(at_end(mbdkit.run(spec_of(integrator, step, **more)).check()) - EXACT).max() for step in (0.02, 0.01)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
+    assert errors[1] < 1e-4
+
+
+@pytest.mark.parametrize("integrator", ["dop853", "radau-iia"])
+def test_adaptive_methods_reach_their_tolerance(integrator: str) -> None:
+    chosen = {"name": integrator, "adaptive": True, "rtol": 1e-9, "atol": 1e-9}
+    assert np.abs(at_end(mbdkit.run(spec_of(chosen, None))) - EXACT).max() < 1e-7
+
+
+def everything() -> Mechanism:
+    """A mechanism whose loads contain each kind of quantity."""
+    m = Mechanism()
+    cart = m.body("cart", mass=1.0, inertia=0.1)
+    rod = m.body("rod", mass=3.0, inertia=0.05, position=(0.1, -0.2), angle=0.2, angular_velocity=1.0)
+    m.prismatic("rail", m.ground, cart, at=(0, 0), axis=(1, 0.2))
+    m.revolute("hip", cart, rod, at=(0, 0))
+    m.marker("foot", rod, point=(0.05, -0.3))
+    m.spring_damper("s", m.ground, rod, points=((0.5, 0), (0, 0.1)), stiffness=30, damping=1.0, free_length=0.3)
+    m.torque(
+        "knee", rod, reaction_body=cart,
+        value="-4*joints.hip.angle - 0.3*rod.angular_velocity + 0.05*forces.s.value + 0.1*abs(markers.foot.vx)",
+    )  # fmt: skip
+    m.force(
+        "push", cart, point=(0.1, 0.05), frame="body",
+        value=("-20*joints.rail.angle - 0.5*forces.s.length", "3*sin(t)*markers.foot.y + 2*cart.vx"),
+    )  # fmt: skip
+    m.force("pull", rod, point=(0.1, 0.05), value=("-2*markers.foot.vy", "0.4*min(markers.foot.vx, 0.1)"))
+    return m
+
+
+def test_every_quantity_has_the_value_that_the_archive_records() -> None:
+    run = mbdkit.run(everything(), time={"end": 0.3, "step": 0.005}, integrator={"name": "rk4"})
+    (_, foot_y), (foot_vx, foot_vy) = run.markers["foot"].position.T, run.markers["foot"].velocity.T
+    s = run.forces["s"]
+    knee = -4 * run.joints["hip"].angle - 0.3 * run["rod"].angular_velocity + 0.05 * s.value + 0.1 * np.abs(foot_vx)
+    np.testing.assert_allclose(run.forces["knee"].value, knee, rtol=1e-12)
+    x = -20 * run.joints["rail"].angle - 0.5 * s.length
+    y = 3 * np.sin(run.time) * foot_y + 2 * run["cart"].velocity[:, 0]
+    np.testing.assert_allclose(run.forces["push"].value, np.hypot(x, y), rtol=1e-12)
+    pull = np.hypot(-2 * foot_vy, 0.4 * np.minimum(foot_vx, 0.1))
+    np.testing.assert_allclose(run.forces["pull"].value, pull, rtol=1e-12)
+    assert np.abs(run.energy.balance).max() < 1e-6
+
+
+def test_the_tangents_of_loads_are_those_of_differences() -> None:
+    m = everything()
+    m.torque("rates", "rod", value="0.7*forces.s.rate + 0.3*forces.s.value + 0.1*forces.s.length**2")
+    workspace, _ = build(load_spec(m, time={"end": 1, "step": 0.1}, integrator={"name": "rk4"}))
+    random = np.random.default_rng(0)
+    n = workspace.mechanism.size - 3
+    q, v = workspace.q0.copy(), workspace.v0.copy()
+    q[:n] += 0.1 * random.normal(size=n)
+    v[:n] += random.normal(size=n)
+    top, w = workspace.mechanism.topology, workspace.scratch
+
+    def force(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        tangents_at(workspace.engine, 0.3, q, v, np.zeros_like(q), np.zeros((len(top.pairs), 2)))
+        return w.force[:n].copy()
+
+    step = 1e-6 * np.eye(n + 3)[:n]
+    by_position = np.array([force(q - one, v) - force(q + one, v) for one in step]).T / 2e-6
+    by_velocity = np.array([force(q, v - one) - force(q, v + one) for one in step]).T / 2e-6
+    force(q, v)
+    terms, found = workspace.terms, np.zeros((2, n, n))
+    first = workspace._offsets
+    of_forces = (terms.source >= first["spring_stiff"]) & (terms.row < n) & (terms.column < n)
+    for source, row, column, factor in np.column_stack(
+        [terms.source, terms.row, terms.column, terms.factor]
+    )[of_forces]:  # fmt: skip
+        found[int(factor == RATE), row, column] += w.source[source]
+    np.testing.assert_allclose(found[0], by_position, atol=1e-8 * np.abs(by_position).max())
+    np.testing.assert_allclose(found[1], by_velocity, atol=1e-8 * np.abs(by_velocity).max())
+
+
+def test_the_linearization_contains_the_feedback() -> None:
+    spec = spec_of({"name": "rk4"}, model=leg("-Kp*leg.angle - Kd*leg.angular_velocity") | {"states": {}})
+    found = np.linalg.eigvals(mbdkit.linearize(spec).state_matrix())
+    stiffness = STIFFNESS + 3 * 9.81 * 0.2
+    wanted = np.roots([INERTIA, DAMPING, stiffness])
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(wanted), rtol=1e-9)
+
+
+def test_a_gradient_by_a_gain_is_exact() -> None:
+    """The angle of a rotor under control, without gravity, is linear: its derivative is that of a matrix function."""
+    model = leg("-Kp*leg.angle - Kd*leg.angular_velocity") | {"states": {}, "gravity": [0, 0]}
+    model["bodies"]["leg"]["angular_velocity"] = 1.0
+    model["bodies"]["leg"]["velocity"] = [0.2, 0.0]
+    found = mbdkit.gradient(spec_of({"name": "dop853"}, 0.005, model=model), "final(leg.angle)", "Kp")
+
+    def angle(gain: float) -> float:
+        return float((expm(0.5 * np.array([[0, 1], [-gain / INERTIA, -DAMPING / INERTIA]])) @ [0.0, 1.0])[0])
+
+    step = 1e-2
+    wanted = (8 * (angle(STIFFNESS + step) - angle(STIFFNESS - step))
+        - (angle(STIFFNESS + 2 * step) - angle(STIFFNESS - 2 * step))) / (12 * step)  # fmt: skip
+    assert found.jacobian[0, 0] == pytest.approx(wanted, rel=1e-7)
+    assert found.check is not None
+    assert found.check.is_passed
+
+
+def test_lanes_and_resumed_runs_have_the_same_bits(tmp_path: Path) -> None:
+    specs = [load_spec(spec_of({"name": "rk4"}, model=leg(f"-{k}*leg.angle + states.i"))) for k in range(40, 49)]
+    for spec, run in zip(specs, simulate_batch(specs), strict=True):
+        assert run.data_sha256 == mbdkit.run(spec).data_sha256
+    spec = spec_of({"name": "radau-iia", "stages": 2}, 1e-5)
+    part = tmp_path / "run.h5.part"
+    assert killed(spec, part, delay=0.0)
+    assert mbdkit.resume(part).data_sha256 == mbdkit.run(spec).data_sha256
+
+
+def test_a_mechanism_keeps_its_expressions_in_a_spec() -> None:
+    m = everything()
+    m.state("z", rate="states.z*markers.foot.x - rod.angle", initial=0.3, unit="m")
+    again = Mechanism.from_spec(m.to_spec())
+    assert again.to_spec() == m.to_spec()
+    assert again.expressions() == m.expressions()
+
+
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        ("-Kp*leg.angel", "body 'leg' has no 'angel'.*did you mean 'angle'"),
+        ("-Kp*lag.angle", "there is no body or joint 'lag'.*did you mean 'leg'"),
+        ("-Kp*foot.angle", "there is no body or joint 'foot'"),
+        ("-K*leg.angle", "there is no parameter 'K'|unknown name 'K'"),
+        ("states.j*2", "there is no state 'j'"),
+        ("forces.motor.value + 1", "quantity of a load"),
+        ("joints.hip.force_x", "joint 'hip' has no 'force_x'"),
+        ("energy.kinetic", "an energy cannot be part"),
+        ("leg.angle +", "cannot be parsed"),
+        ("1/sqrt(leg.angle - 2)", "no finite number at the start"),
+    ],
+)
+def test_errors_name_the_key_and_the_place(value: str, sentence: str) -> None:
+    with pytest.raises(SpecError, match=sentence) as caught:
+        mbdkit.run(spec_of({"name": "rk4"}, model=leg(value)))
+    assert str(caught.value.key).startswith("model.forces.motor")
+
+
+def test_a_value_that_is_not_finite_names_its_load() -> None:
+    run = mbdkit.run(spec_of({"name": "rk4"}, model=leg("5 + 0.01*log(0.1 - leg.angle)")))
+    assert run.status == "failed"
+    assert "the value of load 'motor' is not finite" in run.status_reason
+
+
+@pytest.mark.parametrize("method", ["scipy-radau", "scipy-dop853", "scipy-lsoda"])
+def test_methods_of_scipy_integrate_states(method: str) -> None:
+    run = mbdkit.run(spec_of({"name": method, "rtol": 1e-10, "atol": 1e-10}, None))
+    assert np.abs(at_end(run) - EXACT).max() < 1e-7
+
+
+def rotor(delay: float) -> Mechanism:
+    """A rotor under a sampled controller with an integral part."""
+    m = Mechanism(gravity=(0, 0))
+    m.body("rotor", mass=1, inertia=0.5, angle=0.3)
+    m.revolute("pin", m.ground, "rotor", at=(0, 0))
+    m.controller(
+        "pid", period=0.02, delay=delay,
+        outputs={"u": "-6*rotor.angle - 2*rotor.angular_velocity - controllers.pid.sum"},
+        states={"sum": {"initial": 0.1, "next": "controllers.pid.sum + 0.1*rotor.angle"}},
+    )  # fmt: skip
+    m.torque("motor", "rotor", value="controllers.pid.u")
+    return m
+
+
+def exact_rotor(delay: float, end: float) -> float:
+    """The angle at the end: between changes of the output, the rotor accelerates uniformly."""
+    angle, speed, total, output, now = 0.3, 0.0, 0.1, 0.0, 0.0
+    pending: dict[int, float] = {}
+    number = round(end / 0.02)
+    changes = [(round(k * 0.02, 9), 0, k) for k in range(number)]
+    changes += [(round(k * 0.02 + delay, 9), 1, k) for k in range(number)]
+    for time, kind, k in [*sorted(one for one in changes if one[0] < end), (end, 2, 0)]:
+        angle, speed = angle + (time - now) * speed + (time - now) ** 2 * output, speed + 2 * (time - now) * output
+        now = time
+        if kind == 0:
+            pending[k] = -6 * angle - 2 * speed - total
+            total += 0.1 * angle
+        elif kind == 1:
+            output = pending[k]
+    return angle
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.013, 0.02, 0.047])
+@pytest.mark.parametrize(
+    ("integrator", "time"),
+    [
+        ({"name": "rk4"}, {"end": 1.0, "step": 0.005}),
+        ({"name": "rk4"}, {"end": 1.0, "step": 0.03}),
+        ({"name": "gauss", "stages": 2}, {"end": 1.0, "step": 0.02}),
+        ({"name": "dopri5", "adaptive": True}, {"end": 1.0}),
+        ({"name": "scipy-dop853", "rtol": 1e-9}, {"end": 1.0}),
+    ],
+)
+def test_a_sampled_controller_holds_its_output(integrator: dict[str, Any], time: dict[str, Any], delay: float) -> None:
+    run = mbdkit.run(rotor(delay), integrator=integrator, time=time).check()
+    assert run["rotor"].angle[-1] == pytest.approx(exact_rotor(delay, 1.0), abs=1e-12)
+    assert list(run.states) == ["pid.u", "pid.sum"]
+
+
+def test_a_delayed_loop_becomes_unstable_where_theory_says() -> None:
+    """A rotor with the torque -k w(t - d): the loop with dead time is stable for k d / I < pi / 2."""
+    growth = []
+    for share in (0.97, 1.03):
+        m = Mechanism(gravity=(0, 0))
+        m.body("rotor", mass=1, inertia=0.5, angular_velocity=1.0)
+        m.revolute("pin", m.ground, "rotor", at=(0, 0))
+        gain = share * 0.5 * np.pi / 2 / 0.1005  # holding the output delays it by half a period more
+        m.controller("loop", period=0.001, delay=0.1, outputs={"u": f"-{gain}*rotor.angular_velocity"})
+        m.torque("motor", "rotor", value="controllers.loop.u")
+        run = mbdkit.run(m, integrator={"name": "rk4"}, time={"end": 12.0, "step": 0.01}).check()
+        late, early = (
+            np.abs(run["rotor"].angular_velocity[part]).max() for part in (slice(-200, None), slice(400, 600))
+        )
+        growth.append(late / early)
+    assert growth[0] < 0.8
+    assert growth[1] > 1.2
+
+
+def test_a_killed_run_with_a_controller_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+    spec = {"mbdkit": 1, "model": rotor(0.047).to_spec(), "integrator": {"name": "rk4"}}
+    spec["time"] = {"end": 300.0, "step": 0.005}
+    part = tmp_path / "run.h5.part"
+    assert killed(spec, part, delay=0.0)
+    assert mbdkit.resume(part).data_sha256 == mbdkit.run(spec).data_sha256
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"period": 0}, "greater than 0"),
+        ({"delay": -1}, "at least 0"),
+        ({"outputs": {}}, "at least 1"),
+        ({"outputs": {"u": "controllers.pid.v"}}, "controller 'pid' has no 'v'"),
+        ({"outputs": {"sum": 1.0}}, "also a state of the controller"),
+        ({"period": 1e-9}, "sampled more often than"),
+    ],
+)
+def test_errors_of_controllers_name_their_key(change: dict[str, Any], sentence: str) -> None:
+    model = rotor(0.0).to_spec()
+    model["controllers"]["pid"] |= change
+    with pytest.raises(SpecError, match=sentence) as caught:
+        mbdkit.run({"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.01}})
+    assert str(caught.value.key).startswith("model.controllers.pid")
