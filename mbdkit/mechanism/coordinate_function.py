@@ -5,15 +5,16 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator
 
+from mbdkit.base.errors import SpecError
 from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute
-from mbdkit.mechanism.values import Number
+from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
 
 _COORDINATE = "coordinate:"
 """Beginning of the instructions that push a coordinate."""
@@ -42,18 +43,56 @@ def program_of(text: str) -> Program:
     return tuple(CoordinateCompiler(text).program())
 
 
+def _columns(value: Any, key: str = "") -> Any:
+    return columns_of(value, key, at="coordinates", shown="coordinate, value")
+
+
+class _Points(Table):
+    """Points of a table of a coordinate."""
+
+    COLUMNS: ClassVar[str] = "[[coordinate, ...], [value, ...]]"
+
+    table: Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(_columns)]
+    """Strictly increasing coordinates [rad or m] and the value at each one [m]."""
+    interpolation: Literal["cubic", "quintic"] = "cubic"
+    """A cubic or quintic spline, with two or four continuous derivatives."""
+
+    @staticmethod
+    def columns(value: Any, key: str = "") -> Any:
+        """Return the two columns of a table as tuples of floats; see `columns_of`."""
+        return _columns(value, key)
+
+
+class CoordinateTable(_Points):
+    """A function of a named coordinate, given by points and interpolated by a cubic or quintic spline."""
+
+    of: str
+    """Name of the coordinate."""
+
+
 def _function(value: Any) -> Any:
+    """Accept numbers and valid expressions, and convert mappings to tables."""
     if isinstance(value, str):
         program_of(value)
+    elif isinstance(value, Mapping):
+        of = value.get("of")
+        if not isinstance(of, str):
+            raise SpecError("is missing: the name of the coordinate that the table is a function of", key="of")
+        points = number_or_table({key: one for key, one in value.items() if key != "of"}, _Points, WANTED)
+        return CoordinateTable(of=of, **points.model_dump(exclude_unset=True))
     return value
 
 
-CoordinateFunction = Annotated[Number | str, BeforeValidator(_function)]
-"""A number, or an expression of named coordinates."""
+WANTED = "a number, an expression of coordinates, or {table: [[coordinate, ...], [value, ...]], of: COORDINATE}"
+
+CoordinateFunction = Annotated[Number | str | CoordinateTable, BeforeValidator(_function)]
+"""A number, an expression of named coordinates, or a table of one."""
 
 
 def names_of(function: CoordinateFunction) -> list[str]:
     """Return the names of the coordinates in a function, each of them once."""
+    if isinstance(function, CoordinateTable):
+        return [function.of]
     if not isinstance(function, str):
         return []
     return list(
@@ -76,6 +115,9 @@ def value_and_slopes(
         The number T.
     """
     none = np.zeros(frames)
+    if isinstance(function, CoordinateTable):
+        curve, at = curve_of(function), coordinates[function.of]
+        return curve(at), {function.of: curve(at, 1)}
     if not isinstance(function, str):
         return none + function, {}
     program = program_of(function)
@@ -98,7 +140,8 @@ def value_and_slopes(
 
         return execute(program, step)
 
-    slopes = {name: along(name) for name in names_of(function)}
-    if not slopes:
-        return along("")[0], {}
+    with np.errstate(all="ignore"):  # second derivatives, which are not used
+        slopes = {name: along(name) for name in names_of(function)}
+        if not slopes:
+            return along("")[0], {}
     return next(iter(slopes.values()))[0], {name: slope for name, (_, slope) in slopes.items()}

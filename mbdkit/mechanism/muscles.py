@@ -12,7 +12,12 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.bodies import Attachment, Element
-from mbdkit.mechanism.coordinate_function import CoordinateExpressionError, CoordinateFunction, names_of
+from mbdkit.mechanism.coordinate_function import (
+    CoordinateExpressionError,
+    CoordinateFunction,
+    names_of,
+    value_and_slopes,
+)
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
 
 MOST_CIRCLES = 4
@@ -31,8 +36,7 @@ def _point(value: Any) -> Any:
 
 
 PathPoint = Annotated[
-    tuple[CoordinateFunction, CoordinateFunction] | tuple[CoordinateFunction, CoordinateFunction, Number],
-    BeforeValidator(_point, json_schema_input_type=list[float | str]),
+    tuple[CoordinateFunction, ...], BeforeValidator(_point, json_schema_input_type=list[CoordinateFunction])
 ]
 Range = Annotated[tuple[Number, Number], BeforeValidator(pair("a range [lowest, highest]"))]
 
@@ -60,7 +64,8 @@ class PathItem(StrictModel):
     """Name of the body of the point."""
     point: PathPoint | None = None
     """The point in the body's frame [m]: [x, y], or [x, y, z] with an offset z perpendicular to the plane, which makes
-    lengths spatial. x and y may be expressions of named coordinates; such a point moves in the frame of its body."""
+    lengths spatial. x and y may be expressions of named coordinates, or tables of one, ``{table: [[coordinate, ...],
+    [value, ...]], of: knee_flexion}``; such a point moves in the frame of its body."""
     when: dict[str, Range] | None = None
     """Ranges of quantities, such as ``{knee.angle: [-2.0, -0.3]}``: the path has the point only while all of these
     quantities are in their ranges. By default, always."""
@@ -100,12 +105,14 @@ class PathItem(StrictModel):
     @property
     def offset(self) -> float:
         """Offset z of the point [m]; 0 for circles, which are cylinders."""
-        return float(self.point[2]) if self.point is not None and len(self.point) == 3 else 0.0
+        if self.point is None or len(self.point) < 3:
+            return 0.0
+        return float(value_and_slopes(self.point[2], {}, 1)[0][0])
 
     @property
     def moves(self) -> bool:
         """Whether the point moves in the frame of its body."""
-        return any(isinstance(part, str) for part in self.center)
+        return any(not isinstance(part, int | float) for part in self.center)
 
 
 class Activation(StrictModel):
@@ -195,7 +202,7 @@ class Muscle(Element):
             (f"path[{index}].{'point' if item.wrap is None else 'wrap.center'}", item.on, (float(x), float(y)))
             for index, item in enumerate(self.path)
             for x, y in [item.center]
-            if not isinstance(x, str) and not isinstance(y, str)
+            if isinstance(x, int | float) and isinstance(y, int | float)
         ]
 
     def angles(self) -> list[tuple[str, str]]:
@@ -218,12 +225,18 @@ def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[s
     """
     for name, muscle in muscles.items():
         for index, item in enumerate(muscle.path):
-            for axis, part in enumerate(item.center):
+            for axis, part in enumerate(item.point or ()):
                 for used in names_of(part):
-                    if used not in coordinates:
+                    if used not in coordinates or axis == 2:
+                        if used in coordinates:
+                            raise CoordinateExpressionError(
+                                "the offset from the plane is constant: a number, or an expression of parameters",
+                                key=f"{prefix}muscles.{name}.path[{index}].point[2]",
+                            )
                         known = f"; coordinates: {listed(list(coordinates)) or 'none'}"
+                        text = f"'{part}'" if isinstance(part, str) else "the table"
                         raise CoordinateExpressionError(
-                            f"'{part}' contains '{used}', which is neither a coordinate of the model nor a parameter"
+                            f"{text} contains '{used}', which is neither a coordinate of the model nor a parameter"
                             f"{did_you_mean(used, list(coordinates)) or known}",
                             key=f"{prefix}muscles.{name}.path[{index}].point[{axis}]",
                         )

@@ -173,6 +173,12 @@ def with_item(index: int, **item: object) -> dict:
         (with_item(0, body="rod", point=[0, 0], when={"rod.x": [0, 1]}), "path[0].when", "is always there"),
         (with_item(1, body="rod", point=["2*bend", 0]), "path[1].point[0]", "neither a coordinate"),
         (
+            with_item(1, body="rod", point=[{"table": [[0, 1], [0, 1]], "of": "bend"}, 0]),
+            "path[1].point[0]",
+            "neither a coordinate",
+        ),
+        (with_item(1, body="rod", point=[{"table": [[0, 1], [0, 1]]}, 0]), "path[1].point[0].of", "is missing"),
+        (
             with_item(1, wrap={"body": "rod", "center": [0, 0], "radius": 0.0, "side": "left"}),
             "path[1].wrap.radius",
             "greater than 0",
@@ -210,6 +216,22 @@ def test_numbers_and_moving_points_may_contain_parameters():
     own, plain = path_of(m, "m"), with_item(1, body="rod", point=[0.5 * 0.3 + 0.5, 0.1])
     other = path_of(Mechanism.from_spec(ROD | {"muscles": {"m": plain}}), "m")
     assert own.at(np.zeros(1), q).length == pytest.approx(other.at(np.zeros(1), q).length, abs=1e-15)
+
+
+def test_a_point_may_move_along_a_table_of_a_coordinate():
+    angles = np.linspace(-1, 1, 9)
+    table = {"table": [angles.tolist(), (0.5 + 0.2 * angles - 0.1 * angles**3).tolist()], "of": "tilt"}
+    q = np.random.default_rng(2).normal(0, 0.3, (5, 3))
+    coordinates = {"coordinates": {"tilt": "rod.angle"}}
+    for x in (table, "0.5 + 0.2*tilt - 0.1*tilt**3"):  # a cubic spline through points of a cubic is the cubic
+        item = with_item(1, body="rod", point=[x, 0.1])
+        m = Mechanism.from_spec(ROD | coordinates | {"muscles": {"m": item}})
+        assert Mechanism.from_spec(m.to_spec()).muscles == m.muscles
+        state = path_of(m, "m").at(np.zeros(5), q)
+        if x is table:
+            first = state
+    np.testing.assert_allclose(first.length, state.length, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(first.gradient, state.gradient, rtol=0, atol=1e-13)
 
 
 def test_a_condition_on_an_unknown_quantity_is_refused():

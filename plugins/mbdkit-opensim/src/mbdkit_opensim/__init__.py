@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -25,21 +26,25 @@ class OpenSimOptions(BaseModel):
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("muscles",)
+
     file: str = Field(examples=[str(Path(__file__).with_name("example.osim"))])
     """Path of the `.osim` file, in the format of OpenSim 4; relative to the current folder."""
     initial: dict[str, float] = Field(default_factory=dict)
     """Initial values of coordinates by name [rad or m]; by default, those of the file."""
     speeds: dict[str, float] = Field(default_factory=dict)
     """Initial speeds of coordinates by name [rad/s or m/s]; by default, those of the file."""
+    muscles: bool = False
+    """Whether muscles are read, for inverse dynamics with `recruitment`; otherwise, they are left out."""
 
 
 def build(options: OpenSimOptions) -> mbdkit.Mechanism:
     """Return the mechanism of the file; bodies, joints, markers and coordinates have the names of the file."""
-    return build_mechanism(options.file, options.initial, options.speeds)
+    return build_mechanism(options.file, options.initial, options.speeds, muscles=options.muscles)
 
 
 @mbdkit.hookimpl
 def mbdkit_models() -> list[mbdkit.ModelPlugin]:
     """Register the model."""
-    summary = "The sagittal plane of an OpenSim model: pins, slides, welds, moving centres; without muscles."
+    summary = "The sagittal plane of an OpenSim model: pins, slides, welds, moving centres, muscles."
     return [mbdkit.ModelPlugin("opensim", summary, OpenSimOptions, build, REFERENCES)]

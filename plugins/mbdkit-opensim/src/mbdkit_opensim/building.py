@@ -24,6 +24,7 @@ from mbdkit_opensim.osim_document import (
     refused,
     text_of,
 )
+from mbdkit_opensim.osim_muscles import CURVES, MuscleReader, UnreadError, read_muscle
 from mbdkit_opensim.planar_joints import Coordinate, PlanarJoint, Term, coordinates_of, planar_joint
 
 LEFT_OUT = ("ForceSet", "ContactGeometrySet", "ControllerSet")
@@ -50,7 +51,9 @@ class _Pose:
         return self.place + arm, self.velocity + across + turned @ velocity
 
 
-def build_mechanism(file: str, initial: Mapping[str, float], speeds: Mapping[str, float]) -> Mechanism:
+def build_mechanism(
+    file: str, initial: Mapping[str, float], speeds: Mapping[str, float], *, muscles: bool = False
+) -> Mechanism:
     """Return the mechanism of an `.osim` file.
 
     Parameters
@@ -59,20 +62,22 @@ def build_mechanism(file: str, initial: Mapping[str, float], speeds: Mapping[str
         Path of the file.
     initial, speeds
         Values [m or rad] and speeds at the start by name of coordinate, in place of those of the file.
+    muscles
+        Whether muscles are read.
 
     Raises
     ------
     SpecError
         If the file is not a planar model, with the name of the component, or a coordinate does not exist.
     """
-    return _Builder(read_model(file), initial, speeds).mechanism()
+    return _Builder(read_model(file), initial, speeds, muscles).mechanism()
 
 
 class _Builder:
     """Places the bodies of a model one after another, from the ground outwards."""
 
-    def __init__(self, model: Element, initial: Mapping[str, float], speeds: Mapping[str, float]):
-        self.model, self.initial, self.speeds = model, initial, speeds
+    def __init__(self, model: Element, initial: Mapping[str, float], speeds: Mapping[str, float], muscles: bool):
+        self.model, self.initial, self.speeds, self.with_muscles = model, initial, speeds, muscles
         gravity = numbers_of(model, "gravity", 3, "0 -9.80665 0")
         if gravity[2] != 0.0:
             raise refused("gravity has a component along z, out of the plane")
@@ -85,6 +90,7 @@ class _Builder:
         self.centres["ground"] = np.zeros(2)
         self.frames = Frames(self.bodies, model)
         self.poses = {"ground": _Pose(np.zeros(2), 0.0, np.zeros(2), 0.0)}
+        self.heights = {"ground": 0.0}
 
     def mechanism(self) -> Mechanism:
         self.refuse_constraints()
@@ -103,8 +109,43 @@ class _Builder:
         for marker in objects_of(self.model, "MarkerSet"):
             body, place = self.frames.of_marker(marker)
             self.result.marker(name_of(marker), body, point=(place - self.centres[body]).tolist())
-        self.result.warnings = tuple(self.left_out(joints))
+        told = self.add_muscles(joints) if self.with_muscles else []
+        self.result.warnings = (*told, *self.left_out(joints))
         return self.result
+
+    def add_muscles(self, joints: list[Element]) -> list[str]:
+        """Add the muscles, and return warnings about those that are not read as they are."""
+        values = {one.name: one.value for joint in joints for one in coordinates_of(joint, self.initial, self.speeds)}
+        reader = MuscleReader(
+            self.model,
+            self.frames,
+            self.centres,
+            self.heights,
+            self.result.coordinates,
+            values,
+            lambda body, point: self.poses[body].point(point, np.zeros(2))[0],
+        )
+        told, replaced = [], []
+        for element in self.muscles():
+            name = name_of(element)
+            try:
+                self.result.muscle(name, **read_muscle(reader, element))
+            except UnreadError as reason:
+                told.append(f"muscle '{name}' of the model of OpenSim is left out: {reason}")
+                continue
+            if element.tag == "Thelen2003Muscle":
+                replaced.append(name)
+        if replaced:
+            told.append(f"the curves of Thelen2003Muscle are replaced by those of Millard: {listed(replaced, 'and')}")
+        return told
+
+    def muscles(self) -> list[Element]:
+        """Return the muscles of classes that are read and that exert forces."""
+        return [
+            one
+            for one in objects_of(self.model, "ForceSet")
+            if one.tag in CURVES and text_of(one, "appliesForce", "true").lower() != "false"
+        ]
 
     def ends(self, joint: Element) -> tuple[Frame, Frame]:
         """Return the parent and the child frame of a joint."""
@@ -131,8 +172,11 @@ class _Builder:
     def left_out(self, joints: list[Element]) -> list[str]:
         """Return warnings that name what is left out."""
         dropped: dict[str, list[str]] = {}
+        read = self.muscles() if self.with_muscles else []
         for group in LEFT_OUT:
             for one in objects_of(self.model, group):
+                if any(one is other for other in read):
+                    continue
                 dropped.setdefault(one.tag, []).append(name_of(one))
         for one in self.model.iterfind("components/*"):
             dropped.setdefault(one.tag, []).append(name_of(one))
@@ -176,6 +220,7 @@ class _Builder:
         now = _Pose(place, base.angle + angle + slope * turned, velocity, base.spin + spin)
         origin, speed = now.point(-child.place, np.zeros(2))
         self.poses[child.body] = _Pose(origin, now.angle, speed, now.spin)
+        self.heights[child.body] = self.heights[parent.body] + parent.height + parent.side * moved.height - child.height
         body = self.bodies[child.body]
         centre, motion = self.poses[child.body].point(self.centres[child.body], np.zeros(2))
         inertia = float(numbers_of(body, "inertia", 6, "0 0 0 0 0 0")[2])

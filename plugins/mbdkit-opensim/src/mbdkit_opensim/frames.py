@@ -42,12 +42,14 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
 class Frame:
     """A frame in the plane of a body: its place in the body, (2,) [m], and its axes as columns, (2, 2).
 
-    The determinant of `axes` is -1 if its z axis is opposite to that of the body.
+    `height` is its offset z in the body [m]. The determinant of `axes` is -1 if its z axis is opposite to that of the
+    body.
     """
 
     body: str
     place: np.ndarray
     axes: np.ndarray
+    height: float = 0.0
 
     @property
     def side(self) -> float:
@@ -74,6 +76,10 @@ class Frames:
         body, place, axes = self._resolved(text_of(marker, "socket_parent_frame"), self.shared, marker)
         return body, (place + axes @ numbers_of(marker, "location", 3, "0 0 0"))[:2]
 
+    def of_point(self, point: Element) -> tuple[str, np.ndarray, np.ndarray]:
+        """Return the body of a point of a path, and place (3,) and axes (3, 3) of its frame in the body."""
+        return self._resolved(text_of(point, "socket_parent_frame"), self.shared, point)
+
     def _resolved(self, path: str, known: Mapping[str, Element], owner: Element) -> tuple[str, np.ndarray, np.ndarray]:
         """Return body, place (3,) and axes (3, 3) of a frame."""
         place, axes = np.zeros(3), np.eye(3)
@@ -97,7 +103,7 @@ class Frames:
                 f"{label_of(joint)} is not planar: the z axis of its {socket.split('_')[1]} frame does not point along "
                 f"the z axis of {body}"
             )
-        return Frame(body, place[:2], axes[:2, :2])
+        return Frame(body, place[:2], axes[:2, :2], float(place[2]))
 
 
 def _offsets(elements: object) -> dict[str, Element]:

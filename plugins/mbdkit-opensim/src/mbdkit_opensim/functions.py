@@ -81,6 +81,15 @@ def function_in(holder: Element, owner: str) -> Function:
     return _function(found, owner)
 
 
+def function_named(holder: Element, name: str, owner: str) -> Function:
+    """Return the function that is a property of an element; raises SpecError, with `owner`, if it is none."""
+    wrapper = holder.find(name)
+    found = None if wrapper is None else next(iter(wrapper), None)
+    if found is None:
+        raise refused(f"{owner} has no function")
+    return _function(found, owner)
+
+
 def _function(element: Element, owner: str) -> Function:
     match element.tag:
         case "Constant":

@@ -73,11 +73,14 @@ class PlanarJoint:
         Angle of the child frame [rad]; a linear function.
     directions
         Unit vectors (2,) of displacements, with the terms that move along them [m].
+    height
+        Constant displacement along z [m].
     """
 
     label: str
     angle: Term
     directions: tuple[tuple[np.ndarray, Term], ...]
+    height: float = 0.0
 
     @property
     def moving(self) -> list[tuple[np.ndarray, Term]]:
@@ -153,7 +156,7 @@ def _custom(joint: Element, coordinates: Mapping[str, Coordinate]) -> PlanarJoin
     fixed = math.atan2(turned[1, 0], turned[0, 0])
     intercept, *slope = angle.function.polynomial or (0.0,)
     angle = Term(Function((intercept + fixed, *slope)), angle.coordinate)
-    directions = []
+    directions, height = [], 0.0
     for name in ("translation1", "translation2", "translation3"):
         if name not in axes:
             continue
@@ -163,7 +166,8 @@ def _custom(joint: Element, coordinates: Mapping[str, Coordinate]) -> PlanarJoin
                 f"{label} is not planar: {name} moves along {axis.tolist()}; lock its coordinate or remove it"
             )
         directions.append((axis[:2], term))
-    return PlanarJoint(label, angle, tuple(directions))
+        height += 0.0 if term.varies else float(axis[2]) * term.value
+    return PlanarJoint(label, angle, tuple(directions), height)
 
 
 def _axis_and_term(element: Element, coordinates: Mapping[str, Coordinate], owner: str) -> tuple[np.ndarray, Term]:

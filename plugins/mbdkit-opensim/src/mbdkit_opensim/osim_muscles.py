@@ -1,0 +1,197 @@
+"""Muscles of `.osim` files: paths in the plane with offsets along z, and parameters of muscles of Hill type."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mbdkit import SpecError
+from mbdkit_opensim.frames import Frames, turn
+from mbdkit_opensim.functions import Function, function_named
+from mbdkit_opensim.osim_document import (
+    label_of,
+    last_part,
+    name_of,
+    number_of,
+    numbers_of,
+    objects_of,
+    text_of,
+)
+
+CURVES = {
+    "Millard2012EquilibriumMuscle": "millard",
+    "DeGrooteFregly2016Muscle": "de-groote-fregly",
+    "Thelen2003Muscle": "millard",
+}
+"""Classes of muscles that are read, and their curves here; those of Thelen are replaced."""
+
+FLAT = 1e-6
+"""Largest sine of the angle between the axis of a cylinder and z."""
+
+QUADRANTS = {"x": (1.0, 0.0), "+x": (1.0, 0.0), "-x": (-1.0, 0.0), "y": (0.0, 1.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
+
+
+class UnreadError(Exception):
+    """A muscle that cannot be read, with the reason as a clause."""
+
+
+@dataclass(frozen=True)
+class MuscleReader:
+    """Reads the muscles of a model whose bodies and joints have been read.
+
+    Parameters
+    ----------
+    model, frames
+        The model.
+    centres
+        Centre of mass of each body, in the body (2,) [m].
+    heights
+        Offset z of each body from the ground [m].
+    coordinates
+        Names of the coordinates of the mechanism.
+    values
+        Values of all coordinates of the file at the start, by name.
+    place
+        Returns the position (2,) of a point of a body at the start.
+    """
+
+    model: Element
+    frames: Frames
+    centres: Mapping[str, np.ndarray]
+    heights: Mapping[str, float]
+    coordinates: Collection[str]
+    values: Mapping[str, float]
+    place: Callable[[str, np.ndarray], np.ndarray]
+
+    def muscle(self, element: Element) -> dict[str, Any]:
+        """Return the arguments of `Mechanism.muscle`; raises UnreadError if it cannot be read."""
+        path = element.find("GeometryPath")
+        path = element.find("path/*") if path is None else path
+        if path is None or path.find("PathPointSet") is None:
+            raise UnreadError("its path is not a GeometryPath")
+        items = [item for point in objects_of(path, "PathPointSet") for item in self._point(point)]
+        for wrap in objects_of(path, "PathWrapSet"):
+            self._add_circle(items, wrap)
+        millard = element.tag == "Millard2012EquilibriumMuscle"
+        return {
+            "path": items,
+            "max_force": number_of(element, "max_isometric_force", "1000"),
+            "optimal_length": number_of(element, "optimal_fiber_length", "0.1"),
+            "tendon_length": number_of(element, "tendon_slack_length", "0.2"),
+            "pennation": number_of(element, "pennation_angle_at_optimal", "0"),
+            "max_velocity": number_of(element, "max_contraction_velocity", "10"),
+            "damping": number_of(element, "fiber_damping", "0.1" if millard else "0"),
+            "curves": CURVES[element.tag],
+            "activation": {
+                "rise": number_of(element, "activation_time_constant", "0.015" if "Groote" in element.tag else "0.01"),
+                "fall": number_of(element, "deactivation_time_constant", "0.06" if "Groote" in element.tag else "0.04"),
+                "initial": min(1.0, max(0.0, number_of(element, "default_activation", "0.05"))),
+            },
+        }
+
+    def _point(self, element: Element) -> list[dict[str, Any]]:
+        """Return a point of a path; none if it is conditional on a coordinate that never reaches its range."""
+        if element.tag == "MovingPathPoint":
+            return [self._moving(element)]
+        if element.tag not in ("PathPoint", "ConditionalPathPoint"):
+            raise UnreadError(f"its path has a {element.tag}")
+        body, place, axes = self.frames.of_point(element)
+        item = self._item(body, place + axes @ numbers_of(element, "location", 3, "0 0 0"))
+        if element.tag == "ConditionalPathPoint":
+            coordinate = last_part(text_of(element, "socket_coordinate"))
+            low, high = numbers_of(element, "range", 2, "0 0").tolist()
+            if coordinate in self.coordinates:
+                item["when"] = {coordinate: [low, high]}
+            elif not low <= self.values.get(coordinate, math.nan) <= high:
+                return []
+        return [item]
+
+    def _item(self, body: str, place: np.ndarray) -> dict[str, Any]:
+        x, y = (place[:2] - self.centres[body]).tolist()
+        return {"body": body, "point": [x, y, float(place[2] + self.heights[body])]}
+
+    def _moving(self, element: Element) -> dict[str, Any]:
+        body, place, axes = self.frames.of_point(element)
+        if np.any(place != 0) or not np.allclose(axes, np.eye(3), rtol=0, atol=1e-12):
+            raise UnreadError("it has a moving point in a frame that is offset from its body")
+        parts: list[Any] = []
+        for axis, centre in zip("xyz", (*self.centres[body], -self.heights[body]), strict=True):
+            coordinate = last_part(text_of(element, f"socket_{axis}_coordinate"))
+            function = function_named(element, f"{axis}_location", f"{axis} of {label_of(element)}")
+            if coordinate not in self.coordinates or function.degree == 0:
+                parts.append(function(self.values.get(coordinate, 0.0)) - float(centre))
+            elif axis == "z":
+                raise UnreadError("it has a point that moves perpendicular to the plane")
+            else:
+                parts.append(_of_coordinate(function, coordinate, float(centre)))
+        return {"body": body, "point": parts}
+
+    def _add_circle(self, items: list[dict[str, Any]], wrap: Element) -> None:
+        """Add a circle between two points of a path."""
+        name = last_part(text_of(wrap, "wrap_object"))
+        found = [
+            (body, one)
+            for body in (*self.model.iterfind("BodySet/objects/Body"), *self.model.iterfind("Ground"))
+            for one in body.iterfind("WrapObjectSet/objects/*")
+            if name_of(one) == name
+        ]
+        if not found:
+            raise UnreadError(f"it wraps around '{name}', which does not exist")
+        owner, surface = found[0]
+        body = "ground" if owner.tag == "Ground" else name_of(owner)
+        if surface.tag != "WrapCylinder":
+            raise UnreadError(f"it wraps around a {surface.tag}")
+        axes = turn(numbers_of(surface, "xyz_body_rotation", 3, "0 0 0"))
+        if math.hypot(axes[0, 2], axes[1, 2]) > FLAT:
+            raise UnreadError(f"it wraps around '{name}', whose axis is not along z")
+        if len(items) != 2:
+            raise UnreadError(f"it wraps around '{name}' between one pair of several points")
+        center = numbers_of(surface, "translation", 3, "0 0 0")[:2]
+        quadrant = text_of(surface, "quadrant", "all")
+        start, end = (self._start(one) for one in items)
+        middle = self.place(body, center)
+        left = np.array([start[1] - end[1], end[0] - start[0]])
+        if quadrant in QUADRANTS:
+            toward = self.place(body, center + axes[:2, :2] @ np.array(QUADRANTS[quadrant])) - middle
+        else:  # the path is on the side on which it is shorter at the start
+            toward = 0.5 * (start + end) - middle
+        side = "left" if float(toward @ left) > 0 else "right"
+        radius = number_of(surface, "radius", "1")
+        circle = {"body": body, "center": (center - self.centres[body]).tolist(), "radius": radius, "side": side}
+        items.insert(1, {"wrap": circle})
+
+    def _start(self, item: Mapping[str, Any]) -> np.ndarray:
+        """Return the position (2,) of a fixed point at the start."""
+        x, y, _ = item["point"]
+        if not isinstance(x, float) or not isinstance(y, float):
+            raise UnreadError("it wraps around a cylinder beside a moving point")
+        return self.place(item["body"], np.array([x, y]) + self.centres[item["body"]])
+
+
+def read_muscle(reader: MuscleReader, element: Element) -> dict[str, Any]:
+    """Return the arguments of `Mechanism.muscle`; raises UnreadError if the muscle cannot be read."""
+    try:
+        return reader.muscle(element)
+    except SpecError as error:
+        raise UnreadError(error.message) from None
+
+
+def _of_coordinate(function: Function, coordinate: str, centre: float) -> Any:
+    """Return a function of a coordinate, less a number, as a table or an expression."""
+    if function.spline is None:
+        if not coordinate.isidentifier():
+            raise UnreadError(f"the name of coordinate '{coordinate}' is no word, as an expression needs it")
+        assert function.polynomial is not None
+        first, *others = function.polynomial
+        terms = [f"({c!r})*{coordinate}**{power}" for power, c in enumerate(others, start=1)]
+        return " + ".join([repr(first - centre), *terms])
+    knots = function.spline.x
+    # a point inside each outer interval makes the condition `not-a-knot` hold for the spline as it is
+    inner = [(2 * knots[0] + knots[1]) / 3, (knots[-2] + 2 * knots[-1]) / 3]
+    at = np.unique(np.concatenate([knots, inner]))
+    return {"table": [at.tolist(), [function(x) - centre for x in at.tolist()]], "of": coordinate}
