@@ -152,6 +152,16 @@ def _check_variables(variables: dict[str, Variable]) -> dict[str, Variable]:
     return variables
 
 
+MOST_SCENARIOS = 1000
+"""Maximum number of scenarios; the spec of each is validated before the first run."""
+
+
+def _check_scenarios(scenarios: dict[str, Scenario]) -> dict[str, Scenario]:
+    if len(scenarios) > MOST_SCENARIOS:
+        raise SpecError(f"has {len(scenarios)} scenarios; a design has at most {MOST_SCENARIOS}")
+    return scenarios
+
+
 class DesignSpec(StrictSpec):
     """The complete input of a design: a base spec, the numbers to choose, what to minimise and what to keep.
 
@@ -172,7 +182,7 @@ class DesignSpec(StrictSpec):
     """The spec of a run or of inverse dynamics: the name of a packaged example, a file, or a mapping."""
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base of every scenario, such as `time.end: 5.0`."""
-    scenarios: dict[str, Scenario] = Field(default_factory=dict)
+    scenarios: Annotated[dict[str, Scenario], AfterValidator(_check_scenarios)] = Field(default_factory=dict)
     """Situations by name, in each of which goals and limits are evaluated; by default one, the base."""
     variables: Annotated[dict[str, Variable], AfterValidator(_check_variables)]
     """The numbers to choose, by the name of a parameter or a dotted key, such as `model.forces.spring.stiffness`."""

@@ -21,6 +21,9 @@ from mbdkit.studies.executors import SubmititExecutor
 from mbdkit.studies.pool import PROGRAM, Pool
 from mbdkit.studies.tasks import Outcome, Task, died
 
+LOOK = 1.0
+"""Time between two looks whether the client of a Dask cluster is closed [s]."""
+
 
 @dataclass(frozen=True)
 class Engine:
@@ -97,11 +100,16 @@ class ExecutorPool:
                         yield task, Outcome("missing", f"no-resources: {self._refusal}")
                     batches = []
                     continue
-                future = self._ended.get()
+                future = self._next_ended()
                 batch = self._begun[future].tasks
                 answers = future.result()
             except BrokenExecutor as error:
                 yield from self._without_executor(batches, error)
+                return
+            except _SchedulerLostError:
+                outcome = Outcome("missing", "no-resources: the connection to the Dask scheduler is lost.")
+                yield from ((task, outcome) for batch in self._begun.values() for task in batch.tasks)
+                self._begun.clear()
                 return
             except ImportError as error:
                 outcome = Outcome("missing", f"no-resources: a worker of the executor cannot begin: {_told(error)}.")
@@ -120,6 +128,18 @@ class ExecutorPool:
                 del self._begun[future]
                 for task, answer in zip(batch, answers, strict=True):
                     yield task, self._outcome(task, answer)
+
+    def _next_ended(self) -> Future[list[dict[str, Any]]]:
+        """Wait for a future that has ended; raise an error if none will.
+
+        The futures of a Dask client that has lost its scheduler, and was closed after some seconds, never end.
+        """
+        while True:
+            try:
+                return self._ended.get(timeout=LOOK)
+            except queue.Empty:
+                if getattr(getattr(self.executor, "_client", None), "status", "") == "closed":
+                    raise _SchedulerLostError from None
 
     def _batches(self, tasks: Sequence[Task]) -> list[list[Task]]:
         """Return the tasks in lists that are submitted together: one by one, or for a limited number of jobs."""
@@ -179,6 +199,10 @@ class ExecutorPool:
     ) -> None:
         for future in self._begun:
             future.cancel()  # has no effect on running tasks, which end by themselves
+
+
+class _SchedulerLostError(Exception):
+    """The client of a Dask cluster is closed."""
 
 
 class _Batch:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib
 import json
@@ -99,6 +100,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 def whole() -> Path:
     """Return a folder with a complete study, study in blocks, ensemble and design, made once for all cases."""
     folder = Path(tempfile.mkdtemp(prefix="campaign-whole-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     write_specs(folder)
     mbdkit.study(STUDY, out=folder / "study")
     mbdkit.study(BLOCKS, out=folder / "blocks")

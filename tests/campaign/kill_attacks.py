@@ -36,6 +36,7 @@ from mbdkit.cli import main
 from mbdkit.studies.compute_block import compute_block
 from tests.forked_worker import ForkedWorker
 
+from .archive_attacks import command_in_child
 from .attack import Attack, wait_for
 
 FLUSH = 0.02
@@ -316,6 +317,52 @@ def resume(random: np.random.Generator, folder: Path) -> list[str]:
     return found
 
 
+@cache
+def _killed() -> dict[str, bytes]:
+    """Return the ``.part`` and the checkpoint of a killed run, by name."""
+    _, seconds = _whole_run()
+    while True:
+        with tempfile.TemporaryDirectory(prefix="campaign-") as name:
+            folder = Path(name)
+            _write_spec(folder, RUN)
+            child = start_command(folder, "run", "spec.json", "-o", "run.h5", "--quiet")
+            until = time.monotonic() + PATIENCE
+            while not (folder / "checkpoint").exists() and time.monotonic() < until:
+                time.sleep(0.001)
+            time.sleep(0.2 * seconds)
+            os.kill(child, signal.SIGKILL)
+            wait_for(child, time.monotonic() + PATIENCE)
+            files = {name: folder / name for name in ("run.h5.part", "run.h5.part.checkpoint")}
+            if all(path.exists() for path in files.values()):
+                return {name: path.read_bytes() for name, path in files.items()}
+
+
+def damaged_checkpoint(random: np.random.Generator, folder: Path) -> list[str]:
+    """Flip some bits of a killed run or of its checkpoint, and resume it: the same bits, or a refusal."""
+    whole, _ = _whole_run()
+    contents = {name: bytearray(content) for name, content in _killed().items()}
+    name = "run.h5.part.checkpoint" if random.random() < 0.8 else "run.h5.part"
+    for _ in range(int(random.integers(1, 4))):
+        bit = int(random.integers(8 * len(contents[name])))
+        contents[name][bit // 8] ^= 1 << bit % 8
+    for one, content in contents.items():
+        (folder / one).write_bytes(content)
+    ending = command_in_child("run", "--resume", "run.h5.part", "--quiet", folder=folder, seconds=PATIENCE)
+    found = [
+        text
+        for text in ending.problems(allowed=(0, 2, 3), what=f"flipped bits of {name}")
+        if " took " not in text or "MiB" in text
+    ]
+    if ending.exit_status == 0:
+        found += check(folder / "run.h5")
+        with mbdkit.load(folder / "run.h5") as run:
+            if run.data_sha256 != whole.data_sha256:
+                found.append(f"with flipped bits of {name} the resumed run differs from the undisturbed one")
+    elif (folder / name).read_bytes() != contents[name]:
+        found.append(f"{name} was refused and changed")
+    return found
+
+
 def stop_run(random: np.random.Generator, folder: Path) -> list[str]:
     """Stop a run by SIGTERM, in half of the cases sent twice as `timeout` does."""
     _write_spec(folder, RUN)
@@ -527,6 +574,9 @@ ATTACKS = (
     ),
     Attack(
         "resume", "SIGKILL to a run, up to three times: resumed, it has the bits of the undisturbed one", 100, resume
+    ),
+    Attack(
+        "checkpoints", "flipped bits of a checkpoint: refused, or resumed to the same bits", 500, damaged_checkpoint
     ),
     Attack("stop-run", "SIGTERM to a run: its archive has its final name and is sound", 200, stop_run),
     Attack(

@@ -14,7 +14,7 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec import example_names, load_spec
+from mbdkit.spec import example_names, load_design_spec, load_spec
 from mbdkit.spec.loading import example_text
 from mbdkit.spec.study_loading import load_study_spec, study_names
 from mbdkit.spec.yaml_reader import read_yaml, write_yaml
@@ -214,6 +214,12 @@ def _head(body: str) -> str:
     return f"mbdkit: 1\nintegrator: {{name: rk4}}\ntime: {{end: 1, step: 0.1}}\nmodel:\n  name: mechanism\n{body}"
 
 
+def _design(
+    variables: str = "  model.length: {bounds: [1, 2]}\n", goals: str = "final(rod1.y)", base: str = "base: pendulum\n"
+) -> str:
+    return f"mbdkit_design: 1\n{base}variables:\n{variables}minimize: {goals}\n"
+
+
 def _nested_aliases(item: str, levels: int = 9) -> str:
     text = f"a0: &a0 {item}\n"
     for level in range(1, levels):
@@ -347,6 +353,34 @@ BOMBS: dict[str, Callable[[], str | bytes]] = {
         "mbdkit_study: 1\nbase: pendulum\nfamilies:\n"
         + "".join(f"  f{i}: {{axes: [{{time.step: [0.1]}}]}}\n" for i in range(5_000))
     ),
+    "members.yaml": lambda: (
+        "mbdkit_study: 1\nbase: pendulum\nsample: {n: 1000000000, variables: {model.length: {uniform: [1, 2]}}}\n"
+    ),
+    "distributions.yaml": lambda: (
+        "mbdkit_study: 1\nbase: pendulum\nsample:\n  n: 4\n  variables:\n"
+        + "".join(f"    k{i}: {{uniform: [1, 2]}}\n" for i in range(25_000))
+    ),
+    "measures.yaml": lambda: (
+        "mbdkit_study: 1\nbase: pendulum\naxes: [{time.step: [0.1]}]\nmeasures:\n"
+        + "".join(f"  m{i}: max(rod1.y)\n" for i in range(20_000))
+    ),
+    "long-measure.yaml": lambda: (
+        "mbdkit_study: 1\nbase: pendulum\naxes: [{time.step: [0.1]}]\nmeasures: {m: '" + "1+" * 500_000 + "1'}\n"
+    ),
+    "variables.yaml": lambda: _design(
+        variables="".join(f"  k{i}: {{bounds: [0, 1]}}\n" for i in range(50_000)), goals="final(rod1.y)"
+    ),
+    "goals.yaml": lambda: _design(goals="{" + ", ".join(f"g{i}: final(rod1.y)" for i in range(20_000)) + "}"),
+    "long-goal.yaml": lambda: _design(goals="'" + "(" * 200_000 + "1" + ")" * 200_000 + "'"),
+    "limits.yaml": lambda: (
+        _design() + "subject_to:\n" + "".join(f"  l{i}: {{value: final(rod1.y), max: 1}}\n" for i in range(20_000))
+    ),
+    "scenarios.yaml": lambda: (
+        _design(base="") + "scenarios:\n" + "".join(f"  s{i}: {{base: pendulum}}\n" for i in range(20_000))
+    ),
+    "deep-variable.yaml": lambda: _design(variables=f"  ? {'a.' * 100_000}b\n  : {{bounds: [0, 1]}}\n"),
+    "front.yaml": lambda: _design(goals="{a: final(rod1.y), b: final(rod1.x)}") + "front: 1000000000\n",
+    "starts.yaml": lambda: _design() + "optimizer: {name: slsqp, starts: 1000000000, max_iterations: 1000000000}\n",
 }
 """Texts by file name: the suffix says the format."""
 
@@ -363,6 +397,8 @@ def bomb(name: str, folder: Path) -> list[str]:
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     if "mbdkit_study" in str(content)[:20]:
         return refused(_plan, file)
+    if "mbdkit_design" in str(content)[:20]:
+        return refused(load_design_spec, file)
     return refused(_load_and_run, file, True)
 
 

@@ -14,8 +14,8 @@ MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "3"))
 
 
 SLOW = {
-    *("begin-parts", "block-flips", "bodies", "columns", "forbidden", "kill-blocks", "kill-study"),
-    *("kill-worker", "long-run", "members"),
+    *("begin-parts", "block-flips", "bodies", "columns", "dask", "forbidden", "formulas", "kill-blocks", "kill-study"),
+    *("kill-worker", "long-run", "members", "submitit"),
 }
 """Attacks that take many seconds for one case."""
 

@@ -103,3 +103,9 @@ def run_spec(folder: Path) -> str:
     file = folder / "run.yaml"
     file.write_text("mbdkit: 1\nmodel: {name: single-pendulum}\nintegrator: {name: rk4}\ntime: {end: 1, step: 0.1}\n")
     return str(file)
+
+
+def test_too_many_scenarios_are_refused_before_their_specs_are_read(tmp_path: Path) -> None:
+    scenarios = "".join(f"  s{number}: {{base: no-such-example}}\n" for number in range(1001))
+    with pytest.raises(SpecError, match=r"scenarios: has 1001 scenarios; a design has at most 1000"):
+        load_design_spec(written(tmp_path, f"{TEXT}scenarios:\n{scenarios}"))

@@ -130,6 +130,13 @@ def test_wrong_samples_are_refused_with_their_key(study: dict[str, Any], key: st
     assert error.value.key == key
 
 
+def test_too_many_variables_are_refused_before_their_distributions() -> None:
+    # each of them would take a third of a millisecond; the message names the first problem found
+    wrong = {f"model.k{number}": {"no-such-distribution": []} for number in range(1001)}
+    with pytest.raises(SpecError, match=r"sample.variables: has 1001 variables; a sample has at most 1000"):
+        load_study_spec(_study(n=4, variables=wrong))
+
+
 def test_what_a_sample_sets_cannot_be_assigned() -> None:
     with pytest.raises(SpecError, match=r"--set time.step=0.1: the sample of the study sets time.step"):
         load_study_spec(_study(n=4, variables={"time.step": UNIFORM}), ["time.step=0.1"])

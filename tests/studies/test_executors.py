@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -115,6 +116,28 @@ def test_processes_of_this_machine_complete_what_a_broken_executor_has_not(block
     why = "BrokenExecutor: a process of the pool is gone"
     assert said == [f"the executor failed, and processes on this machine compute the rest ({why})"]
     assert index_hash(study.folder) == index_hash(blocks.folder)
+
+
+def test_runs_of_a_dask_cluster_without_scheduler_are_missing_and_computed_by_the_next_call(
+    blocks, monkeypatch, tmp_path
+):
+    class Lost(Here):
+        """Never ends the third call and those that follow, as a client that has lost its scheduler."""
+
+        def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
+            if self.calls < 2:
+                return super().submit(function, *arguments, **options)
+            self._client = SimpleNamespace(status="closed")
+            return Future()
+
+    monkeypatch.setattr(executor_pool, "LOOK", 0.01)
+    study = pendulums(out=tmp_path / "s", executor=Lost())
+    reason = "no-resources: the connection to the Dask scheduler is lost."
+    assert {point.reason for point in study.points if point.status == "missing"} == {reason}
+    assert sum(point.status == "complete" for point in study.points) == 6
+    assert set(study.unfinished) == {reason}
+    assert pendulums(out=tmp_path / "s").computed == 6
+    assert index_hash(tmp_path / "s") == index_hash(blocks.folder)
 
 
 def test_an_executor_that_is_shut_down_computes_nothing_and_its_refusal_is_told(tmp_path):
