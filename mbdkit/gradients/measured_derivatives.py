@@ -326,7 +326,8 @@ class _Evaluation:
         part = self.run.motions[0].parts[number]
         size = part.plain.size
         step = int(np.searchsorted(part.plain.ends.time, peak.time))
-        width = BESIDE * float(size[min(step, len(size)) - 1])
+        near = size[max(0, step - 2) : step + 1]  # the step itself may be tiny, as one that is cut by an event
+        width = min(BESIDE * float(np.max(near)), part.span[1] - part.span[0])
         places = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LIMIT_POINTS) + 0.5) / LIMIT_POINTS)
         time = np.clip(peak.time + side * width * places, *part.span)
         powers = np.vander(side * places, increasing=True)

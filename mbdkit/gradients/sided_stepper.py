@@ -225,7 +225,7 @@ class SidedStepper(DifferentiatedStepper):
     def _here(self) -> DifferentiatedStates:
         assert self.steps is not None
         run = self.steps.run
-        return self._evaluator.states(np.array([self.time]), np.asarray(run.q)[None], np.asarray(run.v)[None])
+        return self._evaluator.states(np.array([self.time]), np.array(run.q)[None], np.array(run.v)[None])
 
     def _conditions(self, here: DifferentiatedStates) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the functions (C,) of the conditions in a state, their derivatives (C, K), and their rates (C,)."""

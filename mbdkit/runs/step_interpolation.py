@@ -20,6 +20,12 @@ NODES = 4
 """Number of ends of steps of one polynomial; fewer next to a discontinuity of a motion."""
 NODES_WITHOUT_ACCELERATIONS = 6
 """The same if accelerations are not used, for the same degree, 11."""
+LEAST_DISTANCE = 0.05
+"""Smallest distance of two ends that one polynomial uses, as a share of its step, except those of the step itself.
+
+Rounding errors grow with the inverse of this share to the power of five: by 1e-4 of a step, such as a last one that is
+cut by an event, they reach 1e-6 of the accelerations, and all digits by 1e-7.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +62,46 @@ class StepEnds:
         return value, slope / h[place][more]
 
     def _newton(self, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step.
+        """Return nodes (K, S) and coefficients (K, S, n) of the Newton form over each step, in units of the step."""
+        count = min(NODES if self.a is not None else NODES_WITHOUT_ACCELERATIONS, len(self.time))
+        first = np.clip(steps - (count - 2) // 2, 0, len(self.time) - count)
+        window = first + np.arange(count)[:, None]  # (NODES, S)
+        gaps = np.where(window[:-1] == steps, np.inf, np.diff(self.time[window], axis=0))
+        close = np.min(gaps, axis=0, initial=np.inf) < LEAST_DISTANCE * (self.time[steps + 1] - self.time[steps])
+        nodes, newton = self._divided_differences(steps, window)
+        for place in np.flatnonzero(close):
+            one = steps[place : place + 1]
+            own = self._divided_differences(one, self._apart(int(one[0]), count)[:, None])
+            for every, found in zip((nodes, newton), own, strict=True):
+                every[:, place] = 0.0  # coefficients of higher powers
+                every[: len(found), place] = found[:, 0]
+        return nodes, newton
+
+    def _apart(self, step: int, count: int) -> np.ndarray:
+        """Return the ends of a step and up to `count` - 2 others around it that are not too close to each other."""
+        time = self.time
+        least = LEAST_DISTANCE * (time[step + 1] - time[step])
+        sides: list[list[int]] = []
+        for begin, places in ((step, range(step - 1, -1, -1)), (step + 1, range(step + 2, len(time)))):
+            found = [begin]
+            for place in places:
+                if abs(time[place] - time[found[-1]]) >= least:
+                    found.append(place)
+                if len(found) == count:
+                    break
+            sides.append(found[1:])
+        before, after = sides
+        left = min((count - 2) // 2, len(before))
+        right = min(count - 2 - left, len(after))
+        left = min(count - 2 - right, len(before))
+        return np.array(sorted([*before[:left], step, step + 1, *after[:right]]))
+
+    def _divided_differences(self, steps: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return nodes (K, S) and coefficients (K, S, n) of the Newton form on the ends in `window` (NODES, S).
 
         Divided differences with every node repeated three times, or twice without accelerations, the two ends of the
         step first.
         """
-        count = min(NODES if self.a is not None else NODES_WITHOUT_ACCELERATIONS, len(self.time))
-        first = np.clip(steps - (count - 2) // 2, 0, len(self.time) - count)
-        window = first + np.arange(count)[:, None]  # (NODES, S)
         is_end = (window == steps) | (window == steps + 1)
         window = np.take_along_axis(window, np.argsort(~is_end, axis=0, kind="stable"), axis=0)
         order = np.repeat(window, 2 if self.a is None else 3, axis=0)

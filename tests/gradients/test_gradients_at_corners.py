@@ -127,6 +127,37 @@ def test_events_and_integrals_of_a_run_with_corners() -> None:
     assert 0.37 < found.value[0] < 0.45
 
 
+@pytest.mark.parametrize("gap", [0.3, 0.3037])
+def test_measures_of_the_continuous_motion_through_corners_and_their_gradients(gap: float) -> None:
+    # a slider meets a spring after gap / v, at the end of a step or within it, and oscillates with w = 10 until pi / w
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    m.body("b", mass=1.0, inertia=1.0, position=(-gap, 0.0), velocity=(1.0, 0.0))
+    m.prismatic("rail", m.ground, "b", at=(0.0, 0.0), axis=(1.0, 0.0))
+    between = {"type": "two-points", "bodies": ["ground", "b"], "points": [[-2.0, 0.0], [0.0, 0.0]]}
+    model = m.to_spec()
+    model["forces"] = {
+        "stop": {
+            "type": "law", "law": "one-sided", "acts": "tension", "stiffness": 100.0, "free_length": 2.0,
+            "pathway": between,
+        }
+    }  # fmt: skip
+    spec = {"mbdkit": 1, "model": model, "integrator": GAUSS, "time": {"end": 1.0, "step": 0.01}}
+    turn = 10.0 * (0.4567 - gap)
+    x, v = np.sin(turn) / 10.0, np.cos(turn)
+    expected = {
+        "min(b.ax)": (-10.0, -10.0),
+        "max(b.x)": (0.1, 0.1),
+        "integral(abs(b.ax))": (2.0, 2.0),
+        "at(b.x, 0.4567)": (x, x + v * gap),
+        "at(b.ax, 0.4567)": (-100.0 * x, -100.0 * (x + v * gap)),
+    }
+    found = mbdkit.gradient(spec, list(expected), "model.bodies.b.velocity.0")
+    np.testing.assert_allclose(found.value, [value for value, _ in expected.values()], rtol=1e-7)
+    np.testing.assert_allclose(found.jacobian[:, 0], [slope for _, slope in expected.values()], rtol=1e-6)
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+
+
 def test_the_blow_of_a_limit_stop_has_a_gradient_that_agrees_with_differences() -> None:
     found = mbdkit.gradient(
         "limit-stop",
