@@ -330,7 +330,10 @@ def gradient_of_run(
     if measured is not None:
         direction = Direction.random(parameters, prepared)
         check = check_gradient(direction, measured, sizes, value, jacobian, reference)
-        smooth = [not needs_of(one).ends for one in expressions.values()]
+        smooth = [
+            all(part.is_of_stages or (part.is_value and not part.has_switches) for part in one.functionals)
+            for one in expressions.values()
+        ]
         doubts += discretization_doubts(check, sizes, jacobian, smooth)
     return Gradient(
         tuple(expressions),

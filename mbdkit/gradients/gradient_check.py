@@ -34,6 +34,8 @@ ALLOWED = 10.0
 SMALLEST = 1e-7
 """A deviation below this share of the sum of the terms of the derivative is always allowed."""
 
+REFERENCE_STEP = 5e-4
+"""Relative change of the parameters in the runs of the other method, whose measures are less exact."""
 REFERENCE_ERROR = 3e-12
 """Assumed relative error of a measure of one run of the other method, at its tolerance."""
 CORRECTED = 0.01
@@ -42,7 +44,7 @@ CORRECTED = 0.01
 LARGEST_DISCRETIZATION = 1e-2
 """Largest share of the sum of the terms of the derivative by which it may differ from that of the exact motion."""
 
-NOTED = (1e-6, 1e-4)
+NOTED = (5e-7, 5e-5)
 """Shares of the sum of the terms above which this difference is noted, for smooth measures and for those that change
 their form inside steps."""
 
@@ -148,13 +150,13 @@ class Direction:
             return np.asarray((4.0 * (first - value) - (second - value)) / (2.0 * steps))
         return np.asarray((second - first) / (2.0 * steps))
 
-    def smallest(self, measured: Measured) -> np.ndarray:
-        """Return differences (M,) at the first of `STEPS`, which share their error with the others of `differences`."""
+    def of_reference(self, measured: Measured) -> np.ndarray:
+        """Return differences (M,) of second order at the distance `REFERENCE_STEP`."""
         places = (0, 1, 2) if self.is_one_sided else (-1, 1)
-        runs = [np.array(measured(self._settings(place * STEPS[0]))) for place in places]
+        runs = [np.array(measured(self._settings(place * REFERENCE_STEP))) for place in places]
         if self.is_one_sided:
-            return np.asarray((4.0 * (runs[1] - runs[0]) - (runs[2] - runs[0])) / (2.0 * STEPS[0]))
-        return np.asarray((runs[1] - runs[0]) / (2.0 * STEPS[0]))
+            return np.asarray((4.0 * (runs[1] - runs[0]) - (runs[2] - runs[0])) / (2.0 * REFERENCE_STEP))
+        return np.asarray((runs[1] - runs[0]) / (2.0 * REFERENCE_STEP))
 
     def _settings(self, share: float) -> Settings:
         return [
@@ -193,8 +195,9 @@ def check_gradient(
     agrees = deviation <= ALLOWED * error + SMALLEST * terms
     other = np.full(len(derivative), np.nan)
     if reference is not None:
-        other = direction.smallest(reference) + extrapolated - differences[0]  # without the error of the differences
-        allowed = LARGEST_DISCRETIZATION * terms + _reference_error(extrapolated - differences[0], sizes)
+        correction = _correction(extrapolated - differences[0])
+        other = direction.of_reference(reference) + correction  # without the error of the differences
+        allowed = LARGEST_DISCRETIZATION * terms + _reference_error(correction, sizes)
         agrees &= (np.abs(derivative - other) <= allowed) | np.isnan(other)
     return GradientCheck(
         direction.change, np.array(STEPS), derivative, differences, extrapolated, error,
@@ -202,9 +205,14 @@ def check_gradient(
     )  # fmt: skip
 
 
+def _correction(of_smallest: np.ndarray) -> np.ndarray:
+    """Return the correction (M,) of the differences of the other method from that of differences at the first step."""
+    return np.asarray((REFERENCE_STEP / STEPS[0]) ** 2 * of_smallest)
+
+
 def _reference_error(correction: np.ndarray, sizes: Mapping[str, float]) -> np.ndarray:
     """Return the largest expected error of the differences of the other method, after a correction (M,)."""
-    return np.asarray(CORRECTED * np.abs(correction) + REFERENCE_ERROR * np.array([*sizes.values()]) / STEPS[0])
+    return np.asarray(CORRECTED * np.abs(correction) + REFERENCE_ERROR * np.array([*sizes.values()]) / REFERENCE_STEP)
 
 
 def discretization_doubts(
@@ -222,7 +230,7 @@ def discretization_doubts(
     terms = np.sum(np.abs(jacobian * check.direction), axis=1)
     away = np.abs(check.derivative - check.reference)
     alike = np.abs(check.derivative - check.extrapolated) <= ALLOWED * check.error + SMALLEST * terms
-    correction = check.extrapolated - check.differences[0]
+    correction = _correction(check.extrapolated - check.differences[0])
     limit = np.where(smooth, NOTED[0], NOTED[1]) * terms + _reference_error(correction, sizes)
     return [
         f"the derivative of '{check.names[m]}' differs by {100 * away[m] / terms[m]:.1g} % from that of the motion by "
