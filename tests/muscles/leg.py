@@ -98,6 +98,11 @@ ANGLES = [
 """Angles of hip and knee [rad], and their rates."""
 
 
+HOLDING = ("via", "conditional")
+"""Muscles that hold the leg at rest alone."""
+POSTURES = [(0.3, -1.0), (0.5, -1.3), (0.7, -1.6), (0.4, -0.9)]
+"""Angles of hip and knee at which they do [rad]."""
+
 RECRUITED = ("straight", "via", "two-joint", "wrapped", "conditional")
 """Muscles of which OpenSim's static optimization is compared."""
 

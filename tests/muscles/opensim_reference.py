@@ -10,10 +10,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import opensim as osim
 
 sys.path.insert(0, str(Path(__file__).parent))
-from leg import ANGLES, BODIES, HIP, KNEE, MUSCLES, RECRUITED, motion
+from leg import ANGLES, BODIES, HIP, HOLDING, KNEE, MUSCLES, POSTURES, RECRUITED, motion
 
 osim.Logger.setLevelString("Error")
 V = osim.Vec3
@@ -155,8 +156,42 @@ def recruitment():
         return {"time": list(table.getIndependentColumn()), "activation": found}
 
 
+def postures():
+    """Return the forces of two muscles that hold the leg at rest, and the forces in its joints.
+
+    Accelerations are linear in the forces, so that three of them give the forces at which there are none.
+    """
+    leg = model({name: MUSCLES[name] for name in HOLDING})
+    state = leg.initSystem()
+    muscles = [leg.getMuscles().get(name) for name in HOLDING]
+    found = []
+
+    def accelerations(forces):
+        for muscle, force in zip(muscles, forces, strict=True):
+            muscle.overrideActuation(state, True)
+            muscle.setOverrideActuation(state, float(force))
+        leg.realizeAcceleration(state)
+        return np.array([leg.getCoordinateSet().get(name).getAccelerationValue(state) for name in ("hip", "knee")])
+
+    for angles in POSTURES:
+        for name, value in zip(("hip", "knee"), angles, strict=True):
+            leg.getCoordinateSet().get(name).setValue(state, value, False)
+            leg.getCoordinateSet().get(name).setSpeedValue(state, 0.0)
+        none = accelerations([0, 0])
+        slopes = np.column_stack([accelerations(one) - none for one in np.eye(2)])
+        forces = np.linalg.solve(slopes, -none)
+        accelerations(forces)
+        joints = {}
+        for name in ("hip", "knee"):
+            force = leg.getJointSet().get(name).calcReactionOnChildExpressedInGround(state).get(1)
+            joints[name] = [force.get(0), force.get(1)]
+        found.append({"muscles": dict(zip(HOLDING, forces.tolist(), strict=True)), "joints": joints})
+    return found
+
+
 if __name__ == "__main__":
     leg = model()
     numbers = {"opensim": osim.GetVersion(), "geometry": geometry(leg)}
     numbers["recruitment"] = recruitment()
+    numbers["postures"] = postures()
     Path(sys.argv[1]).write_text(json.dumps(numbers) + "\n")

@@ -9,6 +9,7 @@ import pytest
 import mbdkit
 from mbdkit import RunError, SpecError
 from mbdkit.report.report import report
+from tests.muscles import leg
 from tests.muscles.recruited import leg_spec
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["recruitment"]
@@ -27,6 +28,22 @@ def test_activations_are_those_of_opensims_static_optimization(walked):
         np.testing.assert_allclose(
             walked.muscles[name].activation[INSIDE], np.array(theirs)[INSIDE], rtol=0, atol=2e-3, err_msg=name
         )
+
+
+def test_joints_carry_the_forces_that_they_carry_in_opensim_with_equal_muscles():
+    wanted = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["postures"]
+    spec = leg_spec(leg.HOLDING, changed={"pennation": 0.14}, capacity="isometric", minimum=0.0)
+    columns = spec["motion"]["columns"]
+    for angles, posture in zip(leg.POSTURES, wanted, strict=True):
+        data = {"time": [0.0, 0.1, 0.2, 0.3, 0.4], "zero": [0.0] * 5}
+        data |= {name: [angle] * 5 for name, angle in zip(("hip", "knee"), angles, strict=True)}
+        at_rest = {key: one | {"rate": "zero", "acceleration": "zero"} for key, one in columns.items()}
+        run = mbdkit.inverse(spec | {"motion": {"data": data, "columns": at_rest}})
+        for name, force in posture["muscles"].items():
+            assert run.muscles[name].force[2] == pytest.approx(force, rel=1e-9)
+        for name, force in posture["joints"].items():
+            peak = np.linalg.norm(force)
+            np.testing.assert_allclose(run.joints[name].reaction_force[2], force, rtol=0, atol=1e-9 * peak)
 
 
 def test_moments_of_the_muscles_are_arms_times_forces(walked):
