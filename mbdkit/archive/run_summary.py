@@ -411,14 +411,15 @@ def _reserves(run: Run) -> str:
 
 
 def reserve_shares(run: Run) -> dict[str, float]:
-    """Return the root mean square of each reserve, relative to that of the moment it is part of, by actuator."""
+    """Return the root mean square of each reserve that is used, relative to that of the moment it is part of."""
     found = {}
     for name, reserve in run.actuators.items():
         actuator = name.removeprefix(RESERVE)
         if name == actuator or actuator not in run.actuators:
             continue
         own, whole = (float(np.sqrt(np.mean(one.value**2))) for one in (reserve, run.actuators[actuator]))
-        found[actuator] = own / whole if whole > 0 else 0.0
+        if own > 0:  # else no muscle acts on this actuator
+            found[actuator] = own / whole if whole > 0 else 0.0
     return found
 
 

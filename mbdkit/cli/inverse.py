@@ -141,4 +141,6 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     show(f"motion       {counted(len(time), 'row')} from {time[0]:g} to {time[-1]:g} s: {', '.join(measured.names)}")
     if problem.loads:
         show(f"loads        {', '.join(problem.loads)}")
-    show(f"actuators    {', '.join(actuator.name for actuator in problem.actuators) or 'none'}")
+    show(f"actuators    {', '.join(actuator.name for actuator in problem.recorded_actuators) or 'none'}")
+    if problem.recruiter is not None:
+        show(f"muscles      {', '.join(problem.recruiter.muscles)}")

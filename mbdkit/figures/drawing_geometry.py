@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mbdkit.base.plain_data import plain
 from mbdkit.figures.beam_curves import BeamCurve
 from mbdkit.figures.cable_geometry import Place, cable_places
+from mbdkit.figures.muscle_geometry import muscle_places
 from mbdkit.figures.plane_geometry import Array, convex_hull
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.pathways import JointAngles
@@ -58,6 +59,8 @@ class Drawing:
         Points drawn as joints, as ground symbols and as centres of mass.
     springs, bars
         Pairs of points joined by a spring, or by a massless bar (a distance joint).
+    muscles
+        Points that each muscle passes.
     guides, sliders
         Pairs of points that are the ends of the line of a sliding joint, and the points that slide on them.
     welds
@@ -77,6 +80,7 @@ class Drawing:
     centres: tuple[int, ...] = ()
     springs: tuple[tuple[int, int], ...] = ()
     bars: tuple[tuple[int, int], ...] = ()
+    muscles: tuple[tuple[int, ...], ...] = ()
     guides: tuple[tuple[int, int], ...] = ()
     sliders: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
@@ -201,6 +205,8 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
             sketch.springs.append((ends[0], ends[1]))
         elif isinstance(pathway, JointAngles):
             sketch.cable(cable_places(mechanism.joints, pathway))
+    for muscle in mechanism.muscles.values():
+        sketch.muscle(muscle_places(mechanism, muscle))
     for name, marker in mechanism.markers.items():
         sketch.marker(name, marker.body, marker.held)
     return sketch.finish()
@@ -231,6 +237,7 @@ class _Sketch:
         self.pins: list[int] = []
         self.bars: list[tuple[int, int]] = []
         self.springs: list[tuple[int, int]] = []
+        self.muscles: list[tuple[int, ...]] = []
         self.guides: list[tuple[int, int]] = []
         self.sliders: list[int] = []
         self.welds: list[int] = []
@@ -276,6 +283,10 @@ class _Sketch:
         """Add a spring that passes several points of bodies."""
         passed = [self.point(self.index[body], local) for body, local in places]
         self.springs += itertools.pairwise(passed)
+
+    def muscle(self, places: Sequence[Place]) -> None:
+        """Add the line of a muscle through points of bodies."""
+        self.muscles.append(tuple(self.point(self.index[body], local) for body, local in places))
 
     def joint(self, name: str, joint: Any) -> None:
         """Add a joint: a distance joint as a bar, a driver not at all, any other as a mark at its point."""
@@ -338,6 +349,7 @@ class _Sketch:
             centres=tuple(centres),
             springs=tuple(self.springs),
             bars=tuple(self.bars),
+            muscles=tuple(self.muscles),
             guides=tuple(self.guides),
             sliders=tuple(self.sliders),
             welds=tuple(self.welds),

@@ -151,6 +151,8 @@ def draw_sketch(
     _draw_beams(canvas, drawing, at, moments)
     for ends in drawing.bars:
         canvas.line(at[list(ends)], "bar")
+    for points in drawing.muscles:
+        canvas.line(at[list(points)], "muscle")
     for start, end in drawing.springs:
         canvas.line(zigzag(at[start], at[end], 6.0), "spring")
     if crowd:

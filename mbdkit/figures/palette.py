@@ -10,7 +10,7 @@ from mbdkit.figures.page_model import Figure
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
 """Six colours that colour-blind readers can distinguish (Okabe and Ito, with a darker purple)."""
 INK, FAINT, GRID, PAPER = "#222222", "#666666", "#E4E4E4", "#FFFFFF"
-ALARM, SPRING = "#B00020", "#7A4FBF"
+ALARM, SPRING, MUSCLE = "#B00020", "#7A4FBF", "#C0392B"
 
 
 def color_number(color: str) -> int:

@@ -68,6 +68,7 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
         "grounds": list(drawing.grounds),
         "centres": list(drawing.centres),
         "springs": [list(ends) for ends in drawing.springs],
+        "muscles": [list(points) for points in drawing.muscles],
         "bars": [list(ends) for ends in drawing.bars],
         "guides": [list(ends) for ends in drawing.guides],
         "sliders": list(drawing.sliders),

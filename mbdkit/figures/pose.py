@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mbdkit.figures.beam_curves import bezier_polylines
 from mbdkit.figures.drawing_geometry import Drawing
-from mbdkit.figures.palette import FAINT, INK, PALETTE, PAPER, SPRING
+from mbdkit.figures.palette import FAINT, INK, MUSCLE, PALETTE, PAPER, SPRING
 from mbdkit.figures.plane_geometry import Array, zigzag
 
 _BENDING = LinearSegmentedColormap.from_list("bending", [PALETTE[0], "#BDBDBD", PALETTE[1]])
@@ -101,6 +101,14 @@ class Pose:
             line(self._strokes(drawing.guides), color=FAINT, linewidth=1.2, zorder=2.2)
         if drawing.bars:
             line(self._strokes(drawing.bars), color=INK, linewidth=1.2, zorder=4)
+        if drawing.muscles:
+            gap = len(drawing.owner)  # the index after the last point
+            line(
+                [index for points in drawing.muscles for index in (*points, gap)],
+                color=MUSCLE,
+                linewidth=1.3,
+                zorder=4.5,
+            )
         (self._springs,) = axes.plot(
             [], [], color=SPRING, linewidth=1.3, alpha=alpha, zorder=5, solid_joinstyle="round"
         )

@@ -3,7 +3,9 @@
    `strip(frames)`. */
 class Stage {
   static TAIL = 1.5;   // length of the visible paths, in seconds of the animation
-  static NAMES = ["paper", "ink", "faint", "edge", "grid", "spring", "alarm", "warn", "c0", "c1", "c2", "c3", "c4", "c5"];
+  static NAMES = [
+    "paper", "ink", "faint", "edge", "grid", "spring", "muscle", "alarm", "warn", "c0", "c1", "c2", "c3", "c4", "c5",
+  ];
 
   static FORCES = { joint: "ink", load: "warn", spring: "spring" };   // colours of arrows
 
@@ -171,6 +173,7 @@ class Stage {
     film.outlines.forEach((outline, body) => this.body(outline, film.colors[body]));
     this.beams(frame);
     for (const ends of film.bars) this.stroke(colors.ink, 1.8, () => this.line(ends.map(end => this.at(end))));
+    for (const points of film.muscles) this.stroke(colors.muscle, 1.6, () => this.line(points.map(k => this.at(k))));
     film.springs.forEach(ends => this.spring(ends));
     if (!this.crowd) this.marks();
     if (film.arrows && this.pushed) film.arrows.kinds.forEach((kind, k) => this.arrow(frame, kind, k));
