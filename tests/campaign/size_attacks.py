@@ -86,7 +86,7 @@ def members(random: np.random.Generator, folder: Path) -> list[str]:
 def bodies(random: np.random.Generator, folder: Path) -> list[str]:
     """Report a run of 500 bodies: the page has less than 20 MB, and opens in 5 s."""
     count = max(10, int(500 * SIZE))
-    spec = pendulum() | {"model": {"name": "n-pendulum", "n": count, "length": 1.0 / count}, "title": "many"}
+    spec = pendulum() | {"model": {"name": "n-pendulum", "n": count}, "title": "many"}
     (folder / "spec.json").write_text(json.dumps(spec | {"time": {"end": 0.2, "step": 0.001}}))
     found = _failed(_mbdkit(folder, "run", "spec.json", "-o", "run.h5", "--quiet"), f"a run of {count} bodies", 1000)
     if found:

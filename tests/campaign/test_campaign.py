@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 
 import pytest
+
+from mbdkit.guide.pages import pages
 
 from . import size_attacks
 from .__main__ import attacks, problems
@@ -18,6 +21,18 @@ SLOW = {
     *("kill-worker", "long-run", "members", "submitit"),
 }
 """Attacks that take many seconds for one case."""
+
+
+def test_the_guide_lists_every_attack_with_its_number_of_cases() -> None:
+    listed: list[str] = []
+    for row in pages()["reliability"].text.partition("| promise | attacks | cases |")[2].splitlines()[2:]:
+        if not row.startswith("|"):
+            break
+        _, _, names, count, _ = row.split("|")
+        of_row = re.findall("`(.*?)`", names)
+        assert sum(attacks()[name].cases for name in of_row) == int(count), row
+        listed += of_row
+    assert sorted(listed) == sorted(attacks())
 
 
 @pytest.mark.usefixtures("processes")
