@@ -34,6 +34,12 @@ SIZES = [
     (0, 1, 0, 0),
     (2, 1, 1, 1),
 ]
+IN_CHUNKS = SIZES[::3]
+"""Sizes whose archives are also flushed after every piece of rows: many rows, one, and none."""
+
+each = pytest.mark.parametrize(
+    ("sizes", "pieces"), [*((sizes, 1) for sizes in SIZES), *((sizes, 4) for sizes in IN_CHUNKS)]
+)
 
 
 @pytest.fixture(autouse=True)
@@ -54,10 +60,10 @@ def made_once(sizes: tuple[int, int, int, int], after: str) -> bytes:
         return path.read_bytes()
 
 
-@pytest.fixture(params=["one piece", "chunks"])
-def made(request: pytest.FixtureRequest, tmp_path: Path, sizes: tuple[int, int, int, int]) -> Path:
+@pytest.fixture
+def made(tmp_path: Path, sizes: tuple[int, int, int, int], pieces: int) -> Path:
     path = tmp_path / "run.h5"
-    path.write_bytes(made_once(sizes, "flush_if_due" if request.param == "chunks" else ""))
+    path.write_bytes(made_once(sizes, "flush_if_due" if pieces > 1 else ""))
     return path
 
 
@@ -67,7 +73,7 @@ def expected(sizes: tuple[int, int, int, int]) -> dict[str, np.ndarray]:
     return {array.path: made[array.key] for array in LAYOUT if array.dims[0] == "time" and not array.optional}
 
 
-@pytest.mark.parametrize("sizes", SIZES)
+@each
 def test_xarray_opens_it_with_h5netcdf(made: Path, sizes: tuple[int, int, int, int]) -> None:
     with xarray.open_datatree(made, engine="h5netcdf") as tree:
         for path, values in expected(sizes).items():
@@ -80,14 +86,14 @@ def test_xarray_opens_it_with_h5netcdf(made: Path, sizes: tuple[int, int, int, i
         assert tree["joints/joint"].to_numpy().tolist() == list(names(joints=sizes[2]).joints)
 
 
-@pytest.mark.parametrize("sizes", SIZES)
+@each
 def test_xarray_opens_it_with_netcdf4(made: Path, sizes: tuple[int, int, int, int]) -> None:
     with xarray.open_datatree(made, engine="netcdf4") as tree:
         for path, values in expected(sizes).items():
             np.testing.assert_array_equal(tree[path].values, values)
 
 
-@pytest.mark.parametrize("sizes", SIZES)
+@each
 def test_netcdf4_opens_it(made: Path, sizes: tuple[int, int, int, int]) -> None:
     with netCDF4.Dataset(made) as file:
         for path, values in expected(sizes).items():
@@ -102,7 +108,7 @@ def test_netcdf4_opens_it(made: Path, sizes: tuple[int, int, int, int]) -> None:
         )
 
 
-@pytest.mark.parametrize("sizes", SIZES)
+@each
 def test_h5py_finds_a_scale_on_every_axis(made: Path, sizes: tuple[int, int, int, int]) -> None:
     with h5py.File(made) as file:
         for path, values in expected(sizes).items():
@@ -118,7 +124,7 @@ def test_h5py_finds_a_scale_on_every_axis(made: Path, sizes: tuple[int, int, int
                     assert dataset.dims[axis].values() == [file[f"{array.group}/{dim}"]]
 
 
-@pytest.mark.parametrize("sizes", SIZES)
+@each
 def test_to_xarray_is_what_xarray_reads(made: Path, sizes: tuple[int, int, int, int]) -> None:
     with load(made) as run, xarray.open_datatree(made, engine="h5netcdf") as tree:
         xarray.testing.assert_identical(run.to_xarray(), tree)
