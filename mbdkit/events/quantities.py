@@ -61,7 +61,7 @@ class QuantityEvaluator:
         """See `StateObserver.kept`."""
         return self._observer.kept
 
-    def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray) -> list[list[float]]:
+    def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray, z: np.ndarray) -> list[list[float]]:
         """Return, for each of K states, a list of its time and all quantities; undefined quantities are nan.
 
         Vectors are replaced by their norms.
@@ -72,16 +72,20 @@ class QuantityEvaluator:
             (K,) times [s].
         q, v
             (K, 3 (B + 1)) positions and velocities, ground last.
+        z
+            (K, Z) first-order states.
         """
         time = np.array(times)
-        states = _WatchedStates(self.mechanism, time, q, v, lambda: self._observed(time, q, v), travels=self._travels)
+        states = _WatchedStates(
+            self.mechanism, time, q, v, lambda: self._observed(time, q, v, z), travels=self._travels
+        )
         columns = [times]
         for take, is_vector in self._takers:
             found = take(states)
             columns.append((np.hypot(*found.T) if is_vector else found).tolist())
         return [list(row) for row in zip(*columns, strict=True)]
 
-    def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> Observed:
+    def _observed(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
         """Return the values computed by the engine; nan for states without unique accelerations."""
         count, begin = len(times), 0
         if count not in self._buffers:
@@ -89,7 +93,7 @@ class QuantityEvaluator:
         observed = self._buffers[count]
         while begin < count:
             rest = slice(begin, count)
-            singular = self._observer.observe(times[rest], q[rest], v[rest], observed.rows(rest))
+            singular = self._observer.observe(times[rest], q[rest], v[rest], observed.rows(rest), z=z[rest])
             if singular is None:
                 break
             row = begin + singular.row

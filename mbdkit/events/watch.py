@@ -18,7 +18,8 @@ from mbdkit.events.event_expression import CompiledExpression, RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.stepping import interface
-from mbdkit.stepping.interface import Failure, Nodes, StepEvidence, Stepper, StepTaken, Stretch, joined
+from mbdkit.stepping.interface import Failure, Moment, Nodes, StepEvidence, Stepper, StepTaken, Stretch, joined
+from mbdkit.stepping.sampled_control import states_at_start
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
@@ -61,7 +62,9 @@ class Found:
 def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspace) -> dict[str, float]:
     """Return the values of expressions at the start of a run; nan for undefined ones."""
     evaluator, compiled = _prepared(list(expressions.values()), workspace)
-    values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None])[0]
+    values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None], states_at_start(workspace)[None])[
+        0
+    ]
     return {name: one.value(values) for name, one in zip(expressions, compiled, strict=True)}
 
 
@@ -224,7 +227,7 @@ class Watch:
                 return stretch
             found += [(place, event) for place in places if place.direction in DIRECTIONS[event.direction]]
         for place, event in sorted(found, key=lambda item: (item[0].theta, item[1].action == "stop")):
-            one = Found(event.name, step.time(place.theta), place.direction, *self.stepper.within(place.theta))
+            one = Found(event.name, step.time(place.theta), place.direction, *self.stepper.within(place.theta)[:2])
             self._found.append(one)
             if event.action == "stop":
                 self.stopped = one
@@ -233,12 +236,14 @@ class Watch:
 
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
-        if self._values is None or self._ended is None or not np.array_equal(self._ended, step.v0):  # after an impulse
-            self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None])[0]
-        states = [*(self.stepper.inside(theta) for theta in INSIDE), (step.q1, step.v1)]
-        q, v = (np.array([state[part] for state in states]) for part in range(2))
-        rows = [self._values, *self._quantities.values([step.time(theta) for theta in (*INSIDE, 1.0)], q, v)]
-        self._values, self._ended = rows[-1], step.v1
+        begin = np.concatenate([step.v0, step.z0])
+        if self._values is None or self._ended is None or not np.array_equal(self._ended, begin):
+            # at the start, after an impulse, or after a sample of a controller
+            self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
+        states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
+        q, v, z = (np.array([state[part] for state in states]) for part in range(3))
+        rows = [self._values, *self._quantities.values([step.time(theta) for theta in (*INSIDE, 1.0)], q, v, z)]
+        self._values, self._ended = rows[-1], np.concatenate([step.v1, step.z1])
         points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
         shown = []
         for number, (value, phases, breaks) in enumerate(self._expressions):
@@ -251,13 +256,13 @@ class Watch:
         """Return the quantities at a position in the last step, by dense output."""
         return self._values_of(theta, self.stepper.inside)
 
-    def _values_of(self, theta: float, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> list[float]:
+    def _values_of(self, theta: float, state: Callable[[float], Moment]) -> list[float]:
         step = self.stepper.last_step
         assert step is not None
-        q, v = state(theta)
-        return self._quantities.values([step.time(theta)], q[None], v[None])[0]
+        q, v, z = state(theta)
+        return self._quantities.values([step.time(theta)], q[None], v[None], z[None])[0]
 
-    def _scalar(self, number: int, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> Callable[[float], float]:
+    def _scalar(self, number: int, state: Callable[[float], Moment]) -> Callable[[float], float]:
         """Return the scalar of an event as a function of the position in the last step, with states from `state`."""
         return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 

@@ -26,7 +26,7 @@ from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
 from mbdkit.stepping.dual_run import Seeds
 from mbdkit.stepping.explicit import CompiledExplicit
-from mbdkit.stepping.interface import StepTaken, Stretch, Timetable
+from mbdkit.stepping.interface import Moment, StepTaken, Stretch, Timetable
 from mbdkit.stepping.run_plan import guard_limits, new_plan
 from mbdkit.stepping.run_state import MODIFIED
 
@@ -182,7 +182,7 @@ class SidedStepper(DifferentiatedStepper):
 
     def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
         """Return the share of a step at which the first condition changes, and its number; None if none does."""
-        states = [self.inside(theta) for theta in PLACES[:-1]] + [(step.q1, step.v1)]
+        states = [self.inside(theta) for theta in PLACES[:-1]] + [step.between(1.0)]
         values = self._values([step.time(theta) for theta in PLACES], states)
         wrong = values * self.sides < 0.0
         found = [one for number in np.flatnonzero(wrong.any(axis=0)) if (one := self._root(step, wrong, int(number)))]
@@ -205,7 +205,7 @@ class SidedStepper(DifferentiatedStepper):
                 begin = theta
         return None
 
-    def _values(self, times: Sequence[float], states: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    def _values(self, times: Sequence[float], states: Sequence[Moment]) -> np.ndarray:
         """Return the functions of the conditions (N, C) in N states."""
         q, v = (np.ascontiguousarray([state[i] for state in states]) for i in range(2))
         observed = self._observer.arrays(len(q))

@@ -145,8 +145,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
 def require_states(mechanism: CompiledMechanism, spec: RunSpec, *, has_integrals: bool) -> None:
     """Raise SpecError if a part of a run does not include first-order states."""
     for what, is_wanted in (
-        ("the search for events", bool(spec.events)),
-        ("the check of its accuracy", spec.estimates_errors),
+        ("the choice of its method or step", spec.is_to_be_chosen),
         ("the integration of measures over time", has_integrals),
     ):
         if is_wanted:

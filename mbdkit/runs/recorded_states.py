@@ -62,12 +62,17 @@ class ObservedRows:
     torque: np.ndarray
 
     @classmethod
-    def at(cls, workspace: Workspace, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> ObservedRows:
-        """Return states (T, 3 (B + 1)) with their reactions; all rows after a missing or singular one are nan."""
+    def at(
+        cls, workspace: Workspace, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray | None = None
+    ) -> ObservedRows:
+        """Return states with their reactions; all rows after a missing or singular one are nan.
+
+        Positions and velocities are (T, 3 (B + 1)), first-order states, if there are any, (T, Z).
+        """
         count = int(np.sum(np.minimum.accumulate(np.all(np.isfinite(q) & np.isfinite(v), axis=1))))
         observer = StateObserver(workspace.with_own_pivots())
         observed = observer.arrays(count)
-        singular = observer.observe(times[:count], q[:count], v[:count], observed)
+        singular = observer.observe(times[:count], q[:count], v[:count], observed, z=None if z is None else z[:count])
         count = count if singular is None else singular.row
         position, velocity = (x[:, :-3].reshape(len(times), -1, 3).copy() for x in (q, v))
         wrench = np.full((len(times), len(workspace.mechanism.joints), 3), np.nan)

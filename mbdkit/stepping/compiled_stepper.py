@@ -21,6 +21,7 @@ from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (
     Failure,
     Impact,
+    Moment,
     Nodes,
     Pace,
     StepEvidence,
@@ -173,7 +174,7 @@ class CompiledStepper:
             return self._advance(self.pace.steps)
         accepted, t0 = self._accepted, self.time
         self._begin_after_stop()
-        self.last_step, self._before = None, [x.copy() for x in self._memory()]
+        self.last_step, self._before, z0 = None, [x.copy() for x in self._memory()], self.run_state.z.copy()
         stretches = [self._advance(1)]
         while self._is_pending and self.failure is None:
             stretches.append(self._advance(1))
@@ -181,7 +182,9 @@ class CompiledStepper:
         if self._accepted > accepted:
             c = self.run_state
             self._row_times = stretch.time
-            self.last_step = StepTaken(t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy())
+            self.last_step = StepTaken(
+                t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy(), z0, c.z.copy()
+            )
         return stretch
 
     def _advance(self, budget: int) -> Stretch:
@@ -267,34 +270,35 @@ class CompiledStepper:
         for now, then in zip(self._memory(), memory, strict=True):
             now[...] = then
 
-    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    def inside(self, theta: float) -> Moment:
         """See `Stepper.inside`."""
         step, c = self.last_step, self.run_state
         assert step is not None
         if self._dense == 0 or not self.method.has_dense_output or self.mode == SYMMETRIC:
-            return step.hermite(theta)
+            return step.between(theta)
         t, h = float(c.progress.tried_begin[0]), float(c.progress.last_size[0])
         status = step_loop.look_inside(self._pinned_state.address, self.method.pinned.address, self._dense, t, h, theta)
         if status != OK:
-            return step.hermite(theta)
+            return step.between(theta)
         q, v = c.point_q.copy(), c.point_v.copy()
         if self.mode in (PLAIN, NEAR_SINGULARITY):
             fade = theta * theta * (3.0 - 2.0 * theta)
             q, v = q + fade * c.shift_q, v + fade * c.shift_v
-        return q, v
+        return q, v, c.point_z.copy()
 
-    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    def within(self, theta: float) -> Moment:
         """See `Stepper.within`."""
         step = self.last_step
         assert step is not None
         if theta in (0.0, 1.0):
-            return (step.q1, step.v1) if theta else (step.q0, step.v0)
+            return step.between(theta)
         after = [x.copy() for x in self._memory()]
         done = self._retake(step, theta)
-        q, v = self.run_state.q.copy(), self.run_state.v.copy()
+        c = self.run_state
+        q, v, z = c.q.copy(), c.v.copy(), c.z.copy()
         self._recall(after)
         self._count()
-        return (q, v) if done else self.inside(theta)
+        return (q, v, z) if done else self.inside(theta)
 
     def _retake(self, step: StepTaken, theta: float) -> bool:
         """Return to the start of the last step and take the share `theta` of it; return whether that succeeded.
@@ -328,7 +332,7 @@ class CompiledStepper:
         if theta > 0.0:
             if not self._retake(step, theta):  # use dense output instead
                 self._recall(self._before)
-                c.q[:], c.v[:] = inner
+                c.q[:], c.v[:], c.z[:] = inner
                 c.energy[:] += theta * (ends - c.energy)
                 for now, then in zip(self._node_arrays(), whole, strict=True):
                     now[...] = then

@@ -21,7 +21,7 @@ from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
 from mbdkit.stepping.dual_steps import constrained_step, dual_explicit, dual_stages, explicit_step, index1_step
 from mbdkit.stepping.explicit import CompiledExplicit
-from mbdkit.stepping.interface import StepTaken, Timetable
+from mbdkit.stepping.interface import Moment, StepTaken, Timetable
 from mbdkit.stepping.run_state import PROJECTIONS
 
 if TYPE_CHECKING:
@@ -234,7 +234,7 @@ class DifferentiatedStepper(CompiledStepper):
         self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes  # its end is not recorded
         return done
 
-    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    def within(self, theta: float) -> Moment:
         """See `Stepper.within`."""
         assert self.steps is not None
         with self.steps.last_nodes_kept():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -155,6 +155,10 @@ class Timetable:
         return self.step if abs(rest - self.step) <= 1e-9 * self.step else rest
 
 
+Moment = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""A state: positions and velocities (3 (B + 1),), ground last, and first-order states (Z,)."""
+
+
 @dataclass
 class Stretch:
     """The recorded states of one stretch (part) of a run: T rows."""
@@ -178,9 +182,9 @@ class Stretch:
     def rows(self, part: slice | np.ndarray) -> Stretch:
         """Return some of the rows: a slice, or a mask (T,)."""
         chosen: dict[str, Any] = {}
-        for field in fields(self):
-            values = getattr(self, field.name)
-            chosen[field.name] = None if values is None else values[part]
+        for one in fields(self):
+            values = getattr(self, one.name)
+            chosen[one.name] = None if values is None else values[part]
         return Stretch(**chosen)
 
 
@@ -189,9 +193,9 @@ def joined(stretches: Sequence[Stretch]) -> Stretch:
     if len(stretches) == 1:
         return stretches[0]
     whole: dict[str, Any] = {}
-    for field in fields(Stretch):
-        parts = [getattr(stretch, field.name) for stretch in stretches]
-        whole[field.name] = None if any(part is None for part in parts) else np.concatenate(parts)
+    for one in fields(Stretch):
+        parts = [getattr(stretch, one.name) for stretch in stretches]
+        whole[one.name] = None if any(part is None for part in parts) else np.concatenate(parts)
     return Stretch(**whole)
 
 
@@ -273,7 +277,9 @@ class KeptNodes:
 
 @dataclass(frozen=True)
 class StepTaken:
-    """One accepted step: the times [s] and states (3 (B + 1),), ground last, of its start and its end."""
+    """One accepted step: the times [s] of its start and its end, positions and velocities there (3 (B + 1),), ground
+    last, and first-order states (Z,).
+    """
 
     t0: float
     t1: float
@@ -281,6 +287,17 @@ class StepTaken:
     v0: np.ndarray
     q1: np.ndarray
     v1: np.ndarray
+    z0: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    z1: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def between(self, theta: float) -> Moment:
+        """Return the state at the share `theta` of the step: exact at its ends, otherwise by interpolation.
+
+        Positions and velocities are those of `hermite`, first-order states are interpolated linearly.
+        """
+        if theta in (0.0, 1.0):
+            return (self.q1, self.v1, self.z1) if theta else (self.q0, self.v0, self.z0)
+        return *self.hermite(theta), self.z0 + theta * (self.z1 - self.z0)
 
     def time(self, theta: float) -> float:
         """Return the time [s] at the share `theta` of the step; exact at both ends."""
@@ -388,14 +405,14 @@ class Stepper(Advancing, Protocol):
         """The step that the last `advance` has taken; None if it took none."""
         ...
 
-    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities (3 (B + 1),) at the share `theta` of the last step, by dense output.
+    def inside(self, theta: float) -> Moment:
+        """Return the state at the share `theta` of the last step, by dense output.
 
         A method without dense output uses the cubic through both ends of the step.
         """
         ...
 
-    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    def within(self, theta: float) -> Moment:
         """Return the same by a shorter step of the method itself, from the start of the last step.
 
         This does not change the run, apart from the counters. If the step fails, and for methods that cannot repeat a

@@ -23,6 +23,7 @@ from mbdkit.stepping.interface import (
     Failure,
     Impact,
     KeptNodes,
+    Moment,
     Nodes,
     StepEvidence,
     StepTaken,
@@ -179,19 +180,19 @@ class PythonStepper:
                 break
         return self._stretch(rows)
 
-    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    def inside(self, theta: float) -> Moment:
         """See `Stepper.inside`."""
         assert self.last_step is not None
-        return self.last_step.hermite(theta)
+        return self.last_step.between(theta)
 
-    def within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    def within(self, theta: float) -> Moment:
         """See `Stepper.within`."""
         step = self.last_step
         assert step is not None
         if theta in (0.0, 1.0):
-            return (step.q1, step.v1) if theta else (step.q0, step.v0)
+            return step.between(theta)
         there = self._again(theta)
-        return self._with_ground(there.state) if there is not None else self.inside(theta)
+        return (*self._with_ground(there.state), step.z0) if there is not None else self.inside(theta)
 
     def cut(self, theta: float) -> Stretch:
         """See `Stepper.cut`."""
@@ -199,7 +200,7 @@ class PythonStepper:
         before, after, table = self._before, self.now, self.timetable
         there = self._again(theta) if theta > 0.0 else before
         if there is None:  # use dense output instead
-            q, v = (x[: self.equations.n] for x in self.inside(theta))
+            q, v = (x[: self.equations.n] for x in self.inside(theta)[:2])
             there = replace(
                 after,
                 state=replace(before.state, q=q, v=v),

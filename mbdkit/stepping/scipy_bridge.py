@@ -31,6 +31,7 @@ from mbdkit.stepping.interface import (
     Failure,
     Impact,
     KeptNodes,
+    Moment,
     Nodes,
     StepEvidence,
     StepTaken,
@@ -252,16 +253,18 @@ class SciPyStepper:
             if not table.single:
                 rows += self._due()
                 continue
-            self.last_step = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y))
+            z = y0[self._first_z :], self.y[self._first_z :]
+            self.last_step = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y), *z)
             self._dense, self._y0, self._effort_so_far = dense, y0, self._since.copy()
             rows = self._due()
             self._row_times = [row[0] for row in rows]
             break
         return self._stretch(rows)
 
-    def inside(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+    def inside(self, theta: float) -> Moment:
         """See `Stepper.inside`."""
-        return self._state(self._interpolated(theta))
+        y = self._interpolated(theta)
+        return *self._state(y), y[self._first_z :]
 
     within = inside
     """SciPy's solvers cannot repeat a step with another size, so dense output is used."""

@@ -73,9 +73,9 @@ def observed(work: dict[str, float]) -> Iterator[None]:
     """Add the states that the check evaluates; those that the recorder evaluates are the same in every run."""
 
     class Counting(StateObserver):
-        def observe(self, times: Any, *args: Any) -> Any:
+        def observe(self, times: Any, *args: Any, **named: Any) -> Any:
             work["states"] += len(times)
-            return super().observe(times, *args)
+            return super().observe(times, *args, **named)
 
     with ExitStack() as stack:
         for module in (recorded_states, step_interpolation):

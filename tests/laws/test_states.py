@@ -183,10 +183,9 @@ def test_runs_in_lanes_have_the_states_of_single_runs() -> None:
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ({"integrator": {"name": "scipy-dop853"}}, "SciPy"),
         ({"integrator": {"name": "rattle"}, "formulation": "index-3"}, "Lobatto"),
-        ({"events": {"turn": {"when": "rotor.angle - 1", "action": "stop"}}}, "events"),
-        ({"check": True}, "check"),
+        ({"accuracy": 1e-6}, "choice of its method"),
+        ({"measures": {"turned": "integral(rotor.angle)"}}, "integration"),
     ],
 )
 def test_what_does_not_include_states_says_so(more: dict[str, Any], words: str) -> None:

@@ -40,20 +40,15 @@ def spec_of(integrator: dict[str, Any], step: float | None = 0.01, **more: Any) 
     return {"mbdkit": 1, "parameters": parameters, "model": leg(), "integrator": integrator, "time": time} | more
 
 
-def exact() -> np.ndarray:
-    """Angle, angular velocity and state at the end, by DOP853 in the minimal coordinate."""
-
-    def rates(t: float, y: np.ndarray) -> list[float]:
-        angle, speed, filtered = y
-        torque = -STIFFNESS * (angle - 0.5 * np.sin(2 * t)) - DAMPING * speed + filtered
-        return [speed, (torque - 3 * 9.81 * 0.2 * np.sin(angle)) / INERTIA, (angle - filtered) / LAG]
-
-    return np.asarray(
-        solve_ivp(rates, (0, 0.5), [0.0, 0.0, 0.1], method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    )  # fmt: skip
+def rates(t: float, y: np.ndarray) -> list[float]:
+    """The derivatives of angle, angular velocity and state of the leg."""
+    angle, speed, filtered = y
+    torque = -STIFFNESS * (angle - 0.5 * np.sin(2 * t)) - DAMPING * speed + filtered
+    return [speed, (torque - 3 * 9.81 * 0.2 * np.sin(angle)) / INERTIA, (angle - filtered) / LAG]
 
 
-EXACT = exact()
+EXACT = solve_ivp(rates, (0, 0.5), [0.0, 0.0, 0.1], method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+"""Angle, angular velocity and state at the end."""
 
 
 def at_end(run: mbdkit.Run) -> np.ndarray:
@@ -321,3 +316,43 @@ def test_errors_of_controllers_name_their_key(change: dict[str, Any], sentence: 
     with pytest.raises(SpecError, match=sentence) as caught:
         mbdkit.run({"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.01}})
     assert str(caught.value.key).startswith("model.controllers.pid")
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step"),
+    [
+        ({"name": "rk4"}, 0.01),
+        ({"name": "gauss", "stages": 2}, 0.01),
+        ({"name": "dop853", "adaptive": True, "rtol": 1e-6, "atol": 1e-6}, None),
+    ],
+)
+def test_the_error_bars_of_a_run_with_states_contain_its_errors(integrator: dict[str, Any], step: float | None) -> None:
+    run = mbdkit.run(spec_of(integrator, step, check=True)).check()
+    assert run.accuracy is not None
+    assert run.accuracy.known_until == run.time[-1]
+    error = abs(at_end(run)[0] - EXACT[0])
+    assert error / 5 < run.accuracy.position_error[-1, 0, 2] * 5
+    assert error < run.accuracy.position_error[-1, 0, 2]
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [{"name": "rk4"}, {"name": "gauss", "stages": 2}, {"name": "scipy-dop853", "rtol": 1e-11, "atol": 1e-11}],
+    ids=str,
+)
+def test_events_see_states_and_what_controllers_hold(integrator: dict[str, Any]) -> None:
+    """The torque of the leg, which contains a state, crosses 1 N m where the independent solution says."""
+    events = {"strong": {"when": "forces.motor.value - 1", "direction": "falling"}}
+    run = mbdkit.run(spec_of(integrator, None if "scipy" in integrator["name"] else 0.002, events=events)).check()
+
+    def torque(t: float, y: np.ndarray) -> float:
+        return float(-STIFFNESS * (y[0] - 0.5 * np.sin(2 * t)) - DAMPING * y[1] + y[2] - 1)
+
+    torque.direction = -1  # type: ignore[attr-defined]
+    wanted = solve_ivp(rates, (0, 0.5), [0.0, 0.0, 0.1], method="DOP853", rtol=1e-12, atol=1e-13, events=torque)
+    assert [one.time for one in run.events] == pytest.approx(wanted.t_events[0], abs=1e-7)
+    held = mbdkit.run(
+        rotor(0.02), integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.005},
+        events={"on": {"when": "forces.motor.value + 1"}},
+    )  # fmt: skip
+    assert held.events[0].time == pytest.approx(0.02, abs=1e-9)  # the torque jumps from 0 to -1.9 N m there

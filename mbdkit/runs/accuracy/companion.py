@@ -15,7 +15,8 @@ from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
-from mbdkit.stepping.interface import SAME_TIME, Stepper, Timetable
+from mbdkit.stepping.interface import SAME_TIME, Stepper, Stretch, Timetable
+from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 
 NEVER = 2**53
@@ -107,7 +108,7 @@ def run_companion(
         failure = str(error)
     except (Exception, SystemExit) as error:  # of a plugin
         failure = f"its method raised {one_line(error)}"
-    return CompanionRows(ObservedRows.at(own, times, found.q, found.v), failure.rstrip("."))
+    return CompanionRows(ObservedRows.at(own, times, found.q, found.v, found.z), failure.rstrip("."))
 
 
 class _States:
@@ -117,14 +118,18 @@ class _States:
         self.times = times
         self.sides, self.at_stop = _beside_stops(times, companion)
         self.q, self.v = (np.full((len(times), len(x)), np.nan) for x in (workspace.q0, workspace.v0))
-        self.q[0], self.v[0] = workspace.q0, workspace.v0
+        z0 = states_at_start(workspace)
+        self.z = np.full((len(times), len(z0)), np.nan)
+        self.q[0], self.v[0], self.z[0] = workspace.q0, workspace.v0, z0
         self.done = 1
 
-    def take(self, times: np.ndarray, q: np.ndarray, v: np.ndarray) -> None:
+    def take(self, stretch: Stretch) -> None:
         """Take recorded states; those at times other than the next ones of the main run are ignored."""
-        for row, at in enumerate(times):
+        for row, at in enumerate(stretch.time):
             if self.done < len(self.times) and _equal(at, self.times[self.done], self.times):
-                self.q[self.done], self.v[self.done] = q[row], v[row]
+                self.q[self.done], self.v[self.done] = stretch.q[row], stretch.v[row]
+                if stretch.z is not None:
+                    self.z[self.done] = stretch.z[row]
                 self.done += 1
 
     def take_within(self, stepper: Stepper) -> None:
@@ -135,12 +140,12 @@ class _States:
             if at > step.t1 and (self.at_stop[self.done] or not _equal(at, step.t1, self.times)):
                 return
             if _equal(at, step.t1, self.times):
-                q, v = step.q1, step.v1
+                state = step.between(1.0)
             elif self.at_stop[self.done]:  # after the stop at which the step begins
-                q, v = step.q0, step.v0
+                state = step.between(0.0)
             else:
-                q, v = stepper.within((at - step.t0) / (step.t1 - step.t0))
-            self.q[self.done], self.v[self.done] = q, v
+                state = stepper.within((at - step.t0) / (step.t1 - step.t0))
+            self.q[self.done], self.v[self.done], self.z[self.done] = state
             self.done += 1
 
 
@@ -180,7 +185,7 @@ def _advance(
         if companion.within_steps:
             found.take_within(stepper)
         else:
-            found.take(stretch.time, stretch.q, stretch.v)
+            found.take(stretch)
         if progress is not None:
             progress(stepper.time, float(found.times[-1]))
     return ""
