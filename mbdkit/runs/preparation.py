@@ -142,16 +142,6 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
     return recorded_by(archive_names(mechanism), spec.output.recorded, frozenset(optional))
 
 
-def require_states(mechanism: CompiledMechanism, spec: RunSpec, *, has_integrals: bool) -> None:
-    """Raise SpecError if a part of a run does not include first-order states."""
-    for what, is_wanted in (
-        ("the choice of its method or step", spec.is_to_be_chosen),
-        ("the integration of measures over time", has_integrals),
-    ):
-        if is_wanted:
-            mechanism.refuse_states(what)
-
-
 def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:
     """Return the size of the mechanism at its start [m]; its characteristic length if all points coincide."""
     position = start.q0[:-3].reshape(-1, 3)

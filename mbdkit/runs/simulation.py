@@ -40,7 +40,6 @@ from mbdkit.runs.preparation import (
     check_disk_space,
     make_method,
     recorded_arrays,
-    require_states,
 )
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
@@ -308,9 +307,8 @@ def _prepared(
         _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
     functionals = functionals_of(spec, measures)
-    require_states(
-        workspace.mechanism, spec, has_integrals=any(not (one.is_extremum or one.is_value) for one in functionals)
-    )
+    if any(not one.is_extremum for one in functionals):
+        workspace.mechanism.refuse_states("the integration of measures over time")
     if workspace.mechanism.states:
         functionals = ()  # extrema and values are those of the recorded times
     noted: list[bool] = []

@@ -213,6 +213,7 @@ def choose_method(
     progress
         Called with (time reached, end time) [s] of each pilot.
     """
+    workspace.mechanism.refuse_states("the choice of its method or step")
     first = Candidate.of(spec)
     search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)
     if first.adaptive and not spec.events and can_be_recorded(first.applied_to(spec, LOOSEST, search.measure.size)):
