@@ -63,6 +63,8 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
     mechanism.validate()
     if mechanism.states:
         raise SpecError("first-order states have no symbolic form", key="model.states")
+    if mechanism.muscles:
+        raise SpecError("muscles have no symbolic form", key="model.muscles")
     return _Builder(mechanism, numbers).system()
 
 

@@ -243,7 +243,7 @@ CHANGES = {
         "forces.f.value",
         {"table": [list(range(1000)), [0.5] * 1000]},
         "model.forces.f.value",
-        "should be two numbers, expressions of t or tables [x, y], not {'table': [[0, 1, 2",
+        "should be two numbers, expressions or tables [x, y], not {'table': [[0, 1, 2",
     ),
     "uneven table": ("forces.m.value", {"table": [[0, 1], [1]]}, "model.forces.m.value.table", "as many values as"),
     "unknown key for a table": (
