@@ -78,7 +78,7 @@ class DifferentiatedMotion:
         """Begin a part, in place of the last one if that has no step."""
         if len(self._parts[-1].time) < 2:
             self._parts.pop()
-        law_sides = None if self._sided is None else self._sided.sides.copy()
+        law_sides = None if self._sided is None else self._sided.sides if corner is None else corner.sides
         part = _Part(corner, law_sides, (self._beside_stop(time, 1.0), np.inf))
         part.add(time, q, v)
         self._parts.append(part)

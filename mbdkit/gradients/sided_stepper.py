@@ -67,11 +67,14 @@ class Corner:
         The state with derivatives there, with the sides before and after the corner.
     slope
         (K,) derivatives of its time.
+    sides
+        (C,) the sides after it.
     """
 
     before: DifferentiatedStates
     after: DifferentiatedStates
     slope: np.ndarray
+    sides: np.ndarray
 
 
 class SidedStepper(DifferentiatedStepper):
@@ -276,5 +279,5 @@ class SidedStepper(DifferentiatedStepper):
         jump = before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0]
         run.v[:, some] += np.outer(jump, moved)
         run.energy[:, some] += np.outer(before.power[0, :, 0] - after.power[0, :, 0], moved)
-        self.corners.append(Corner(before, after, moved))
+        self.corners.append(Corner(before, after, moved, self.sides))
         self._note()
