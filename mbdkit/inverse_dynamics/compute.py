@@ -154,8 +154,8 @@ class Inverse:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the result, as sentences."""
-        told = []
         problem, motion, dynamics = self.problem, self.motion, self.dynamics
+        told = [f"{warning}." for warning in problem.names.mechanism.warnings]
         if len(motion.coordinates) > 1:
             when = listed([f"{motion.time[begin]:.6g} s" for begin, _ in motion.coordinates[1:]], "and")
             told.append(

@@ -205,6 +205,13 @@ def test_a_locked_coordinate_makes_a_weld(tmp_path: Path) -> None:
     assert not m.coordinates
 
 
+def test_dots_in_names_of_markers_are_replaced_with_a_warning(tmp_path: Path) -> None:
+    markers = (osim.marker("R.ASIS", "rod", (0.1, 0.0, 0.1)), osim.marker("heel", "rod", (0.0, 0.0, 0.0)))
+    m = build_mechanism(written(tmp_path, osim.document(ROD, [PIN], markers)), {}, {})
+    assert list(m.markers) == ["R_ASIS", "heel"]
+    assert m.warnings == ("in names of markers, '_' takes the place of '.': R.ASIS",)
+
+
 def test_muscles_are_left_out_with_a_warning_of_the_run(tmp_path: Path) -> None:
     forces = (
         "".join(f'<Thelen2003Muscle name="muscle{i}"/>' for i in range(9)) + '<SmoothSphereHalfSpaceForce name="heel"/>'

@@ -9,6 +9,7 @@ import numpy as np
 import osim_texts as osim
 import pytest
 
+import mbdkit
 from mbdkit import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.muscle_path import MusclePath
@@ -177,6 +178,17 @@ def test_parameters_are_read_and_what_is_not_read_is_named(tmp_path: Path) -> No
     assert "muscle 'over_ball' of the model of OpenSim is left out: it wraps around a WrapSphere" in told
     assert "the curves of Thelen2003Muscle are replaced by those of Millard: gastroc" in told
     assert "has 1 Millard2012EquilibriumMuscle, which the mechanism leaves out: idle" in told
+
+
+def test_inverse_dynamics_says_which_muscles_are_left_out(tmp_path: Path) -> None:
+    zero = [0.0] * 6
+    columns = {name: {"column": "a", "rate": "a", "acceleration": "a"} for name in ("hip_flexion", "knee_angle")}
+    motion = {"data": {"time": [0.1 * i for i in range(6)], "a": zero}, "columns": columns}
+    model = {"name": "opensim", "file": leg(tmp_path), "muscles": True}
+    recruitment = {"capacity": "isometric", "reserves": 5.0}
+    run = mbdkit.inverse({"mbdkit": 1, "model": model, "motion": motion, "recruitment": recruitment})
+    assert tuple(run.muscles) == READ
+    assert any("left out: it wraps around a WrapSphere" in warning for warning in run.warnings)
 
 
 def test_muscles_are_left_out_unless_they_are_asked_for(tmp_path: Path) -> None:

@@ -106,12 +106,24 @@ class _Builder:
                 self.add(joint, parent, child)
         if loose := [name for name in self.bodies if name not in self.poses]:
             raise refused(f"body '{loose[0]}' has no joint, so it could move out of the plane")
-        for marker in objects_of(self.model, "MarkerSet"):
-            body, place = self.frames.of_marker(marker)
-            self.result.marker(name_of(marker), body, point=(place - self.centres[body]).tolist())
-        told = self.add_muscles(joints) if self.with_muscles else []
+        told = self.add_markers()
+        told += self.add_muscles(joints) if self.with_muscles else []
         self.result.warnings = (*told, *self.left_out(joints))
         return self.result
+
+    def add_markers(self) -> list[str]:
+        """Add the markers, and return a warning about those whose names have a dot, which separates quantities here."""
+        renamed = []
+        for marker in objects_of(self.model, "MarkerSet"):
+            body, place = self.frames.of_marker(marker)
+            name = name_of(marker).replace(".", "_")
+            self.result.marker(name, body, point=(place - self.centres[body]).tolist())
+            if name != name_of(marker):
+                renamed.append(name_of(marker))
+        if not renamed:
+            return []
+        more = [f"{len(renamed) - MOST_NAMED} more"] if len(renamed) > MOST_NAMED else []
+        return [f"in names of markers, '_' takes the place of '.': {listed([*renamed[:MOST_NAMED], *more], 'and')}"]
 
     def add_muscles(self, joints: list[Element]) -> list[str]:
         """Add the muscles, and return warnings about those that are not read as they are."""
