@@ -43,7 +43,7 @@ def mbdkit_command() -> Callable[..., Any]:
     return lambda *arguments: CliRunner().invoke(app, list(arguments), prog_name="mbdkit")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser():
     path = executable()
     if path is None:
@@ -52,7 +52,7 @@ def browser():
         yield found
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def page_path(tmp_path_factory):
     """The report of a double pendulum under a coarse step: its joints come apart by millimetres."""
     folder = tmp_path_factory.mktemp("report")
@@ -61,7 +61,7 @@ def page_path(tmp_path_factory):
     return report(archive)
 
 
-@pytest.fixture(scope="module", params=["run", "study"])
+@pytest.fixture(scope="package", params=["run", "study"])
 def any_path(request, page_path, study_folder):
     """The report of a run, and that of a study."""
     return (
