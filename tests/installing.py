@@ -8,6 +8,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from tests.zygote import run_mbdkit
+
 
 def announce(site: Path, name: str, entry_points: dict[str, str], version: str = "1.0") -> None:
     """Write the metadata that an installation of a distribution would write."""
@@ -33,8 +35,11 @@ def install_project(site: Path, folder: Path) -> None:
 
 
 def python(*arguments: str, path: tuple[Path, ...], cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run Python with these folders first on its path."""
+    """Run Python with these folders first on its path; ``-m mbdkit`` in a fork that has imported mbdkit already."""
     folders = [*map(str, path), *filter(None, [os.environ.get("PYTHONPATH")])]
+    if arguments[:2] == ("-m", "mbdkit"):
+        variables = os.environ | {"PYTHONPATH": os.pathsep.join(folders)} | environment
+        return run_mbdkit(arguments[2:], path, cwd, variables)
     return subprocess.run(
         [sys.executable, *arguments],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(folders)} | environment,
