@@ -130,8 +130,6 @@ class _Terms:
         match kind:
             case "states":
                 return self._input(STATE_INPUT, self.numbering.states[name])
-            case "controllers":
-                return self._input(STATE_INPUT, self.numbering.states[f"{name}.{attribute}"])
             case "bodies":
                 return self._of_body(name, attribute)
             case "markers":

@@ -174,6 +174,10 @@ class RunCompiler(Compiler):
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
         self.known = {word: list(getattr(mechanism, word)) for word in _KINDS if hasattr(mechanism, word)}
+        held = [
+            f"{name}.{value}" for name, one in mechanism.controllers.items() for value in (*one.outputs, *one.states)
+        ]
+        self.known["states"] = [*mechanism.state_names(), *held]
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:
@@ -189,6 +193,14 @@ class RunCompiler(Compiler):
         match node:
             case ast.Subscript(ast.Attribute() as whole, index) if (found := self.path(whole)) and found[0] == "beams":
                 return self.of_element(found[1], found[2], index, node)
+            case ast.Attribute(ast.Name(id="states"), attr=name) | ast.Subscript(
+                ast.Name(id="states"), ast.Constant(value=str() as name)
+            ):
+                return self.of("states", name, "value", node)
+            case ast.Attribute(ast.Attribute(ast.Name(id="controllers"), attr=name), attr=value) | ast.Attribute(
+                ast.Subscript(ast.Name(id="controllers"), ast.Constant(value=str() as name)), attr=value
+            ):
+                return self.of_controller(name, value, node)
             case ast.Attribute(value=ast.Name(id="energy"), attr=attribute):
                 return self.get(Quantity("energy", "", self.checked(attribute, ["energy"], "", node)))
             case ast.Attribute() if found := self.path(node):
@@ -254,6 +266,17 @@ class RunCompiler(Compiler):
                 if body != GROUND and self.mechanism.bodies[body].inertia is None:
                     self.refuse(f"'{body}' is a point mass (it has no inertia), so it has no angle", node)
         return self.get(Quantity(kind, name, attribute))
+
+    def of_controller(self, name: str, value: str, node: ast.expr) -> Code:
+        """Return the program of an output or a state of a controller."""
+        controllers = self.mechanism.controllers
+        if name not in controllers:
+            self.unknown(name, [*controllers], "controller", node)
+        known = [*controllers[name].outputs, *controllers[name].states]
+        if value not in known:
+            hint = f"{did_you_mean(value, known)}; it has {listed(known, 'and')}"
+            self.refuse(f"controller '{name}' has no '{value}'{hint}", node)
+        return self.get(Quantity("states", f"{name}.{value}", "value"))
 
     def of_element(self, name: str, attribute: str, index: ast.expr, node: ast.expr) -> Code:
         """Return the program of a quantity of one element of a beam."""

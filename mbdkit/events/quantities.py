@@ -77,7 +77,7 @@ class QuantityEvaluator:
         """
         time = np.array(times)
         states = _WatchedStates(
-            self.mechanism, time, q, v, lambda: self._observed(time, q, v, z), travels=self._travels
+            self.mechanism, time, q, v, lambda: self._observed(time, q, v, z), travels=self._travels, z=z
         )
         columns = [times]
         for take, is_vector in self._takers:

@@ -148,8 +148,8 @@ class MeasureExpression:
         if wanted is None:
             if value.unit is None:
                 raise SpecError(
-                    "the unit of this expression is unknown, because parameters have none; give the unit of the "
-                    "result, as in {value: EXPRESSION, unit: N}"
+                    "the unit of this expression is unknown, because parameters and some states have none; give the "
+                    "unit of the result, as in {value: EXPRESSION, unit: N}"
                 )
             wanted = value.unit
         elif value.unit is not None and not value.unit.is_like(wanted):

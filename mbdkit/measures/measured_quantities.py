@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.table import KINDS, UNITS_OF_ELEMENT
@@ -29,8 +30,8 @@ ATTRIBUTES: Mapping[str, Sequence[str]] = {
 """Names of the quantities of each kind of element."""
 
 
-def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit:
-    """Return the SI unit of a quantity of the runs of a spec."""
+def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
+    """Return the SI unit of a quantity of the runs of a spec; None for a first-order state with a unit of its own."""
     if quantity.kind == "events":
         return read_unit(_EVENTS[quantity.attribute][0])
     found = quantity.recorded
@@ -39,6 +40,11 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit:
     if quantity.of.unit_of is None:
         return read_unit(spec.actuator_units[quantity.name])
     of_element = quantity.of.unit_of(spec.mechanism(), quantity.name)
+    if quantity.kind == "states":
+        try:
+            return read_unit(of_element if quantity.attribute == "value" else f"{of_element}/s")
+        except SpecError:
+            return None
     return read_unit(UNITS_OF_ELEMENT.get(found.array.row_units, {}).get(of_element, of_element))
 
 

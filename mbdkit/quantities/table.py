@@ -252,7 +252,8 @@ KINDS = (
         _taken("value", ("time", "state"), MIXED, "value of the state", lambda s: s.z, row_units="row_units"),
         _taken("rate", ("time", "state"), MIXED, "derivative of the state by time", lambda s: s.observed.state_rates,
             row_units="rate_row_units"),
-        since="1.1", optional=True, one="state", axis="state",
+        since="1.1", optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
+        unit_of=lambda mechanism, name: mechanism.states[name].unit if name in mechanism.states else "1",
     ),
     _kind(
         "constraints",

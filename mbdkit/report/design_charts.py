@@ -38,7 +38,7 @@ def load_charts(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Figure]:
     for number, (scenario, pair) in enumerate(pairs.items()):
         spec = design.spec.specs[scenario]
         for index, quantity in enumerate(_quantities(design, spec)):
-            unit = str(unit_of(quantity, spec))
+            unit = str(unit_of(quantity, spec) or "")
             lines = tuple(_line(which, quantity, run) for which, run in pair.items())
             where = f" ({scenario})" if scenario else ""
             shaded = " Shaded: estimated error." if any(line.band is not None for line in lines) else ""

@@ -356,3 +356,19 @@ def test_events_see_states_and_what_controllers_hold(integrator: dict[str, Any])
         events={"on": {"when": "forces.motor.value + 1"}},
     )  # fmt: skip
     assert held.events[0].time == pytest.approx(0.02, abs=1e-9)  # the torque jumps from 0 to -1.9 N m there
+
+
+def test_measures_contain_states_and_what_controllers_hold() -> None:
+    measures = {"most": "max(states.i)", "rate": "final(states.i.rate)", "cooled": "1000*min(states.i)"}
+    run = mbdkit.run(spec_of({"name": "rk4"}, measures=measures))
+    state = run.states["i"]
+    assert run.measures["most"] == state.value.max()
+    assert run.measures["rate"] == state.rate[-1] == pytest.approx((run["leg"].angle[-1] - state.value[-1]) / LAG)
+    held = {"volts": "min(controllers.pid.u)", "sum": 'final(states["pid.sum"])'}
+    run = mbdkit.run(rotor(0.02), integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.005}, measures=held)
+    assert run.measures["volts"] == run.states["pid.u"].value.min()
+    assert run.measures["sum"] == run.states["pid.sum"].value[-1]
+    model = leg()
+    model["states"]["i"]["unit"] = "A"  # not a unit of mechanics
+    with pytest.raises(SpecError, match="give the unit of the result"):
+        mbdkit.run(spec_of({"name": "rk4"}, model=model, measures={"most": "max(states.i)"}))

@@ -169,7 +169,7 @@ REFUSED = {
     "at(ball.x)": "'at' takes 2 arguments",
     "2*3": "contains no quantity of the run",
     "final(ball.angle)": "'ball' is a point mass",
-    "lever*final(ball.x)": "the unit of this expression is unknown, because parameters have none",
+    "lever*final(ball.x)": "the unit of this expression is unknown, because parameters and some states have none",
     "__import__('os').system('true')": "is not a function that can be used",
     "final(ball.x) if 1 else 2": "is not part of an expression of a run",
     "final(ball.x": "the expression cannot be parsed",
