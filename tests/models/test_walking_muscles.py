@@ -40,6 +40,19 @@ def test_muscles_alone_produce_the_moments_and_leave_the_residuals_of_the_free_t
         np.testing.assert_allclose(without, bare.array("joints/reaction_force"), rtol=0, atol=1e-9)
 
 
+def test_moments_are_arms_times_forces_over_a_knee_that_is_a_closed_loop(walked):
+    settings = ["motion.errors=none", "model.name=leg-four-bar", "recruitment.reserves=1.0"]
+    spec = load_inverse_spec("walking-muscles", settings, measures={})
+    with mbdkit.inverse(spec) as run:
+        for coordinate in ("hip_flexion", "knee_flexion", "ankle_dorsiflexion"):
+            moment = sum(run.moment_arms(name, coordinate) * one.force for name, one in run.muscles.items())
+            whole = moment + run.actuators[f"reserve.{coordinate}"].value
+            np.testing.assert_allclose(whole, run.actuators[coordinate].value, rtol=0, atol=1e-9)
+        peaks = [np.max(np.linalg.norm(run.joints[name].reaction_force, axis=1)) for name in ("ankle", "hip")]
+    for name, peak in zip(("ankle", "hip"), peaks, strict=True):  # another knee changes these little
+        assert peak == pytest.approx(walked.measures[f"{name}_force"], rel=0.02)
+
+
 def test_calf_muscles_are_active_in_late_stance_and_the_quadriceps_after_heel_strike(walked):
     # Winter (1991), figures 5.5 and 5.9: peaks of the electromyogram at 40 to 50 % and 5 to 15 % of the stride
     phase = np.mod(np.asarray(walked.time) / STRIDE + PHASES[0], 1.0)
