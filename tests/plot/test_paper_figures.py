@@ -48,8 +48,7 @@ def fonts_of(pdf: Path) -> set[str]:
     return {kind.decode() for part in parts for kind in re.findall(rb"/Subtype\s*/(Type3|TrueType|CIDFontType2)", part)}
 
 
-@pytest.mark.parametrize("size", [None, (85.0, 60.0)])
-@pytest.mark.parametrize("kind", ["trajectory", "reactions"])
+@pytest.mark.parametrize(("kind", "size"), [("trajectory", None), ("reactions", (85.0, 60.0))])
 def test_pdf_has_no_type_3_fonts_and_the_same_bytes_twice(
     make_run: Any, tmp_path: Path, kind: str, size: tuple[float, float] | None
 ) -> None:

@@ -65,9 +65,16 @@ def test_every_model_of_mbdkit_is_verified(name: str) -> None:
     assert report.verified, report.text()
 
 
-@pytest.mark.parametrize("name", [item.name for item in registry().only("mbdkit").of_kind("force-law")])
+LAWS = [item.name for item in registry().only("mbdkit").of_kind("force-law")]
+
+
 @pytest.mark.parametrize(
-    "by_example", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["by example", "as given"]
+    ("name", "by_example"),
+    [
+        pytest.param(name, by_example, marks=[pytest.mark.slow] * (not by_example or name == "one-sided"))
+        for name in LAWS
+        for by_example in (True, False)
+    ],
 )
 def test_every_force_law_of_mbdkit_is_verified(name: str, by_example: bool) -> None:
     report = mbdkit.testing.check_force_law(f"mbdkit:{name}", {} if by_example else OPTIONS[name])
@@ -75,6 +82,7 @@ def test_every_force_law_of_mbdkit_is_verified(name: str, by_example: bool) -> N
     assert not report.of("warn"), report.text()
 
 
+# in place of its verification above
 @conformance(force_law="mbdkit:one-sided", options={"stiffness": 50.0, "acts": "tension"})
 def test_one_line_makes_every_check_a_test(case: Any) -> None:
     assert case().outcome == "pass"

@@ -81,7 +81,10 @@ def loaded(ends: str, elements: int, load: float) -> mbdkit.Mechanism:
     return m
 
 
-@pytest.mark.parametrize("ends", BUCKLING)
+@pytest.mark.parametrize(
+    "ends",
+    [pytest.param(ends, marks=[pytest.mark.slow] * (ends in ("pinned", "clamped and pinned"))) for ends in BUCKLING],
+)
 def test_the_first_three_bifurcations_are_eulers_loads(ends: str) -> None:
     found, load = [], 1.1 * BUCKLING[ends][-1]
     for elements in (8, 16, 32):
