@@ -28,7 +28,7 @@ from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, guide, schema_app
 from mbdkit.cli.studies import StudyCommand, study
 
-app = typer.Typer(cls=Commands, add_completion=False, pretty_exceptions_enable=False, **PLAIN)
+app = typer.Typer(cls=Commands, pretty_exceptions_enable=False, **PLAIN)
 
 
 def _print_version(value: bool) -> None:

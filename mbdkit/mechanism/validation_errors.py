@@ -135,6 +135,15 @@ def _is_unknown(first: tuple[ErrorDetails, Path, type[BaseModel] | None], *other
     )
 
 
+def _as_law(tag: str, plugins: PluginLookup) -> str:
+    """Return how to write a force element whose type is given as the name of a law; empty if there is no such law."""
+    try:
+        plugins.law_element(tag)
+    except SpecError:
+        return ""
+    return f", but a force law of this name, which is written `type: law, law: {tag}`"
+
+
 def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None, plugins: PluginLookup) -> str:
     kind, given, context = details["type"], details["input"], details.get("ctx", {})
     inner = context.get("error")
@@ -150,7 +159,8 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
         case "union_tag_invalid":
             tags = [tag.strip("' ") for tag in str(context["expected_tags"]).split(",")]
             key, tag = str(context["discriminator"]).strip("'"), str(context["tag"])
-            return f"there is no {key} '{tag}'{did_you_mean(tag, tags)}; known: {listed(tags)}"
+            hint = _as_law(tag, plugins) if "law" in tags else ""
+            return f"there is no {key} '{tag}'{hint or did_you_mean(tag, tags)}; known: {listed(tags)}"
         case "literal_error" | "enum":
             values = re.findall(r"'[^']*'|[^',\s]+", str(context["expected"]).replace(" or ", ", "))
             words = [value.strip("'") for value in values] if len(values) > 1 else []

@@ -52,7 +52,10 @@ class Time(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Time:
         if self.end is not None and self.steps is not None:
-            raise PydanticCustomError("mbdkit", "takes exactly one of `end` and `steps`, not both")
+            raise PydanticCustomError(
+                "mbdkit",
+                "takes exactly one of `end` and `steps`, not both; null removes a key, as in --set time.steps=null",
+            )
         if self.end is None and self.steps is None:
             raise PydanticCustomError("mbdkit", "needs `end` (a time in seconds) or `steps` (a number of steps)")
         if self.steps is not None and self.step is None:

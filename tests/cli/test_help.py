@@ -129,3 +129,9 @@ def test_quiet_has_no_bar_on_a_terminal_either(monkeypatch):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     with progress_bars.progress_bar("run", quiet=True) as advance:
         assert advance is None
+
+
+def test_the_shell_completes_commands(mbdkit_process, monkeypatch):
+    for name, value in {"_MBDKIT_COMPLETE": "complete_bash", "COMP_WORDS": "mbdkit re", "COMP_CWORD": "1"}.items():
+        monkeypatch.setenv(name, value)
+    assert mbdkit_process().stdout.split() == ["report", "rerun"]

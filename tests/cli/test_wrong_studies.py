@@ -121,7 +121,7 @@ WRONG = {
         study("time.step: [0.1, 0.05]", "time.steps: [10]"),
         11,
         "axes[1].time.steps[0]",
-        "time: takes exactly one of `end` and `steps`, not both",
+        "time: takes exactly one of `end` and `steps`, not both; null removes a key, as in --set time.steps=null",
     ),
     "a reference that is a number": (
         STUDY[: STUDY.index("reference:")] + "reference: 5\n",

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from mbdkit import Mechanism, SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
@@ -175,3 +176,10 @@ def test_points_go_to_the_global_frame_and_back():
     body = Body(mass=1, inertia=1, position=(1, 2), angle=math.pi / 2)
     assert body.to_global((3, 0)) == pytest.approx((1, 5))
     assert body.to_local((1, 5)) == pytest.approx((3, 0))
+
+
+def test_the_name_of_a_law_as_a_type_gets_the_way_to_write_it() -> None:
+    pathway = {"type": "relative-angle", "bodies": ["ground", "a"]}
+    model = {"bodies": {"a": {"mass": 1}}, "forces": {"g": {"type": "gas-spring", "pathway": pathway}}}
+    with pytest.raises(SpecError, match=r"no type 'gas-spring', but a force law.*`type: law, law: gas-spring`"):
+        Mechanism.from_spec(model)
