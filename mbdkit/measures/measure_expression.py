@@ -185,7 +185,7 @@ class MeasureExpression:
     def exceeded(self, run: Run) -> list[str]:
         """Return a remark for each extremum of the continuous motion that recorded rows exceed, as clauses."""
         told: list[str] = []
-        if not any(one.is_extremum for one in self.functionals):
+        if not len(run.time) or not any(one.is_extremum for one in self.functionals):
             return told
 
         def compared(name: str, found: np.ndarray, values: np.ndarray) -> None:

@@ -241,3 +241,18 @@ def test_peaks_of_many_blocks_of_steps_are_compared() -> None:
     # 5000 steps: blocks without the largest value do not matter; exact values are those of the oscillator
     made = mbdkit.run(oscillator({"name": "dop853", "adaptive": False}, END / 5000, measures=TEXTS))
     assert np.max(np.abs(measures(made))) < 1e-11
+
+
+def test_a_run_that_stops_before_its_first_row_has_no_remark_on_its_measures() -> None:
+    spec = {
+        "mbdkit": 1,
+        "model": {"name": "double-pendulum", "angles": [1.1, 0.3]},
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.4, "step": 0.01},
+        "limits": {"misalignment": 1e-18},
+        "measures": {"pull": "max(abs(joints.J1.force))"},
+    }
+    with mbdkit.run(spec) as run:
+        assert run.status_reason.startswith("fell-apart")
+        assert len(run.time) == 0
+        assert not run.measures.remarks
