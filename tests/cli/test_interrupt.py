@@ -34,13 +34,17 @@ def start(folder: Path, *arguments: str, **options) -> ForkedProcess:
 
 
 def wait_until_it_runs(process: subprocess.Popen | ForkedProcess, part: Path) -> None:
-    """Wait until rows have been flushed."""
-    deadline = time.monotonic() + 300
-    size = None
+    """Wait until rows have been flushed.
+
+    The file may also be seen to grow while it is created, before there are rows and before the run notes signals.
+    """
+    deadline, wanted = time.monotonic() + 300, 6 if isinstance(process, ForkedProcess) else 2
+    size, grown = None, 0
     while time.monotonic() < deadline and process.poll() is None:
         if part.exists():
             size, before = part.stat().st_size, size
-            if before is not None and size > before:
+            grown += before is not None and size > before
+            if grown >= wanted:
                 return
         time.sleep(0.01)
     pytest.fail("the run did not get under way")

@@ -43,6 +43,7 @@ def test_pages_show_them_escaped(run: mbdkit.Run, tmp_path: Path) -> None:
     assert not HARMFUL.search(page)
 
 
+@pytest.mark.usefixtures("pictures")
 def test_reports_of_studies_and_their_pictures_show_them_escaped(tmp_path: Path) -> None:
     labels = [
         {"label": f"{ESCAPE[:9]}{number}", "value": {"name": name}} for number, name in enumerate(["rk4", "gauss"])
