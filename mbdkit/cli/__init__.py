@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import io
+import os
 import sys
 import warnings
 from importlib.metadata import version
@@ -76,6 +77,8 @@ def main() -> None:
     """Run the command line."""
     # Imports create many objects and little garbage; collecting it at the usual rate is a tenth of a short run.
     gc.set_threshold(100_000)
+    # Results are computed on one thread of linear algebra; to start and stop others would be a fifth of a short run.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         open_streams()  # first, because the next file opened would get the file descriptor of a closed stream
         stop_as_by_ctrl_c()
