@@ -238,8 +238,8 @@ def _of_joints_and_markers(mechanism: Mechanism, number: dict[str, int]) -> dict
 def compiled_content(mechanism: Mechanism) -> bytes | None:
     """Return all input of `compile_mechanism` and of the choice of fixed bodies as a key; None if it cannot be a key.
 
-    Mechanisms with equal keys differ in their initial states only; the initial state is part of the key if a joint
-    depends on it. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
+    Mechanisms with equal keys differ in their initial positions and velocities only; these are part of the key if a
+    joint depends on them. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
     """
     posed = any(joint.point_moves_on_first or joint.angles() for joint in mechanism.joints.values())
     bodies = [
@@ -253,11 +253,13 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         if kind != "muscles"  # they are not compiled
     ]
     fixed = mechanism.assembly.fix
-    beams = [(name, plain(beam)) for name, beam in mechanism.beams.items()]
+    data = [
+        (name, plain(one))
+        for named in (mechanism.beams, mechanism.states, mechanism.controllers)
+        for name, one in named.items()
+    ]
     try:
-        return marshal.dumps(
-            (bodies, beams, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2
-        )
+        return marshal.dumps((bodies, data, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2)
     except ValueError:  # hashing fails for a table of a motion, or for the options of a force law
         return None
 

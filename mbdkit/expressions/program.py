@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from mbdkit.expressions.operations import OPERATIONS, arity_of
@@ -55,16 +55,21 @@ def derivative_of(program: Program) -> Program:
     def step(operation: str, number: float, *operands: tuple[_Term, _Term]) -> tuple[_Term, _Term]:
         if operation in ("const", "t"):
             return _Term(((operation, number),)), _Term.of(1.0 if operation == "t" else 0.0)
-        rule = OPERATIONS[operation].rule
-        if len(operands) == 2:
-            (a, da), (b, db) = operands
-            value, slope, _ = rule(a, da, _ZERO, b, db, _ZERO)
-            return value, slope
-        ((x, dx),) = operands
-        value, slope, _ = rule(x, number) if operation == "powi" else rule(x)
-        return value, _Term.of(slope) * dx
+        return with_slope(operation, number, operands, _ZERO)
 
     return execute(program, step)[1].program
+
+
+def with_slope(operation: str, number: float, operands: Sequence[tuple[Any, Any]], zero: Any) -> tuple[Any, Any]:
+    """Return the value of an operation and its derivative from those of its operands; `zero` is a zero of their kind."""
+    rule = OPERATIONS[operation].rule
+    if len(operands) == 2:
+        (a, da), (b, db) = operands
+        value, slope, _ = rule(a, da, zero, b, db, zero)
+        return value, slope
+    ((x, dx),) = operands
+    value, slope, _ = rule(x, number) if operation == "powi" else rule(x)
+    return value, slope * dx
 
 
 class _Term:

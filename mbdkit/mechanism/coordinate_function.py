@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from mbdkit.base.errors import SpecError
-from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS
+from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
-from mbdkit.expressions.program import Program, execute
+from mbdkit.expressions.program import Program, execute, with_slope
 from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
 
 _COORDINATE = "coordinate:"
@@ -129,14 +129,7 @@ def value_and_slopes(
             if name.startswith(_COORDINATE):
                 used = name.removeprefix(_COORDINATE)
                 return coordinates[used], none + float(used == own)
-            rule = OPERATIONS[name].rule
-            if len(operands) == 2:
-                (a, da), (b, db) = operands
-                value, slope, _ = rule(a, da, none, b, db, none)
-                return value, slope
-            ((x, dx),) = operands
-            value, slope, _ = rule(x, number) if name == "powi" else rule(x)
-            return value, slope * dx
+            return with_slope(name, number, operands, none)
 
         return execute(program, step)
 

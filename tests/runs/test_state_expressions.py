@@ -372,3 +372,20 @@ def test_measures_contain_states_and_what_controllers_hold() -> None:
     model["states"]["i"]["unit"] = "A"  # not a unit of mechanics
     with pytest.raises(SpecError, match="give the unit of the result"):
         mbdkit.run(spec_of({"name": "rk4"}, model=model, measures={"most": "max(states.i)"}))
+
+
+def test_runs_of_a_batch_that_differ_in_states_or_controllers_only_are_not_mixed_up() -> None:
+    """Mechanisms that are equal except for these must not share what was compiled."""
+    models: list[dict[str, Any]] = []
+    for initial, rate in ((0.1, "leg.angle"), (0.5, "leg.angle"), (0.5, "2*leg.angle")):
+        model = leg()
+        model["states"]["i"] |= {"initial": initial, "rate": rate}
+        models.append(model)
+    for gain, period in ((6, 0.02), (9, 0.02), (9, 0.04)):
+        model = rotor(0.0).to_spec()
+        model["controllers"]["pid"] |= {"period": period, "outputs": {"u": f"-{gain}*rotor.angle"}}
+        models.append(model)
+    specs = [load_spec(spec_of({"name": "rk4"}, model=model)) for model in models]
+    alone = [mbdkit.run(spec).data_sha256 for spec in specs]
+    assert [run.data_sha256 for run in simulate_batch(specs)] == alone
+    assert len(set(alone)) == len(alone)
