@@ -61,7 +61,7 @@ def derivative_of(program: Program) -> Program:
 
 
 def with_slope(operation: str, number: float, operands: Sequence[tuple[Any, Any]], zero: Any) -> tuple[Any, Any]:
-    """Return the value of an operation and its derivative from those of its operands; `zero` is a zero of their kind."""
+    """Return value and derivative of an operation from those of its operands; `zero` is a zero of their kind."""
     rule = OPERATIONS[operation].rule
     if len(operands) == 2:
         (a, da), (b, db) = operands

@@ -123,17 +123,23 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         return None
     top = mechanism.topology
     values: list[float] = []
-    places: list[int] = []
+    places = np.zeros(len(top.law_parameters), dtype=np.int64)
+    begins: dict[
+        int, int
+    ] = {}  # a load that is an expression of the state, and its derivatives, share their parameters
     rows, laws, conditions = top.laws.copy(), list(mechanism.laws), []
     elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):
         begin = int(top.laws[row, 1])
         given = top.law_parameters[begin : begin + 1 + int(top.law_parameters[begin])]
-        rows[row, 1] = len(values)
-        if own is None or not own.conditions:
-            places += range(len(values), len(values) + len(given))
-            values += given.tolist()
+        if own is None or not own.conditions or row not in elements:
+            if begin not in begins:
+                begins[begin] = len(values)
+                places[begin : begin + len(given)] = range(len(values), len(values) + len(given))
+                values += given.tolist()
+            rows[row, 1] = begins[begin]
             continue
+        rows[row, 1] = len(values)
         sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
         bound, _ = bind_law(own.law, _named(compiled, given) | sides, name)
         rows[row, 0], rows[row, 3], laws[row] = bound.address, bound.program, (name, bound)
@@ -142,15 +148,15 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
         held = np.ones(len(names))
         held[own_places] = given[1:]
         first = len(values) + 1
-        places += [first - 1, *(first + own_places).tolist()]
+        places[begin : begin + len(given)] = [first - 1, *(first + own_places).tolist()]
         for i, function in enumerate(own.conditions):
             side = first + names.index(SIDE.format(i))
             conditions.append(Condition(name, elements[row], first + own_places, side, function))
         values += [float(len(held)), *held.tolist()]
-    own_top = top._replace(laws=rows, law_parameters=np.array(values))
-    return SidedMechanism(
-        replace(mechanism, topology=own_top, laws=tuple(laws)), tuple(conditions), np.array(places, dtype=np.int64)
-    )
+    inputs = top.inputs.copy()
+    inputs[:, 2] = places[inputs[:, 2]]
+    own_top = top._replace(laws=rows, law_parameters=np.array(values), inputs=inputs)
+    return SidedMechanism(replace(mechanism, topology=own_top, laws=tuple(laws)), tuple(conditions), places)
 
 
 def with_unknown_corners(mechanism: CompiledMechanism) -> tuple[str, ...]:

@@ -130,7 +130,7 @@ class SidedStepper(DifferentiatedStepper):
         """Use other sides."""
         assert self.steps is not None
         places = [condition.side for condition in self.conditions]
-        self._numbers[places] = sides
+        self._numbers[places] = self.workspace.scratch.law_values[places] = sides
         self.steps.run.top.law_parameters[places, 0] = sides
 
     @property

@@ -389,3 +389,17 @@ def test_runs_of_a_batch_that_differ_in_states_or_controllers_only_are_not_mixed
     alone = [mbdkit.run(spec).data_sha256 for spec in specs]
     assert [run.data_sha256 for run in simulate_batch(specs)] == alone
     assert len(set(alone)) == len(alone)
+
+
+def test_a_gradient_through_a_stop_includes_the_feedback() -> None:
+    """Derivatives of a run with a corner of a force law, against differences of runs and another method."""
+    model = leg("-Kp*leg.angle - Kd*leg.angular_velocity") | {"states": {}}
+    model["bodies"]["leg"] |= {"angular_velocity": 1.0, "velocity": [0.2, 0.0]}
+    pathway = {"type": "relative-angle", "bodies": ["ground", "leg"]}
+    stop = {"type": "law", "law": "one-sided", "acts": "tension", "stiffness": 60.0, "free_length": 0.02}
+    model["forces"] = {"stop": stop | {"pathway": pathway}, **model["forces"]}
+    spec = spec_of({"name": "rk4"}, 0.002, model=model)
+    found = mbdkit.gradient(spec, "final(leg.angle)", ["Kp", "Kd", "model.forces.stop.stiffness"])
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+    assert found.check.derivative == pytest.approx(found.check.extrapolated, rel=1e-7)
