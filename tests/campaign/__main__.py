@@ -1,13 +1,14 @@
 """Attack mbdkit as a hostile or unlucky world would: `python -m tests.campaign [ATTACK ...]`.
 
 Without options this is the whole campaign, which takes hours. ``--share 0.01`` makes a hundredth of the cases of each
-attack, at least one, and large cases a hundredth as large. Every case is repeated exactly by ``ATTACK --seed S --case
-INDEX``. The exit status is 1 if anything did not hold.
+attack, at least one, and large cases a hundredth as large; ``--processes 2`` makes two cases at a time. Every case is
+repeated exactly by ``ATTACK --seed S --case INDEX``. The exit status is 1 if anything did not hold.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib
 import math
 import pkgutil
@@ -15,6 +16,7 @@ import sys
 import tempfile
 import time
 import traceback
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import tests.campaign
@@ -33,8 +35,10 @@ def attacks() -> dict[str, Attack]:
     return found
 
 
-def problems(attack: Attack, seed: int, index: int) -> list[str]:
+def problems(name: str, seed: int, index: int, size: float = 1.0) -> list[str]:
     """Return what did not hold in one case, made in a folder of its own."""
+    attack = attacks()[name]
+    size_attacks.SIZE = size
     with tempfile.TemporaryDirectory(prefix="campaign-") as folder:
         try:
             return attack.case(attack.random(seed, index), Path(folder))
@@ -50,6 +54,7 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="share of the cases of each attack; 1 by default")
     parser.add_argument("--seed", type=int, default=1, help="seed of the random numbers; 1 by default")
     parser.add_argument("--case", type=int, help="make this case alone")
+    parser.add_argument("--processes", type=int, default=1, help="cases made at a time; 1 by default")
     parser.add_argument("--list", action="store_true", help="list the attacks and their numbers of cases")
     asked = parser.parse_args()
     for name in asked.attacks:
@@ -60,16 +65,16 @@ def main() -> None:
         for attack in chosen:
             print(f"{attack.name:16}{attack.cases:7}  {attack.summary}")
         return
-    size_attacks.SIZE = min(1.0, asked.share)
     failed = 0
     for attack in chosen:
         cases = range(max(1, math.ceil(attack.cases * asked.share))) if asked.case is None else [asked.case]
         start, found = time.monotonic(), 0
-        for index in cases:
-            sentences = problems(attack, asked.seed, index)
-            found += bool(sentences)
-            for sentence in sentences:
-                print(f"  {attack.name} --seed {asked.seed} --case {index}: {sentence}", flush=True)
+        case = functools.partial(problems, attack.name, asked.seed, size=min(1.0, asked.share))
+        with ProcessPoolExecutor(asked.processes) as pool:
+            for index, sentences in zip(cases, pool.map(case, cases), strict=True):
+                found += bool(sentences)
+                for sentence in sentences:
+                    print(f"  {attack.name} --seed {asked.seed} --case {index}: {sentence}", flush=True)
         held = len(cases) - found
         print(f"{attack.name:16} {held} of {len(cases)} held, {time.monotonic() - start:.0f} s", flush=True)
         failed += found

@@ -9,7 +9,6 @@ import pytest
 
 from mbdkit.guide.pages import pages
 
-from . import size_attacks
 from .__main__ import attacks, problems
 
 MOST = int(os.environ.get("MBDKIT_CAMPAIGN_CASES", "3"))
@@ -37,8 +36,8 @@ def test_the_guide_lists_every_attack_with_its_number_of_cases() -> None:
 
 @pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in attacks()])
-def test_attack_is_held(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(size_attacks, "SIZE", 0.01)
-    attack = attacks()[name]
-    for index in range(min(MOST, max(1, attack.cases // 400))):
-        assert not problems(attack, 20261121, index), f"python -m tests.campaign {name} --seed 20261121 --case {index}"
+def test_attack_is_held(name: str) -> None:
+    for index in range(min(MOST, max(1, attacks()[name].cases // 400))):
+        assert not problems(name, 20261121, index, size=0.01), (
+            f"python -m tests.campaign {name} --seed 20261121 --case {index}"
+        )
