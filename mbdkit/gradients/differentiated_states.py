@@ -16,7 +16,7 @@ from mbdkit.expressions.program import execute
 from mbdkit.gradients.derived_values import Value, of_operands
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
-from mbdkit.quantities.states import NONE, States
+from mbdkit.quantities.states import NONE, Muscles, States
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,14 @@ class DifferentiatedStates(States):
         (T, 1 + K) weights of an integral over time [s] with their derivatives; None for recorded states.
     power
         (T, 2, 1 + K) power of loads, drivers and active laws, and the dissipated power [W].
-    actuator_names
-        Names of the actuators of inverse dynamics.
+    actuator_names, muscle_names
+        Names of the actuators and the muscles of inverse dynamics.
     """
 
     weight: np.ndarray | None = None
     power: np.ndarray = field(default_factory=lambda: NONE)
     actuator_names: tuple[str, ...] = ()
+    muscle_names: tuple[str, ...] = ()
 
     @staticmethod
     def of(
@@ -75,7 +76,7 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
     require_derivative(quantity)
     if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
         raise _refused(quantity, ", because redundant joints share their reactions")
-    names = replace(archive_names(states.mechanism), actuators=states.actuator_names)
+    names = replace(archive_names(states.mechanism), actuators=states.actuator_names, muscles=states.muscle_names)
     found = quantity.taker(names)(states)
     return Value.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
 
@@ -141,4 +142,7 @@ def _together(
     observed = Observed(*(join(x) for x in zip(*(part.observed for part in parts), strict=True)))
     known = [name for name in names if np.ndim(getattr(first, name)) > 1 or name == "time"]
     arrays: dict[str, Any] = {name: join([getattr(part, name) for part in parts]) for name in known}
+    if first.muscles is not None:
+        every = [part.muscles for part in parts if part.muscles is not None]
+        arrays["muscles"] = Muscles(*(join(x) for x in zip(*(one.arrays for one in every), strict=True)))
     return replace(first, observe=lambda: observed, **arrays)

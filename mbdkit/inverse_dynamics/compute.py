@@ -294,7 +294,8 @@ def _muscles(result: Inverse) -> Muscles | None:
     one = result.recruited
     if one is None:
         return None
-    return Muscles(one.length, one.rate, one.fiber_length, one.fiber_rate, one.activation, one.force, one.power)
+    own = one.contraction
+    return Muscles(own.length, own.rate, own.fiber_length, own.fiber_rate, one.activation, one.force, one.power)
 
 
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:

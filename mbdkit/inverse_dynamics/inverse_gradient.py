@@ -7,12 +7,14 @@ gives
 
     B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
 
-which has the same matrix as the equations of each frame.
+which has the same matrix as the equations of each frame. Muscles are added by
+`mbdkit.inverse_dynamics.recruitment_gradient`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -41,7 +43,15 @@ from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, fi
 from mbdkit.inverse_dynamics.dynamics import Balance, columns_of, weights_of
 from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.inverse_dynamics.loads import loads_on
+from mbdkit.inverse_dynamics.recruitment import Recruited
+from mbdkit.inverse_dynamics.recruitment_gradient import (
+    RecruitedChange,
+    differentiated_muscles,
+    muscle_arrays,
+    require_exponent,
+)
 from mbdkit.inverse_dynamics.reduced_motion import Motion
+from mbdkit.quantities.states import Muscles
 from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit.spec.inverse_loading import InverseSource
 from mbdkit.spec.varied_specs import varied_inverse
@@ -111,9 +121,9 @@ def gradient_of_inverse(
 ) -> Gradient:
     """Return the gradient of measures of a validated spec; see `inverse_gradient`."""
     spec = varied_inverse(spec, WITHOUT_BARS)
-    if spec.recruitment is not None:
-        raise SpecError("gradients do not include muscles so far; leave `recruitment` out", key="recruitment")
     problem = InverseProblem.of(spec)
+    if problem.recruiter is not None:
+        require_exponent(problem.recruiter)
     expressions = expressions_of(spec, definitions)
     for expression in expressions.values():
         require_derivatives(expression)
@@ -153,7 +163,9 @@ class _InversePreparation(Preparation):
         self.result, self.definitions = result, definitions
         self.mechanism = result.problem.prepared.workspace.mechanism
         self._motion = self._arrays_of(result.problem, result.motion)
-        self.base = {**self.mechanism_arrays(self.mechanism), **self._motion, **self._numbers(result.problem.spec)}
+        self._muscles = self._muscles_of(result.problem, result.motion)
+        numbers = self._numbers(result.problem.spec)
+        self.base = {**self.mechanism_arrays(self.mechanism), **self._motion, **self._muscles, **numbers}
 
     def _numbers(self, spec: InverseSpec) -> dict[str, np.ndarray]:
         return numbers_of(spec, self.definitions) if spec.parameters else {}
@@ -165,16 +177,22 @@ class _InversePreparation(Preparation):
         weights = weights_of(problem.fitter.manifold, problem.actuators)
         return dict(zip(MOTION, (motion.q, motion.v, motion.a, columns, loads, weights), strict=True))
 
+    def _muscles_of(self, problem: InverseProblem, motion: Motion) -> dict[str, np.ndarray]:
+        return {} if problem.recruiter is None else muscle_arrays(problem, motion)
+
     def at(self, parameter: Parameter, value: float) -> Arrays:
         """Return the arrays for another value of a parameter; see `Preparation.at`."""
         problem = InverseProblem.of(varied_inverse(self.result.problem.spec, [(parameter.path, value)]))
         mechanism, numbers = problem.prepared.workspace.mechanism, self._numbers(problem.spec)
         self.require_same_structure(mechanism, parameter, value)
         self.require_same_form(numbers, parameter)
-        motion = self._motion
+        motion, muscles = self._motion, self._muscles
         if not self._moves_alike(problem):
-            motion = self._arrays_of(problem, self._moved(problem, parameter))
-        return {**self.mechanism_arrays(mechanism), **motion, **numbers}
+            moved = self._moved(problem, parameter)
+            motion, muscles = self._arrays_of(problem, moved), self._muscles_of(problem, moved)
+        elif problem.names.mechanism.muscles != self.result.problem.names.mechanism.muscles:
+            muscles = self._muscles_of(problem, self.result.motion)
+        return {**self.mechanism_arrays(mechanism), **motion, **muscles, **numbers}
 
     def _moved(self, problem: InverseProblem, parameter: Parameter) -> Motion:
         """Return the motion of a mechanism with another value of a parameter."""
@@ -242,18 +260,21 @@ class _Frames:
 
     def states(self) -> DifferentiatedStates:
         """Return the states with all quantities computed from them."""
-        motion, dynamics, manifold = self.result.motion, self.result.dynamics, self.result.problem.fitter.manifold
-        lam = manifold.reactions(motion.time, motion.q, motion.v, dynamics.lam).lam
+        motion, dynamics = self.result.motion, self.result.dynamics
+        lam = self._of_pairs(dynamics.lam)
         value, change = self._changes(np.asarray(self._described(lam, None).lack))
-        by_pairs = [
-            manifold.reactions(motion.time, motion.q, motion.v, moveaxi).lam for moveaxi in np.moveaxis(change, -1, 0)
-        ]
+        actuators, muscles, recorded = self._actuators(dynamics.value, value), None, self.result.problem.actuators
+        supplied = actuators[:, :, 1].sum(axis=1) + self._load_power()
+        recruited = self.result.recruited
+        if recruited is not None:
+            lam, recorded = self._of_pairs(recruited.lam), self.result.problem.recorded_actuators
+            lack = np.asarray(self._described(lam, None).lack)
+            change, actuators, muscles = self._with_muscles(recruited, value, lack)
+        by_pairs = [self._of_pairs(moveaxi) for moveaxi in np.moveaxis(change, -1, 0)]
         found = self._described(lam, np.stack(by_pairs, axis=-1))
-        actuators = self._actuators(value)
         power = np.asarray(found.power[..., self.some])
-        supplied = np.stack([power[:, 0] + actuators[:, :, 1].sum(axis=1) + self._load_power(), power[:, 1]], axis=1)
+        supplied = np.stack([power[:, 0] + supplied, power[:, 1]], axis=1)
         energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
-        names = tuple(actuator.name for actuator in self.result.problem.actuators)
         q, v = (np.asarray(x[..., self.some]) for x in (found.q, found.v))
         observed = Observed(*(np.asarray(x[..., self.some]) for x in found.observed))
         return DifferentiatedStates.of(
@@ -265,8 +286,40 @@ class _Frames:
             energy,
             power=power,
             actuators=actuators,
-            actuator_names=names,
+            actuator_names=tuple(actuator.name for actuator in recorded),
+            muscles=muscles,
+            muscle_names=tuple(self.result.problem.names.mechanism.muscles),
         )
+
+    def _of_pairs(self, lam: np.ndarray) -> np.ndarray:
+        """Return the multipliers (T, P, 2) of all rows from those (T, m) of the independent rows."""
+        motion = self.result.motion
+        found: np.ndarray = self.result.problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).lam
+        return found
+
+    def _with_muscles(
+        self, recruited: Recruited, value: np.ndarray, lack: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Muscles]:
+        """Return the derivatives (T, m, K) of the multipliers, the recorded actuators (T, A, 2, 1 + K), and muscles.
+
+        Parameters
+        ----------
+        value
+            (T, U, K) derivatives of the values of the actuators without muscles.
+        lack
+            Lack of forces with the derivatives at constant multipliers of the result with muscles.
+        """
+        recruiter, balance = self.result.problem.recruiter, self._balance
+        assert recruiter is not None
+        turned = self._slope("motion.columns", balance.columns.shape)
+        change = RecruitedChange.of(recruiter, recruited, value, (balance.columns, turned), self.seeds)
+        left = change.pushed - self._needed(lack)
+        lam = np.stack([balance.directions.multipliers(one) for one in np.moveaxis(left, -1, 0)], axis=-1)
+        driven, places = recruited.sharing.driven, recruiter.reserve_places
+        own = self._actuators(recruited.actuator, np.where(driven[:, None], value, change.beside))
+        left_over = np.where(driven, recruited.beside, 0.0), np.where(driven[:, None], change.beside, 0.0)
+        spare = self._actuators(*left_over)[:, places]
+        return lam, np.concatenate([own, spare], axis=1), differentiated_muscles(recruited, change, self.seeds)
 
     def _slope(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         """Return the derivatives (..., K) of an array of the motion; zeros if it has none."""
@@ -289,30 +342,38 @@ class _Frames:
         describe_duals(pinned.address)
         return states
 
-    def _changes(self, lack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives (T, U, K) of the actuators and (T, m, K) of the multipliers."""
-        problem, motion, dynamics = self.result.problem, self.result.motion, self.result.dynamics
+    @cached_property
+    def _balance(self) -> Balance:
+        """The balance of forces of the motion."""
+        problem, motion = self.result.problem, self.result.motion
         manifold = problem.fitter.manifold
         directions = manifold.directions(manifold.frames(motion.time, motion.q).jacobian)
-        balance = Balance(manifold, motion, problem.actuators, directions)
-        needed = lack[:, :-3, 1 : 1 + self.seeds.count] - self._slope("motion.loads", motion.q.shape)
-        columns = self._slope("motion.columns", balance.columns.shape)
-        needed = needed - np.einsum("tnuk,tu->tnk", columns, dynamics.value)
-        found = [balance.solved(moveaxi) for moveaxi in np.moveaxis(needed, -1, 0)]
+        return Balance(manifold, motion, problem.actuators, directions)
+
+    def _needed(self, lack: np.ndarray) -> np.ndarray:
+        """Return the derivatives (T, n, K) of the generalized forces that actuators and joints supply."""
+        own = lack[:, :-3, 1 : 1 + self.seeds.count] - self._slope("motion.loads", self.result.motion.q.shape)
+        return np.asarray(own)
+
+    def _changes(self, lack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives (T, U, K) of the actuators and (T, m, K) of the multipliers."""
+        columns = self._slope("motion.columns", self._balance.columns.shape)
+        needed = self._needed(lack) - np.einsum("tnuk,tu->tnk", columns, self.result.dynamics.value)
+        found = [self._balance.solved(moveaxi) for moveaxi in np.moveaxis(needed, -1, 0)]
         return np.stack([one[0] for one in found], axis=-1), np.stack([one[1] for one in found], axis=-1)
 
-    def _actuators(self, slope: np.ndarray) -> np.ndarray:
-        """Return values and powers (T, U, 2, 1 + K) of the actuators with derivatives (T, U, K) of their values."""
-        motion, dynamics, actuators = self.result.motion, self.result.dynamics, self.result.problem.actuators
-        columns = columns_of(motion.q, actuators)
+    def _actuators(self, value: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Return values and powers (T, U, 2, 1 + K) of the actuators with values (T, U) and derivatives (T, U, K)."""
+        motion, columns = self.result.motion, self._balance.columns
         rate = np.einsum("tnu,tn->tu", columns, motion.v)
         turned = np.einsum("tnuk,tn->tuk", self._slope("motion.columns", columns.shape), motion.v)
         faster = np.einsum("tnu,tnk->tuk", columns, self._slope("motion.v", motion.v.shape))
-        power = slope * rate[..., None] + dynamics.value[..., None] * (turned + faster)
-        value, power = (
-            np.concatenate([x[..., None], y], axis=-1) for x, y in ((dynamics.value, slope), (dynamics.power, power))
+        power = slope * rate[..., None] + value[..., None] * (turned + faster)
+        both = (
+            np.concatenate([value[..., None], slope], axis=-1),
+            np.concatenate([(value * rate)[..., None], power], axis=-1),
         )
-        return np.stack([value, power], axis=2)
+        return np.stack(both, axis=2)
 
     def _load_power(self) -> np.ndarray:
         """Return the power (T, 1 + K) of all loads."""

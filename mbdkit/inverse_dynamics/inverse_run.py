@@ -236,7 +236,7 @@ def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
     if result.recruited is not None:
         rows |= {
             "muscles/force_error": np.full(result.recruited.force.shape, np.nan) if bars is None else bars.muscles,
-            "muscles/certificate": result.recruited.certificate,
+            "muscles/certificate": result.recruited.shared.certificate,
             "muscles/reaction_force_without": reaction_forces_without_muscles(result),
         }
     groups = _groups(result)

@@ -21,12 +21,12 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.inverse_dynamics.dynamics import Balance, Dynamics
 from mbdkit.inverse_dynamics.reduced_motion import Motion
-from mbdkit.inverse_dynamics.shared_loads import Programme, share_loads, smallest_supplement
+from mbdkit.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.fibers import fibers_on_rigid_tendon
 from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.spec.inverse_sections import Recruitment
-from mbdkit.spec.named_actuators import NamedActuator, Reserve, reserves_of
+from mbdkit.spec.named_actuators import NamedActuator, reserves_of
 
 NO_ARM = 1e-9
 """Moment arm [m, or 1 for lengths] below which a muscle does not act on a coordinate."""
@@ -35,51 +35,15 @@ TIMES_NAMED = 6
 
 
 @dataclass(frozen=True)
-class Recruited:
-    """Muscles that produce a motion in T frames.
-
-    Attributes
-    ----------
-    length, rate
-        (T, M) lengths of the paths [m] and their rates [m/s].
-    fiber_length, fiber_rate
-        (T, M) lengths of the fibres [m] and their rates [m/s].
-    activation, force, power
-        (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
-    reserve, reserve_power
-        (T, R) values of the reserves [N, N m] and their powers [W].
-    actuator, actuator_power
-        (T, U) values of the actuators and their powers. Muscles and reserves produce those of joints that muscles act
-        on; the others act beside them.
-    lam
-        (T, m) multipliers of the independent rows, with the forces of the muscles.
-    certificate
-        (T,) see `mbdkit.inverse_dynamics.shared_loads.Shared`.
-    """
-
-    length: np.ndarray
-    rate: np.ndarray
-    fiber_length: np.ndarray
-    fiber_rate: np.ndarray
-    activation: np.ndarray
-    force: np.ndarray
-    power: np.ndarray
-    reserve: np.ndarray
-    reserve_power: np.ndarray
-    actuator: np.ndarray
-    actuator_power: np.ndarray
-    lam: np.ndarray
-    certificate: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Contraction:
+class Contraction:
     """Muscles of a motion in T frames: geometry, and what they can exert, all (T, M) but `pull`.
 
     Attributes
     ----------
-    length, rate, fiber_length, fiber_rate
-        See `Recruited`.
+    length, rate
+        Lengths of the paths [m] and their rates [m/s].
+    fiber_length, fiber_rate
+        Lengths of the fibres [m] and their rates [m/s]; nan where they are not needed.
     capacity, passive
         Active tension per activation, and tension without activation [N].
     pull
@@ -93,6 +57,61 @@ class _Contraction:
     capacity: np.ndarray
     passive: np.ndarray
     pull: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """What muscles and reserves share in T frames, and how they can.
+
+    Attributes
+    ----------
+    arms
+        (T, U, M) values of the actuators with the effect of unit tensions.
+    driven
+        (U,) whether muscles act on an actuator.
+    programme
+        The convex programmes. The unknowns are activations of the M muscles and shares of the reserves that take part;
+        the equations are those of the driven actuators.
+    """
+
+    arms: np.ndarray
+    driven: np.ndarray
+    programme: Programme
+
+
+@dataclass(frozen=True)
+class Recruited:
+    """Muscles that produce a motion in T frames.
+
+    Attributes
+    ----------
+    contraction, sharing, shared
+        The muscles, what they share, and the solution.
+    activation, force, power
+        (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
+    beside
+        (T, U) values that actuators and reserves exert beside the muscles.
+    reserve, reserve_power
+        (T, R) values of the reserves [N, N m] and their powers [W].
+    actuator, actuator_power
+        (T, U) values of the actuators and their powers. Muscles and reserves produce those of joints that muscles act
+        on; the others act beside them.
+    lam
+        (T, m) multipliers of the independent rows, with the forces of the muscles.
+    """
+
+    contraction: Contraction
+    sharing: Sharing
+    shared: Shared
+    activation: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+    beside: np.ndarray
+    reserve: np.ndarray
+    reserve_power: np.ndarray
+    actuator: np.ndarray
+    actuator_power: np.ndarray
+    lam: np.ndarray
 
 
 class Recruiter:
@@ -165,47 +184,56 @@ class Recruiter:
                 f"freedom, whose moments the muscles produce; there are {balance.effect.shape[2]}",
                 key="actuators",
             )
-        own = self._contraction(motion)
-        arms = balance.as_actuators(own.pull)  # (T, U, M)
-        driven = self._joined & np.any(np.abs(arms) > NO_ARM, axis=(0, 2))
-        if not driven.any():
-            raise SpecError("no muscle acts on an actuator: muscles must cross joints that move", key="recruitment")
-        places = [reserve.of for reserve in self._reserves]
-        spare = [reserve for reserve in self._reserves if driven[reserve.of]]
-        net = dynamics.value[:, driven] - (arms[:, driven] @ own.passive[..., None])[..., 0]
-        programme = self._programme(own, arms[:, driven], net, np.flatnonzero(driven), spare)
-        shared = share_loads(programme, math.inf if self.asked.exponent == "inf" else float(self.asked.exponent))
+        own = self.contraction(motion)
+        sharing = self.sharing(own, balance, dynamics.value)
+        driven = sharing.driven
+        shared = share_loads(sharing.programme, self.exponent)
         failed = ~np.isfinite(shared.certificate)
         if strict and failed.any():
             raise self._impossible(
-                programme, motion.time, failed, [self._actuators[int(k)] for k in np.flatnonzero(driven)]
+                sharing.programme, motion.time, failed, [self._actuators[int(k)] for k in np.flatnonzero(driven)]
             )
         activation = np.where(failed[:, None], np.nan, shared.value[:, : len(self.muscles)])
         force = own.capacity * activation + own.passive
-        left = dynamics.value - (arms @ force[..., None])[..., 0]
-        beside = left.copy()  # what actuators exert beside the muscles
-        beside[:, [place for place in np.flatnonzero(driven) if place not in places]] = 0.0
+        beside = dynamics.value - (sharing.arms @ force[..., None])[..., 0]
+        beside[:, self.is_taken_over(driven)] = 0.0
         pushed = (balance.columns @ beside[..., None] + own.pull @ force[..., None])[..., 0]
         speed = (np.swapaxes(balance.columns, 1, 2) @ motion.v[..., None])[..., 0]
         actuator = np.where(driven, dynamics.value, beside)
+        places = self.reserve_places
         reserve = np.where(driven, beside, 0.0)[:, places]
         return Recruited(
-            own.length,
-            own.rate,
-            own.fiber_length,
-            own.fiber_rate,
-            activation,
-            force,
-            -force * own.rate,
-            reserve,
-            reserve * speed[:, places],
-            actuator,
-            actuator * speed,
-            balance.directions.multipliers(pushed - needed),
-            shared.certificate,
+            contraction=own,
+            sharing=sharing,
+            shared=shared,
+            activation=activation,
+            force=force,
+            power=-force * own.rate,
+            beside=beside,
+            reserve=reserve,
+            reserve_power=reserve * speed[:, places],
+            actuator=actuator,
+            actuator_power=actuator * speed,
+            lam=balance.directions.multipliers(pushed - needed),
         )
 
-    def _contraction(self, motion: Motion) -> _Contraction:
+    @property
+    def exponent(self) -> float:
+        """Exponent of the cost; may be infinite."""
+        return math.inf if self.asked.exponent == "inf" else float(self.asked.exponent)
+
+    @property
+    def reserve_places(self) -> list[int]:
+        """Indices of the actuators of the reserves."""
+        return [reserve.of for reserve in self._reserves]
+
+    def is_taken_over(self, driven: np.ndarray) -> np.ndarray:
+        """Return which actuators (U,) muscles replace, without a reserve beside them."""
+        alone: np.ndarray = driven.copy()
+        alone[self.reserve_places] = False
+        return alone
+
+    def contraction(self, motion: Motion) -> Contraction:
         """Return geometry and possible forces of the muscles."""
         is_full = self.asked.capacity == "full"
         columns: list[tuple[np.ndarray, ...]] = []
@@ -222,27 +250,41 @@ class Recruiter:
             active = forces[0] if is_full else np.full_like(rate, muscle.max_force)
             passive = forces[1] if self.asked.passive else np.zeros_like(rate)
             columns.append((path.length, rate, *lengths, active, passive, -path.gradient))
-        return _Contraction(*(np.stack(one, axis=-1) for one in zip(*columns, strict=True)))
+        return Contraction(*(np.stack(one, axis=-1) for one in zip(*columns, strict=True)))
 
-    def _programme(
-        self, own: _Contraction, arms: np.ndarray, net: np.ndarray, driven: np.ndarray, spare: Sequence[Reserve]
-    ) -> Programme:
-        """Return the convex programmes of all frames; unknowns are activations and shares of reserves."""
-        frames, count = len(net), len(self.muscles)
-        matrix = arms * own.capacity[:, None]
-        reserves = np.zeros((frames, len(driven), len(spare)))
+    def sharing(self, own: Contraction, balance: Balance, value: np.ndarray) -> Sharing:
+        """Return what muscles and reserves share if actuators without muscles have the values (T, U).
+
+        Raises
+        ------
+        SpecError
+            If no muscle acts on an actuator.
+        """
+        arms = balance.as_actuators(own.pull)
+        driven = self._joined & np.any(np.abs(arms) > NO_ARM, axis=(0, 2))
+        if not driven.any():
+            raise SpecError("no muscle acts on an actuator: muscles must cross joints that move", key="recruitment")
+        rows = np.flatnonzero(driven)
+        spare = [reserve for reserve in self._reserves if driven[reserve.of]]
+        frames, count = len(value), len(self.muscles)
+        reserves = np.zeros((frames, len(rows), len(spare)))
         for column, reserve in enumerate(spare):
-            reserves[:, np.flatnonzero(driven == reserve.of), column] = reserve.optimal
+            reserves[:, np.flatnonzero(rows == reserve.of), column] = reserve.optimal
         low, high = np.full((frames, count), self.asked.minimum), np.ones((frames, count))
         without = np.full((frames, len(spare)), np.inf)
-        weight = [*(muscle.weight for muscle in self._muscles.values()), *(1.0 for _ in spare)]
-        return Programme(
-            np.concatenate([matrix, reserves], axis=2),
-            net,
+        programme = Programme(
+            np.concatenate([arms[:, driven] * own.capacity[:, None], reserves], axis=2),
+            value[:, driven] - (arms[:, driven] @ own.passive[..., None])[..., 0],
             np.hstack([low, -without]),
             np.hstack([high, without]),
-            np.array(weight),
+            np.concatenate([self.weights, np.ones(len(spare))]),
         )
+        return Sharing(arms, driven, programme)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Weights (M,) of the muscles."""
+        return np.array([muscle.weight for muscle in self._muscles.values()])
 
     def _impossible(
         self, programme: Programme, time: np.ndarray, failed: np.ndarray, driven: Sequence[NamedActuator]

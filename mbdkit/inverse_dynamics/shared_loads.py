@@ -83,10 +83,13 @@ class Shared:
     certificate
         (T,) largest violation of the conditions of optimality: of an equation relative to its size, and of the sign of
         a derivative of the Lagrangian relative to the largest derivative of the cost. Inf where there is no solution.
+    multipliers
+        (T, K) multipliers of the equations, by which the cost grows with the right sides; nan for linear programmes.
     """
 
     value: np.ndarray
     certificate: np.ndarray
+    multipliers: np.ndarray
 
 
 def share_loads(programme: Programme, exponent: float) -> Shared:
@@ -107,16 +110,16 @@ def share_loads(programme: Programme, exponent: float) -> Shared:
         np.ones_like(weight),
     )
     solve = _linear if exponent == 1 or math.isinf(exponent) else _dual_newton
-    value, certificate = solve(scaled, exponent)
-    return Shared(value * weight, np.where(certificate <= SOLVED, certificate, np.inf))
+    value, certificate, multipliers = solve(scaled, exponent)
+    return Shared(value * weight, np.where(certificate <= SOLVED, certificate, np.inf), multipliers / size)
 
 
-def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return solutions (T, N) and certificates (T,) for p > 1 and weights of 1."""
+def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return solutions (T, N), certificates (T,) and multipliers (T, K) for p > 1 and weights of 1."""
     frames, equations, _ = programme.matrix.shape
     y = np.zeros((frames, equations))
     if p > 2:  # from the solution for p = 2, where the derivative of the cost is 2 x instead of p x^(p - 1)
-        x, _ = _dual_newton(programme, 2.0)
+        x, _, _ = _dual_newton(programme, 2.0)
         cost = p * np.sign(x) * np.abs(x) ** (p - 1)
         y = (np.linalg.pinv(np.swapaxes(programme.matrix, 1, 2), rcond=1e-10) @ cost[..., None])[..., 0]
     trace = np.einsum("tkn,tkn->t", programme.matrix, programme.matrix) * 0.5
@@ -131,7 +134,7 @@ def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray
             break
     y = _polished(programme, y, p, trace)
     x, _ = _unknowns(programme, y, p)
-    return x, _certificate(programme, x, y, p)
+    return x, _certificate(programme, x, y, p), y
 
 
 def _polished(programme: Programme, y: np.ndarray, p: float, trace: np.ndarray) -> np.ndarray:
@@ -215,8 +218,8 @@ def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -
     return found
 
 
-def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return solutions (T, N) and certificates (T,) for p = 1 or infinity and weights of 1.
+def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return solutions (T, N), certificates (T,) and nan (T, K) for p = 1 or infinity and weights of 1.
 
     Unknowns that may be negative are differences of two that are not.
     """
@@ -231,11 +234,11 @@ def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarr
         if found is not None:
             (low[row], high[row]), solved[row] = found, True
     face = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]))
-    split, certificate = _dual_newton(face, 2.0)
+    split, certificate, _ = _dual_newton(face, 2.0)
     value = split[:, :count].copy()
     value[:, signed] -= split[:, count:]
     wrong = np.max(np.abs(_residual(programme, value)), axis=1, initial=0.0)
-    return value, np.where(solved, np.maximum(certificate, wrong), np.inf)
+    return value, np.where(solved, np.maximum(certificate, wrong), np.inf), np.full_like(programme.right, np.nan)
 
 
 def _optimal_face(

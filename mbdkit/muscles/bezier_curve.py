@@ -13,6 +13,10 @@ ITERATIONS = 80
 """Bisection alone finds the parameter to the last bit in 55; Newton's method in about six."""
 
 
+ROUNDING = 4 * np.finfo(float).eps
+"""Changes of the parameter, and distances of x, that are rounding errors."""
+
+
 class Corner(NamedTuple):
     """A point of a graph and the slope there."""
 
@@ -96,7 +100,7 @@ def _parameter(points: np.ndarray, x: np.ndarray) -> np.ndarray:
         low, high = np.where(left < 0, u, low), np.where(left > 0, u, high)
         new = u - left / np.where(slope > 0, slope, 1.0)
         new = np.where((new >= low) & (new <= high) & (slope > 0), new, 0.5 * (low + high))
-        if np.all(np.abs(new - u) <= np.finfo(float).eps):
-            return np.asarray(new)
+        if np.all((np.abs(new - u) <= ROUNDING) | (np.abs(left) <= ROUNDING)):
+            return np.asarray(np.where(left == 0, u, new))
         u = np.where(left == 0, u, new)
     return u

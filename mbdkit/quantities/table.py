@@ -67,7 +67,6 @@ def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
         units,
         what,
         take=lambda s: s.of_muscles(name),
-        no_derivative="muscles have no derivatives yet",
         **more,
     )
 

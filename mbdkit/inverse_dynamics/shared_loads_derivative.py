@@ -1,0 +1,71 @@
+"""Derivatives of the solution of recruitment by parameters of its programmes.
+
+By the implicit function theorem, applied to the conditions of optimality: the unknowns at their bounds stay there, and
+the others, x, and the multipliers y of the equations satisfy
+
+    f'(x) = A^T y,    A x = b,
+
+so that their changes are the solution of
+
+    f''(x) dx - A^T dy = dA^T y - df'(x),    A dx = db - dA x,
+
+where ``df'`` is the change of f' with its parameters, the weights. This is the derivative of the solution wherever no
+unknown is about to leave or to reach its bound; elsewhere, it is one of the two sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.inverse_dynamics.shared_loads import Programme, Shared
+
+LEAST_CURVATURE = 1e-12
+"""Share of the largest second derivative of the cost in a frame to which others are raised: for exponents above 2, it
+vanishes at x = 0."""
+NEGLIGIBLE = 1e-13
+"""Singular values below this share of the largest one belong to equations that no free unknown enters."""
+REFINEMENTS = 2
+"""Repetitions of the solution with what is left of the equations, which remove rounding errors."""
+
+
+@dataclass(frozen=True)
+class ProgrammeChange:
+    """Derivatives of programmes by one parameter, in the shapes of `Programme`."""
+
+    matrix: np.ndarray
+    right: np.ndarray
+    weight: np.ndarray
+
+
+def change_of_shares(programme: Programme, shared: Shared, exponent: float, change: ProgrammeChange) -> np.ndarray:
+    """Return the derivatives (T, N) of the solutions by one parameter.
+
+    Parameters
+    ----------
+    programme, shared
+        The programmes and their solutions.
+    exponent
+        p > 1, finite.
+    change
+        Derivatives of the programmes; their bounds are constant.
+    """
+    x, y, weight = shared.value, shared.multipliers, programme.weight
+    is_free = (x > programme.low) & (x < programme.high)
+    share = np.abs(x) / weight
+    slope = exponent * np.sign(x) * share ** (exponent - 1) / weight
+    curvature = exponent * (exponent - 1) * share ** (exponent - 2) / weight**2
+    curvature = np.maximum(curvature, LEAST_CURVATURE * np.max(curvature, axis=1, keepdims=True))
+    flexibility = np.where(is_free, 1.0 / curvature, 0.0)
+    size = programme.size
+    matrix = programme.matrix / size[..., None]
+    pulled = np.einsum("tkn,tk->tn", change.matrix, y) + slope * exponent / weight * change.weight
+    needed = (change.right - np.einsum("tkn,tn->tk", change.matrix, x)) / size
+    normal = (matrix * flexibility[:, None]) @ np.swapaxes(matrix, 1, 2)
+    inverse = np.linalg.pinv(normal, rcond=NEGLIGIBLE, hermitian=True)
+    found: np.ndarray = flexibility * pulled
+    for _ in range(1 + REFINEMENTS):
+        left = needed - (matrix @ found[..., None])[..., 0]
+        found = found + flexibility * (np.swapaxes(matrix, 1, 2) @ (inverse @ left[..., None]))[..., 0]
+    return found
