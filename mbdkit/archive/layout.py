@@ -31,6 +31,7 @@ REASONS = (
     "energy-jump",
     "branch-left",
     "out-of-range",
+    "zeno",
     "event",
     "plugin-error",
 )

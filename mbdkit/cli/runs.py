@@ -14,7 +14,7 @@ import typer
 from mbdkit.base import terminal
 from mbdkit.base.progress_bars import progress_bar
 from mbdkit.base.terminal import say, show, show_json, silence
-from mbdkit.base.text import table
+from mbdkit.base.text import listed, table
 from mbdkit.cli.common_options import (
     AnySpecName,
     Archive,
@@ -214,7 +214,14 @@ def _events(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:
 
     values = values_at_start(spec.watched(), problem)
     return [
-        (name, event.direction, event.action, f"{values[name]:.6g}", event.when) for name, event in spec.events.items()
+        (
+            name,
+            event.direction,
+            f"set {listed(list(event.set), 'and')}" if event.set else event.action,
+            f"{values[name]:.6g}",
+            event.when,
+        )
+        for name, event in spec.events.items()
     ]
 
 

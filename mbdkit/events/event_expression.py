@@ -70,8 +70,10 @@ class RunExpression:
     quantities: tuple[Quantity, ...]
 
     @staticmethod
-    def parse(text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None) -> RunExpression:
-        """Parse an expression of quantities of a mechanism and of named parameters.
+    def parse(
+        text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None, *, crosses: bool = True
+    ) -> RunExpression:
+        """Parse an expression of quantities of a mechanism and of named parameters, which `crosses` zero or need not.
 
         Raises
         ------
@@ -80,7 +82,8 @@ class RunExpression:
         """
         compiler = RunCompiler(text, mechanism, parameters)
         program = tuple(compiler.program())
-        _check_crossing(program, compiler.quantities)
+        if crosses:
+            _check_crossing(program, compiler.quantities)
         return RunExpression(text, program, tuple(compiler.quantities))
 
     def function(self, places: Mapping[Quantity, int]) -> Callable[[Sequence[float]], float]:
@@ -154,6 +157,14 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
         )
 
 
+def check_state(name: str, mechanism: Mechanism) -> None:
+    """Raise SpecError if a mechanism has no first-order state, or output or state of a controller, of this name."""
+    known = [*mechanism.state_names(), *mechanism.held_names()]
+    if name not in known:
+        some = f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}" if known else "; the mechanism has none"
+        raise SpecError(f"there is no first-order state '{name}'{did_you_mean(name, known) or some}")
+
+
 class RunCompiler(Compiler):
     """Compiles one expression with the quantities of a run.
 
@@ -174,10 +185,7 @@ class RunCompiler(Compiler):
     def __init__(self, text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None):
         self.mechanism = mechanism
         self.known = {word: list(getattr(mechanism, word)) for word in _KINDS if hasattr(mechanism, word)}
-        held = [
-            f"{name}.{value}" for name, one in mechanism.controllers.items() for value in (*one.outputs, *one.states)
-        ]
-        self.known["states"] = [*mechanism.state_names(), *held]
+        self.known["states"] = [*mechanism.state_names(), *mechanism.held_names()]
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:

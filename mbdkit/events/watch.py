@@ -5,23 +5,35 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, cast
 
 import numpy as np
 
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.engine.workspace import Workspace
-from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings
+from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings, sign
 from mbdkit.events.event_expression import CompiledExpression, RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.stepping import interface
 from mbdkit.stepping.interface import Failure, Moment, Nodes, StepEvidence, Stepper, StepTaken, Stretch, joined
 from mbdkit.stepping.sampled_control import states_at_start
+from mbdkit.stepping.splitting import Splitting
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
+
+REPEATED = 10.0 * ACCURACY
+"""Time between two crossings of an event that sets states, relative to the larger of the time and 1 s, below which the
+run fails: crossings that follow each other more and more quickly, without end, would otherwise be lost."""
+
+ZERO = 1e-9
+"""Share of the largest value of an expression so far below which it counts as zero after its event has set states."""
+
+CLOSER = 0.1
+"""Factor between the shares of the step at which an expression is sampled after its event has set states, so that the
+next crossing is seen however soon it follows."""
 
 
 @dataclass(frozen=True)
@@ -36,12 +48,15 @@ class Watched:
         Direction of the crossings that count.
     action
         Whether the run continues (``note``) or ends (``stop``) at a crossing.
+    changes
+        First-order states that a crossing sets, by name, and their new values, from the state before.
     """
 
     name: str
     when: RunExpression
     direction: Literal["any", "rising", "falling"]
     action: Literal["note", "stop"]
+    changes: Mapping[str, RunExpression] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -77,13 +92,38 @@ def _prepared(
     return QuantityEvaluator(workspace, quantities), [expression.compiled(places) for expression in expressions]
 
 
+class _Change:
+    """Evaluates the states that an event sets."""
+
+    def __init__(self, event: Watched, workspace: Workspace):
+        names = [state.name for state in workspace.mechanism.states]
+        self._names, self._places = list(event.changes), [names.index(name) for name in event.changes]
+        self._quantities, self._expressions = _prepared(list(event.changes.values()), workspace)
+        self.undefined = ""
+
+    def states(self, t: float, state: Moment) -> np.ndarray:
+        """Return the first-order states (Z,) after the change at a time [s]; `undefined` names one that is not
+        finite.
+        """
+        q, v, z = state
+        values = self._quantities.values([t], q[None], v[None], z[None])[0]
+        after = z.copy()
+        for name, place, one in zip(self._names, self._places, self._expressions, strict=True):
+            after[place] = one.value(values)
+            if not math.isfinite(after[place]):
+                self.undefined = name
+        return after
+
+
 class Watch:
-    """Wraps a stepper to detect events, to end the run at an event with the action ``stop``, and to keep all steps.
+    """Wraps a stepper to detect events, to end the run at an event with the action ``stop``, to set states at events,
+    and to keep all steps.
 
     Parameters
     ----------
     stepper
-        The stepper, started with ``Timetable.single``.
+        The stepper, started with ``Timetable.single``; if events set states, a
+        `mbdkit.stepping.splitting.Splitting` one.
 
     Attributes
     ----------
@@ -93,6 +133,10 @@ class Watch:
 
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
+        self._changes = [_Change(event, workspace) if event.changes else None for event in events]
+        self._fired: list[int] = []  # events that set states before the next step
+        self._set_at = [-math.inf] * len(events)
+        self._latest = -math.inf
         self._quantities, self._expressions = _prepared([event.when for event in events], workspace)
         self._signs = [0] * len(events)
         self._recorded = workspace.t0
@@ -152,25 +196,30 @@ class Watch:
         until = time.perf_counter() + interface.STRETCH
         parts: list[Stretch] = []
         while True:
-            self._worst_before[:] = self.stepper.worst_pairs
             try:
-                stretch = self.stepper.advance()
-                if self.stepper.last_step is not None:
-                    self._steps.append(self.stepper.last_step)
-                part = self._look(stretch)
+                part = self.step()
             except Exception as error:
                 if not parts:
                     raise
                 self._raised = error
                 break
-            self._nodes.append(self.stepper.taken_nodes())
-            if len(part.time):
-                self._recorded = float(part.time[-1])
             if len(part.time) or not parts:
                 parts.append(part)
             if self.finished or self.failure is not None or time.perf_counter() > until:
                 break
         return joined(parts)
+
+    def step(self) -> Stretch:
+        """Advance by one step, or by the part of it up to an event that sets states; return the rows."""
+        self._worst_before[:] = self.stepper.worst_pairs
+        stretch = self.stepper.advance()
+        if self.stepper.last_step is not None:
+            self._steps.append(self.stepper.last_step)
+        part = self._look(stretch)
+        self._nodes.append(self.stepper.taken_nodes())
+        if len(part.time):
+            self._recorded = float(part.time[-1])
+        return part
 
     def last_state(self) -> Stretch:
         """Return the state reached as one row."""
@@ -197,6 +246,9 @@ class Watch:
             "ended": self._ended,
             "largest": self._largest,
             "near": self._quantities.kept,
+            "fired": self._fired,
+            "set_at": self._set_at,
+            "latest": self._latest,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -209,14 +261,20 @@ class Watch:
         self._ended = state["ended"]
         self._largest = [float(value) for value in state["largest"]]
         fill(self._quantities.kept, state["near"])
+        self._fired = [int(number) for number in state["fired"]]
+        self._set_at = [float(time) for time in state["set_at"]]
+        self._latest = float(state["latest"])
 
     def _look(self, stretch: Stretch) -> Stretch:
         """Find the events of the last step; return its rows, truncated at an event that stops the run."""
         step = self.stepper.last_step
         if step is None or not self.events:
             return stretch
-        found: list[tuple[Crossing, Watched]] = []
-        for number, (event, shown) in enumerate(zip(self.events, self._shown(step), strict=True)):
+        found: list[tuple[Crossing, int]] = []
+        samples = self._shown(step)
+        signs = [*self._signs]
+        self._fired.clear()
+        for number, (event, shown) in enumerate(zip(self.events, samples, strict=True)):
             dense, exact = (self._scalar(number, state) for state in (self.stepper.inside, self.stepper.within))
             accuracy = ACCURACY * max(1.0, abs(step.t1)) / (step.t1 - step.t0)
             try:
@@ -225,13 +283,44 @@ class Watch:
                 where = f"has no finite value at t = {step.time(error.theta):.6g} s"
                 self._failure = Failure("not-finite", f"the expression of event '{event.name}' {where}.")
                 return stretch
-            found += [(place, event) for place in places if place.direction in DIRECTIONS[event.direction]]
-        for place, event in sorted(found, key=lambda item: (item[0].theta, item[1].action == "stop")):
-            one = Found(event.name, step.time(place.theta), place.direction, *self.stepper.within(place.theta)[:2])
+            found += [(place, number) for place in places]
+        for place, number in sorted(found, key=lambda item: (item[0].theta, self.events[item[1]].action == "stop")):
+            event, signs[number] = self.events[number], place.direction
+            if place.direction not in DIRECTIONS[event.direction]:
+                continue
+            self._latest = max(self._latest, step.time(place.theta))
+            one = Found(event.name, self._latest, place.direction, *self.stepper.within(place.theta)[:2])
             self._found.append(one)
             if event.action == "stop":
                 self.stopped = one
                 return self._cut(stretch, place.theta)
+            if self._changes[number] is not None:
+                self._signs = [before or sign(points[0][1]) for before, points in zip(signs, samples, strict=True)]
+                return self._set(place.theta, number)
+        return stretch
+
+    def _set(self, theta: float, number: int) -> Stretch:
+        """End the last step at the share `theta`, and set states there by an event; return the rows up to there."""
+        change, event = self._changes[number], self.events[number]
+        assert change is not None
+        self._steps.pop()
+        self.stepper.worst_pairs[:] = self._worst_before
+        stretch, steps = cast(Splitting, self.stepper).split(theta, change.states)
+        self._steps += steps
+        self._values, t = None, self._latest
+        self._fired.append(number)
+        since, self._set_at[number] = t - self._set_at[number], t
+        what = f"event '{event.name}'"
+        if change.undefined:
+            state = change.undefined
+            self._failure = Failure(
+                "not-finite", f"the value of '{state}' that {what} sets is not finite at t = {t:.6g} s."
+            )
+        elif since < REPEATED * max(1.0, abs(t)):
+            self._failure = Failure(
+                "zeno", f"{what} sets states again after less than {REPEATED:.0g} s at t = {t:.10g} s; its crossings "
+                "follow each other without end."
+            )  # fmt: skip
         return stretch
 
     def _shown(self, step: StepTaken) -> list[list[tuple[float, float]]]:
@@ -247,10 +336,36 @@ class Watch:
         points = list(zip((0.0, *INSIDE, 1.0), rows, strict=True))
         shown = []
         for number, (value, phases, breaks) in enumerate(self._expressions):
-            samples = refined(points, self._values_inside, value, phases, breaks, self._largest[number])
+            if number in self._fired:
+                samples = self._after_change(number, points)
+            else:
+                samples = refined(points, self._values_inside, value, phases, breaks, self._largest[number])
             self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
             shown.append(samples)
         return shown
+
+    def _after_change(
+        self,
+        number: int,
+        points: list[tuple[float, list[float]]],
+    ) -> list[tuple[float, float]]:
+        """Return samples of the scalar of an event that has set states at the start of the step.
+
+        A change of sign by setting the states is no crossing. If the scalar is still zero up to rounding errors, it is
+        taken as zero, so that leaving it in any direction is no crossing.
+        """
+        step = self.stepper.last_step
+        assert step is not None
+        theta, early = CLOSER, []
+        while theta * (step.t1 - step.t0) > CLOSER * REPEATED * max(1.0, abs(step.t0)):
+            early.append((theta, self._values_of(theta, self.stepper.within)))
+            theta *= CLOSER
+        all_points, expression = sorted([*points, *early]), self._expressions[number]
+        samples = refined(all_points, self._values_inside, *expression, self._largest[number])
+        (first, begin), *rest = samples
+        is_zero = abs(begin) <= ZERO * self._largest[number]
+        self._signs[number] = 0 if is_zero else sign(begin)
+        return [(first, 0.0 if is_zero else begin), *rest]
 
     def _values_inside(self, theta: float) -> list[float]:
         """Return the quantities at a position in the last step, by dense output."""

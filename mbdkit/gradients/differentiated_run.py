@@ -176,6 +176,8 @@ def refuse(spec: RunSpec, method: Method) -> None:
     except NoDerivativeError as error:
         message = f"{spec.integrator_item.id} has no derivatives by parameters here: {error}"
         raise SpecError(message, key="integrator") from None
+    if spec.settings():
+        raise SpecError("runs in which events set states have no derivatives", key="events")
     if spec.is_to_be_chosen:
         raise SpecError("a gradient needs a method and a step; it does not choose them", key="accuracy")
     if spec.output.interval is not None:

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mbdkit.base.errors import StepError
-from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.gradients.differentiated_states import DifferentiatedStates
@@ -27,7 +26,6 @@ from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
 from mbdkit.stepping.dual_run import Seeds
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Moment, StepTaken, Stretch, Timetable
-from mbdkit.stepping.run_plan import guard_limits, new_plan
 from mbdkit.stepping.run_state import MODIFIED
 
 PLACES = (0.25, 0.5, 0.75, 1.0)
@@ -159,7 +157,7 @@ class SidedStepper(DifferentiatedStepper):
             del self.sizes_taken[taken:]
             self._count()
             if theta > SAME:
-                self._stop_at(step.time(theta))
+                self.stop_at(step.time(theta))
                 stretch = super().advance()
         self._at_once = 0 if theta > SAME else self._at_once + 1
         if self._at_once > MOST_AT_ONCE:
@@ -169,19 +167,6 @@ class SidedStepper(DifferentiatedStepper):
             )
         self._pass(number)
         return stretch if theta > SAME else self.advance()
-
-    def _stop_at(self, t: float) -> None:
-        """End the next step at a time."""
-        table, passed = self.timetable, int(self.run_state.progress.passed[0])
-        margin = 4.0 * np.finfo(float).eps * max(abs(table.start), abs(table.end))
-        self.timetable = replace(
-            table,
-            stops=(*table.stops[:passed], t, *table.stops[passed:]),
-            stop_margins=(*table.stop_margins[:passed], margin, *table.stop_margins[passed:]),
-        )
-        limits = guard_limits(self.workspace.mechanism, self.timetable.guards)
-        self.plan = new_plan(self.timetable, None, self.workspace.stabilization, limits)
-        self._plan = PinnedBundle(self.plan)
 
     def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
         """Return the share of a step at which the first condition changes, and its number; None if none does."""

@@ -771,6 +771,10 @@ class Mechanism(HtmlView):
         ]
         return [*of_elements, *self.states]
 
+    def held_names(self) -> list[str]:
+        """Return the names of all outputs and states of controllers, as ``controller.output``."""
+        return [f"{name}.{value}" for name, one in self.controllers.items() for value in (*one.outputs, *one.states)]
+
     def description(self) -> str:
         """Return a line of text with the numbers of elements and of constraint rows."""
         drivers = sum(joint.is_driver for joint in self.joints.values())

@@ -173,6 +173,7 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
         "sampler": stepper.sampler.stored(),
+        "inserted": stepper.inserted,
         "impacts": [[impact.time, impact.energy, impact.velocity] for impact in stepper.impacts],
     }
 
@@ -180,6 +181,8 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
 def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None:
     workspace, bundle = stepper.workspace, stepper.method.pinned.bundle
     restore(_kept(stepper.run_state), state["run"])
+    for stop in state["inserted"]:
+        stepper.stop_at(float(stop))
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
     restore(_kept(bundle), state["method"])

@@ -49,7 +49,7 @@ from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, 
 from mbdkit.runs.warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.interface import Advancing, Failure, Stepper, Stretch
+from mbdkit.stepping.interface import Advancing, Failure, Stretch
 from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 from mbdkit.trust.criteria import judge
@@ -233,7 +233,9 @@ class SimulatedRun:
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
             return
         if self.table.single:
-            self.watch = _watch(self.spec, self.workspace, stepper)
+            from mbdkit.runs.watched_events import watch_events
+
+            self.watch = watch_events(self.spec, self.workspace, stepper)
         self.stepper = self.watch or stepper
 
     @property
@@ -422,14 +424,3 @@ class SimulatedRun:
             run = load(self.writer.path)
         run.cause = self.cause
         return run
-
-
-def _watch(spec: RunSpec, workspace: Workspace, stepper: Stepper) -> Watch:
-    """Wrap the stepper to detect the events of a spec."""
-    from mbdkit.events.watch import Watch, Watched
-
-    found = [
-        Watched(name, expression, spec.events[name].direction, spec.events[name].action)
-        for name, expression in spec.watched().items()
-    ]
-    return Watch(stepper, workspace, found)

@@ -197,7 +197,8 @@ def step_advice(spec: RunSpec, code: str) -> str:
 
 
 def _unused_parameters(spec: RunSpec) -> Iterator[str]:
-    texts = [*spec.written.values(), *spec.parameters.values(), *(event.when for event in spec.events.values())]
+    of_events = [text for event in spec.events.values() for text in (event.when, *event.set.values())]
+    texts = [*spec.written.values(), *spec.parameters.values(), *of_events]
     used = set().union(*map(names_in, texts))
     for name in spec.parameters:
         if name not in used:

@@ -143,6 +143,7 @@ class RunSpec(ModelSpec):
     changes velocities there by the smallest impulse that satisfies the constraints, whose work is recorded."""
 
     _watched: Any = PrivateAttr(default=None)
+    _settings: Any = PrivateAttr(default=None)
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
     """The canonical JSON before and after the value of `model`, once it is needed."""
 
@@ -234,6 +235,7 @@ class RunSpec(ModelSpec):
         data = self.sections()
         spec = type(self)(**data | {"integrator": integrator, "time": time, "choose": "nothing"})
         spec._document, spec._mechanism, spec._watched = self._document, self._mechanism, self._watched
+        spec._settings = self._settings
         return spec
 
     settled: ClassVar[Any] = with_choice
@@ -307,6 +309,12 @@ class RunSpec(ModelSpec):
         """Return the measures of the run."""
         return tuple(defined(self.measures, ("measures",)))
 
+    def settings(self) -> dict[str, dict[str, RunExpression]]:
+        """Return the parsed expressions by event and state that events set; raises the errors of `mechanism`."""
+        self.mechanism()
+        settings: dict[str, dict[str, RunExpression]] = self._settings
+        return settings
+
     @property
     def span(self) -> tuple[float, float]:
         """Start and end of the run [s]."""
@@ -335,6 +343,7 @@ class RunSpec(ModelSpec):
                 key="model.muscles",
             )
         self._watched = self._parsed(mechanism)
+        self._settings = self._parsed_settings(mechanism)
 
     def _parsed(self, mechanism: Mechanism) -> dict[str, RunExpression]:
         if not self.events:
@@ -347,6 +356,20 @@ class RunSpec(ModelSpec):
                 parsed[name] = RunExpression.parse(event.when, mechanism, self.numbers)
             except SpecError as error:
                 raise SpecError(error.message, key=f"events.{name}.when") from None
+        return parsed
+
+    def _parsed_settings(self, mechanism: Mechanism) -> dict[str, dict[str, RunExpression]]:
+        from mbdkit.events.event_expression import RunExpression, check_state
+
+        parsed: dict[str, dict[str, RunExpression]] = {}
+        for name, event in self.events.items():
+            for state, text in event.set.items():
+                try:
+                    check_state(state, mechanism)
+                    value = RunExpression.parse(text, mechanism, self.numbers, crosses=False)
+                except SpecError as error:
+                    raise SpecError(error.message, key=f"events.{name}.set.{state}") from None
+                parsed.setdefault(name, {})[state] = value
         return parsed
 
 

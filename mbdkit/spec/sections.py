@@ -17,6 +17,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.state_values import Expression
 from mbdkit.quantities.table import ChosenGroup, quantities_of_events
 
 QUANTITIES = get_args(ChosenGroup)
@@ -133,12 +134,23 @@ class Event(Section):
     letters, digits and underscores must be quoted, as in joints["J 1"].force.
     """
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("set",)
+
     when: str
     """Expression whose zero crossings are the event, such as "knee.angle - 1.2"."""
     direction: Literal["any", "rising", "falling"] = "any"
     """Crossings to detect: `rising` (negative to positive), `falling` (positive to negative), or `any`."""
     action: Literal["note", "stop"] = "note"
     """`note` records the crossing; `stop` also ends the run, which then counts as complete."""
+    set: dict[str, Expression] = Field(default_factory=dict)
+    """New values of first-order states at the crossing, by name, as numbers or expressions of the state before it, such
+    as `{i: 0}` or `{w: "-0.8*states.w"}`; `controllers.NAME.STATE` of a controller is named "NAME.STATE"."""
+
+    @model_validator(mode="after")
+    def _goes_on(self) -> Event:
+        if self.set and self.action == "stop":
+            raise PydanticCustomError("mbdkit", "sets states of a run that it stops; leave out `set` or `action: stop`")
+        return self
 
 
 Event.__doc__ = f"{inspect.cleandoc(Event.__doc__ or '')} Expressions may contain t; {quantities_of_events()}."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from bisect import bisect
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import step_loop
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (
+    SAME_TIME,
     Failure,
     Impact,
     Moment,
@@ -50,6 +52,7 @@ from mbdkit.stepping.run_state import (
     new_run_state,
 )
 from mbdkit.stepping.sampled_control import Sampler
+from mbdkit.stepping.splitting import Change, margin_of_stops
 from mbdkit.stepping.step_control import SOLVER_FAILURE_FACTOR, Control, first_step
 from mbdkit.stepping.step_guards import ENERGY_JUMP, FELL_APART
 from mbdkit.stepping.step_watch import guard_evidence, guard_failure
@@ -87,13 +90,18 @@ class CompiledStepper:
         Times of the run, and which states are recorded.
     control
         Step-size control; None: fixed steps.
+
+    Attributes
+    ----------
+    inserted
+        Stops that `stop_at` has added to those of the timetable [s].
     """
 
     def __init__(
         self, method: CompiledMethod, workspace: Workspace, timetable: Timetable, control: Control | None = None
     ):
         self.method, self.workspace, self.timetable = method, workspace, timetable
-        self.controlled = control is not None
+        self.controlled, self._control = control is not None, control
         self.counters = Counters()
         self.finished = False
         self.failure: Failure | None = None
@@ -128,6 +136,7 @@ class CompiledStepper:
         iterates = method.carries_stages or self.mode == SYMMETRIC
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
         self.impacts: list[Impact] = []
+        self.inserted: list[float] = []
         self.sampler = Sampler(workspace)
         self._samples = frozenset(timetable.samples)
         if workspace.mechanism.controllers:  # the start has these states already; the sampler remembers pending outputs
@@ -135,6 +144,7 @@ class CompiledStepper:
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
         self._row_times = np.zeros(0)
+        self._last_rows = self._collect(0)
         self._drive(self._plan, 0)  # compiles or loads the step loop before the first step is timed
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
@@ -181,7 +191,7 @@ class CompiledStepper:
         stretch = joined(stretches)
         if self._accepted > accepted:
             c = self.run_state
-            self._row_times = stretch.time
+            self._row_times, self._last_rows = stretch.time, stretch
             self.last_step = StepTaken(
                 t0, self.time, c.before_q.copy(), c.before_v.copy(), c.q.copy(), c.v.copy(), z0, c.z.copy()
             )
@@ -275,7 +285,7 @@ class CompiledStepper:
         step, c = self.last_step, self.run_state
         assert step is not None
         if self._dense == 0 or not self.method.has_dense_output or self.mode == SYMMETRIC:
-            return step.between(theta)
+            return self._between(step, theta)
         t, h = float(c.progress.tried_begin[0]), float(c.progress.last_size[0])
         status = step_loop.look_inside(self._pinned_state.address, self.method.pinned.address, self._dense, t, h, theta)
         if status != OK:
@@ -285,6 +295,14 @@ class CompiledStepper:
             fade = theta * theta * (3.0 - 2.0 * theta)
             q, v = q + fade * c.shift_q, v + fade * c.shift_v
         return q, v, c.point_z.copy()
+
+    def _between(self, step: StepTaken, theta: float) -> Moment:
+        """Return the state at the share `theta` of a step by interpolation; states z by a parabola, if z' is known."""
+        q, v, z = step.between(theta)
+        rates = getattr(self.method.pinned.bundle, "z_rates", None)
+        if rates is not None and len(z):
+            z = z + theta * (1.0 - theta) * ((step.t1 - step.t0) * rates[0] + step.z0 - step.z1)
+        return q, v, z
 
     def within(self, theta: float) -> Moment:
         """See `Stepper.within`."""
@@ -352,6 +370,44 @@ class CompiledStepper:
         self._count()
         self.finished, self.failure = True, None
         return self.last_state()
+
+    def stop_at(self, t: float) -> None:
+        """End a step at a time [s] that lies after the last stop passed."""
+        table, margin = self.timetable, margin_of_stops(self.timetable)
+        place = bisect(table.stops, t)
+        self.inserted.append(t)
+        self.timetable = replace(
+            table,
+            stops=(*table.stops[:place], t, *table.stops[place:]),
+            stop_margins=(*table.stop_margins[:place], margin, *table.stop_margins[place:]),
+        )
+        limits = guard_limits(self.workspace.mechanism, self.timetable.guards)
+        self.plan = new_plan(self.timetable, self._control, self.workspace.stabilization, limits)
+        self._plan = PinnedBundle(self.plan)
+
+    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+        """See `mbdkit.stepping.splitting.Splitting.split`."""
+        step, c = self.last_step, self.run_state
+        assert step is not None
+        t, close = step.time(theta), SAME_TIME * margin_of_stops(self.timetable)
+        stretches, steps = [self._last_rows], [step]
+        if step.t1 - t > close:
+            self._recall(self._before)
+            self.finished, self.failure = False, None
+            self._count()
+            stretches, steps = [self._collect(0)], []
+            if t - step.t0 > close:
+                self.stop_at(t)
+                self.workspace.clamp_motions(*self.timetable.sides(int(c.progress.passed[0])))
+                while self.failure is None and self.time < t - close:
+                    stretches.append(self.advance())
+                    steps += [] if self.last_step is None else [self.last_step]
+        if self.failure is None and not self.finished:
+            c = self.run_state
+            c.z[:], c.z_low[:] = change(t, (c.q.copy(), c.v.copy(), c.z.copy())), 0.0
+            c.base_state[0], c.progress.retrying[0], c.guards.energy[0] = MODIFIED, 0, np.nan
+            self.method.forget()
+        return joined(stretches), steps
 
     def _count(self) -> None:
         """Copy counts and time from the records of the compiled code."""

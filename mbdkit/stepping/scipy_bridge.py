@@ -12,6 +12,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (
+    SAME_TIME,
     STRETCH,
     Failure,
     Impact,
@@ -39,6 +41,7 @@ from mbdkit.stepping.interface import (
     Timetable,
 )
 from mbdkit.stepping.sampled_control import Sampler, states_at_start
+from mbdkit.stepping.splitting import Change, margin_of_stops
 from mbdkit.stepping.step_control import unit_of_length
 from mbdkit.stepping.step_watch import StepWatch
 
@@ -108,7 +111,7 @@ class SciPyStepper:
         self._dense: Any = None
         self._y0 = y0
         self._row_times: list[float] = []
-        self._effort_so_far = self._since.copy()
+        self._effort_so_far, self._row_before = self._since.copy(), 1
         self._nodes = KeptNodes(workspace.mechanism.size, workspace.scratch.sides)
 
     @property
@@ -256,6 +259,7 @@ class SciPyStepper:
             z = y0[self._first_z :], self.y[self._first_z :]
             self.last_step = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y), *z)
             self._dense, self._y0, self._effort_so_far = dense, y0, self._since.copy()
+            self._row_before = self._next
             rows = self._due()
             self._row_times = [row[0] for row in rows]
             break
@@ -282,6 +286,37 @@ class SciPyStepper:
             self._since[2] = self.time - self.last_step.t0
         self.finished, self.failure = True, None
         return self.last_state()
+
+    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+        """See `mbdkit.stepping.splitting.Splitting.split`; the end of the step is that of dense output."""
+        step = self.last_step
+        assert step is not None
+        t, close = step.time(theta), SAME_TIME * margin_of_stops(self.timetable)
+        if t - step.t0 <= close:
+            t, y = step.t0, self._y0
+        elif step.t1 - t <= close:
+            t, y = step.t1, self.y
+        else:
+            y = self._interpolated(theta)
+        if self._dense is None:
+            self._dense = self._dense_output(step.t0, self._y0)
+        if t < step.t1:
+            self.finished = self._stopped = False
+        if self.timetable.nodes:
+            self._nodes.drop_last()
+            if t > step.t0:
+                self._keep_nodes(step.t0, t, self._dense)
+        self.y, self.time, self._next, self._since = y.copy(), t, self._row_before, self._effort_so_far.copy()
+        rows = self._due() if t > step.t0 else []
+        end = *self._state(y), y[self._first_z :].copy()
+        taken = [replace(step, t1=t, q1=end[0], v1=end[1], z1=end[2])] if t > step.t0 else []
+        self.last_step = taken[0] if taken else None
+        if not self.finished:
+            self.y[self._first_z :] = change(t, end)
+            self._watch.forget_energy()
+            if not self._stopped:
+                self._start_solver(t)
+        return self._stretch(rows), taken
 
     def _interpolated(self, theta: float) -> np.ndarray:
         """Return y at the fraction `theta` of the last step, by dense output or the cubic through both ends."""

@@ -6,6 +6,8 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +25,10 @@ from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.accuracy.resolved_loads import resolved_until
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
-from mbdkit.stepping.interface import Failure
+from mbdkit.stepping.interface import Failure, Stepper
+
+if TYPE_CHECKING:
+    from mbdkit.events.watch import Watch
 
 
 def check_run(
@@ -58,8 +63,11 @@ def check_run(
         return as_accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
     budget = Budget(spec.limits.wall_time, interrupted)
     chosen = choose_companions(spec, method, workspace, rows.time, steps)
-    runs = [run_companion(companion, workspace, rows.time, budget.stopped, progress) for companion in chosen.finer]
-    guard, guarded = _guard(chosen, workspace, rows.time, budget, progress)
+    watch = _watch(spec)
+    runs = [
+        run_companion(companion, workspace, rows.time, budget.stopped, progress, watch) for companion in chosen.finer
+    ]
+    guard, guarded = _guard(chosen, workspace, rows.time, budget, progress, watch)
     units = units_of(workspace, rows)
     errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
     told = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
@@ -87,17 +95,27 @@ def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: f
     )
 
 
+def _watch(spec: RunSpec) -> Callable[[Workspace, Stepper], Watch] | None:
+    """Return what sets states at events in companions; None if no event sets states."""
+    if not spec.settings():
+        return None
+    from mbdkit.runs.watched_events import watch_events
+
+    return partial(watch_events, spec, all_events=False)
+
+
 def _guard(
     chosen: Chosen,
     workspace: Workspace,
     times: np.ndarray,
     budget: Budget,
     progress: Callable[[float, float], None] | None,
+    watch: Callable[[Workspace, Stepper], Watch] | None,
 ) -> tuple[Companion, CompanionRows]:
     """Return the first guard that reaches the end; if none does, the one that gets farthest."""
     best: tuple[Companion, CompanionRows] | None = None
     for companion in chosen.guards:
-        found = run_companion(companion, workspace, times, budget.stopped, progress)
+        found = run_companion(companion, workspace, times, budget.stopped, progress, watch)
         if best is None or _reached(found) > _reached(best[1]):
             best = companion, found
         if not found.failure or budget.stopped():

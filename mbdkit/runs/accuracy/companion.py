@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.stepping.interface import SAME_TIME, Stepper, Stretch, Timetable
 from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
+
+if TYPE_CHECKING:
+    from mbdkit.events.watch import Watch
 
 NEVER = 2**53
 """`Timetable.every` of a companion whose rows are evaluated within its steps."""
@@ -76,6 +80,7 @@ def run_companion(
     times: np.ndarray,
     stopped: Callable[[], str],
     progress: Callable[[float, float], None] | None = None,
+    watch: Callable[[Workspace, Stepper], Watch] | None = None,
 ) -> CompanionRows:
     """Run a companion.
 
@@ -91,6 +96,8 @@ def run_companion(
         Returns the reason why the companion must stop now; empty if it need not stop.
     progress
         Called with (time reached, end time) [s].
+    watch
+        Wraps its stepper to set states at events, if the run has such events.
 
     Returns
     -------
@@ -100,8 +107,10 @@ def run_companion(
     own = workspace.for_another_run(companion.formulation, companion.stabilization)
     found = _States(times, own, companion)
     try:
-        stepper = start_method(companion.create(), own, companion.timetable)
-        failure = _advance(stepper, companion, found, stopped, progress)
+        table = companion.timetable
+        stepper = start_method(companion.create(), own, table if watch is None else replace(table, single=True))
+        watched = None if watch is None else watch(own, stepper)
+        failure = _advance(stepper, watched, companion, found, stopped, progress)
     except SingularSystemError:
         failure = "its equations are singular at the start"
     except MbdkitError as error:
@@ -168,6 +177,7 @@ def _equal(a: float, b: float, times: np.ndarray) -> bool:
 
 def _advance(
     stepper: Stepper,
+    watched: Watch | None,
     companion: Companion,
     found: _States,
     stopped: Callable[[], str],
@@ -179,9 +189,9 @@ def _advance(
             return ""
         if why := stopped():
             return why
-        if stepper.failure is not None:
-            return stepper.failure.sentence
-        stretch = stepper.advance()
+        if failed := stepper.failure or (watched and watched.failure):
+            return failed.sentence
+        stretch = stepper.advance() if watched is None else watched.step()
         if companion.within_steps:
             found.take_within(stepper)
         else:

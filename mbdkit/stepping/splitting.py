@@ -1,0 +1,35 @@
+"""Steps that end at an event, where first-order states change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from mbdkit.stepping.interface import Moment, Stepper, StepTaken, Stretch, Timetable
+
+Change = Callable[[float, Moment], np.ndarray]
+"""Returns new first-order states (Z,) from the time [s] and the state there."""
+
+
+class Splitting(Stepper, Protocol):
+    """A stepper whose steps can end at an event, where first-order states change."""
+
+    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+        """End the last step at the share `theta` instead, change the first-order states there, and continue.
+
+        Requires ``Timetable.single``. At the end of the run, nothing changes.
+
+        Returns
+        -------
+        stretch, steps
+            The rows and the steps up to there, in place of those of the last `advance`. There are no steps if `theta`
+            is 0, and may be several if their sizes are controlled.
+        """
+        ...
+
+
+def margin_of_stops(table: Timetable) -> float:
+    """Return the margin of a stop whose time is known up to rounding errors only [s]."""
+    return 4.0 * float(np.finfo(float).eps) * max(abs(table.start), abs(table.end))

@@ -1,0 +1,159 @@
+"""Events that set first-order states, against closed forms: integrate and fire, and a bouncing ball."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit import SpecError
+from tests.runs.resuming.killed_runs import killed
+
+INERTIA, END = 0.5, 5.0
+FIRES = {"fires": {"when": "states.charge - 1", "direction": "rising", "set": {"charge": 0}}}
+RK4, GAUSS = {"name": "rk4"}, {"name": "gauss", "stages": 2}
+
+
+def rotor(**states: Any) -> dict[str, Any]:
+    """A rotor without gravity; its torque is the first of the states."""
+    return {
+        "name": "mechanism",
+        "gravity": [0, 0],
+        "bodies": {"rotor": {"mass": 1.0, "inertia": INERTIA}},
+        "joints": {"pin": {"type": "revolute", "bodies": ["ground", "rotor"], "points": [[0, 0], [0, 0]]}},
+        "forces": {"motor": {"type": "torque", "body": "rotor", "value": f"states.{next(iter(states))}"}},
+        "states": states,
+    }
+
+
+def spec_of(integrator: dict[str, Any], step: float | None = None, **more: Any) -> dict[str, Any]:
+    """A charge with charge' = 2 - charge from 0, which is taken when it reaches 1: every ln 2 seconds."""
+    time = {"end": END} | ({} if step is None else {"step": step})
+    model = rotor(charge={"rate": "2 - states.charge"})
+    return {"mbdkit": 1, "model": model, "integrator": integrator, "time": time, "events": FIRES} | more
+
+
+def exact() -> tuple[float, float]:
+    """Charge and angular velocity at the end."""
+    periods = math.floor(END / math.log(2))
+    rest = END - periods * math.log(2)
+    turned = periods * (2 * math.log(2) - 1) + 2 * rest - 2 * (1 - math.exp(-rest))
+    return 2 - 2 * math.exp(-rest), turned / INERTIA
+
+
+def errors(integrator: dict[str, Any], step: float | None, **more: Any) -> tuple[float, float]:
+    """Return the largest error of the times of the events, and that of charge and angular velocity at the end."""
+    run = mbdkit.run(spec_of(integrator, step, **more)).check()
+    times = run.events.of_name("fires").time
+    assert len(times) == 7
+    at_end = run.states["charge"].value[-1], run["rotor"].angular_velocity[-1]
+    return float(np.abs(times - math.log(2) * np.arange(1, 8)).max()), float(np.abs(np.subtract(at_end, exact())).max())
+
+
+@pytest.mark.parametrize(
+    ("integrator", "more", "order"),
+    [
+        (RK4, {}, 4),
+        (RK4, {"stabilization": "projection"}, 4),
+        (GAUSS, {}, 4),
+        ({"name": "radau-iia", "stages": 2}, {"formulation": "index-2"}, 3),
+    ],
+)
+def test_methods_keep_their_order_across_events_that_set_states(
+    integrator: dict[str, Any], more: dict[str, Any], order: int
+) -> None:
+    coarse, fine = (np.array(errors(integrator, step, **more)) for step in (0.08, 0.04))
+    np.testing.assert_allclose(np.log2(coarse / fine), order, atol=0.3)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        {"name": "dop853", "adaptive": True, "rtol": 1e-10, "atol": 1e-10},
+        {"name": "radau-iia", "adaptive": True, "rtol": 1e-10, "atol": 1e-10},
+        {"name": "scipy-dop853", "rtol": 1e-11, "atol": 1e-11},
+    ],
+    ids=str,
+)
+def test_adaptive_methods_reach_their_tolerance(integrator: dict[str, Any]) -> None:
+    assert max(errors(integrator, None)) < 1e-9
+
+
+@pytest.mark.parametrize("integrator", [RK4, GAUSS, {"name": "scipy-dop853"}], ids=str)
+def test_a_ball_that_bounces_ever_faster_stops_the_run_at_its_limit(integrator: dict[str, Any]) -> None:
+    """The ball is two states; its bounces follow in a geometric series, and steps contain many of them."""
+    states = {"height": {"initial": 1.0, "rate": "states.speed"}, "speed": {"rate": "-9.81"}}
+    bounce = {"when": "states.height", "direction": "falling", "set": {"speed": "-0.5*states.speed", "height": 0}}
+    step = {} if "scipy" in integrator["name"] else {"step": 0.02}
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": rotor(**states), "integrator": integrator, "time": {"end": 2.0, **step},
+         "events": {"bounce": bounce}}
+    )  # fmt: skip
+    fall = math.sqrt(2 / 9.81)
+    wanted = fall + 2 * fall * (1 - 0.5 ** np.arange(30))
+    np.testing.assert_allclose(run.events.of_name("bounce").time[:30], wanted, atol=1e-11)
+    assert run.status == "failed"
+    assert run.status_reason.startswith("zeno: event 'bounce' sets states again")
+    assert run.time[-1] == pytest.approx(3 * fall, abs=1e-11)
+
+
+def test_an_event_whose_expression_does_not_change_fires_once_and_others_see_what_it_sets() -> None:
+    states = {"a": {"initial": 1.0, "rate": "0"}, "b": {"initial": 0.5, "rate": "0"}}
+    events = {
+        "swap": {"when": "t - 0.3", "set": {"a": "states.b", "b": "states.a"}},  # values are those before
+        "fell": {"when": "states.a - 0.7"},
+        "doubles": {"when": "states.a - 0.6", "direction": "falling", "set": {"b": "2*states.b + t"}},
+    }
+    spec = {"mbdkit": 1, "model": rotor(**states), "integrator": RK4, "time": {"end": 1.0, "step": 0.1}}
+    run = mbdkit.run(spec | {"events": events}).check()
+    assert sorted(one.name for one in run.events) == ["doubles", "fell", "swap"]
+    assert [one.time for one in run.events] == pytest.approx([0.3] * 3, abs=1e-12)
+    assert run.states["a"].value[-1] == 0.5
+    assert run.states["b"].value[-1] == pytest.approx(2.3, abs=1e-12)
+    assert run["rotor"].angular_velocity[-1] == pytest.approx((0.3 + 0.7 * 0.5) / INERTIA, abs=1e-12)
+
+
+@pytest.mark.parametrize(("integrator", "step"), [(RK4, 0.02), (GAUSS, 0.02)])
+def test_error_bars_contain_the_errors(integrator: dict[str, Any], step: float) -> None:
+    run = mbdkit.run(spec_of(integrator, step, check=True)).check()
+    assert run.accuracy is not None
+    assert run.accuracy.known_until == run.time[-1]
+    error, bar = abs(run["rotor"].angular_velocity[-1] - exact()[1]), run.accuracy.velocity_error[-1, 0, 2]
+    assert error <= bar <= 20 * error
+
+
+@pytest.mark.parametrize("integrator", [RK4, {"name": "dopri5", "adaptive": True, "max_step": 0.01}], ids=str)
+def test_a_killed_run_goes_on_to_the_same_bits(integrator: dict[str, Any], tmp_path: Path) -> None:
+    model = rotor(charge={"rate": "40 - 20*states.charge"})  # it fires once in 3.5 steps
+    spec = spec_of(integrator, 0.01, model=model) | {"time": {"end": 10.0, "step": 0.01}}
+    whole = mbdkit.run(spec)
+    assert len(whole.events) == 288
+    part = tmp_path / "run.h5.part"
+    assert killed(spec, part, checkpoints=10, delay=0.0)
+    resumed = mbdkit.resume(part).check()
+    assert resumed.provenance["resumed"] == 1
+    assert resumed.data_sha256 == whole.data_sha256
+
+
+@pytest.mark.parametrize(
+    ("event", "key", "sentence"),
+    [
+        ({"set": {"chrage": 0}}, "set.chrage", "no first-order state 'chrage'.*did you mean 'charge'"),
+        ({"set": {"charge": "states.x"}}, "set.charge", "there is no state 'x'"),
+        ({"set": {"charge": 0}, "action": "stop"}, "", "sets states of a run that it stops"),
+    ],
+)
+def test_errors_name_the_key(event: dict[str, Any], key: str, sentence: str) -> None:
+    with pytest.raises(SpecError, match=sentence) as caught:
+        mbdkit.run(spec_of(RK4, 0.01, events={"fires": {"when": "states.charge - 1"} | event}))
+    assert str(caught.value.key) == "events.fires" + (f".{key}" if key else "")
+
+
+def test_a_value_that_is_not_finite_stops_the_run() -> None:
+    events = {"fires": FIRES["fires"] | {"set": {"charge": "1/(states.charge - states.charge)"}}}
+    run = mbdkit.run(spec_of(RK4, 0.01, events=events))
+    assert run.status_reason.startswith("not-finite: the value of 'charge' that event 'fires' sets is not finite")
