@@ -312,6 +312,7 @@ class MuscleHistory(View, of="muscles"):
     fiber_length: np.ndarray
     fiber_rate: np.ndarray
     activation: np.ndarray
+    excitation: np.ndarray
     force: np.ndarray
     power: np.ndarray
     force_error: np.ndarray

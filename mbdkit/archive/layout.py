@@ -100,6 +100,17 @@ EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
 #: Paths of the arrays of first-order states; all of them are present if the mechanism has such states.
 STATES = tuple(array.path for array in LAYOUT if array.group == "states")
 
+#: Paths of the arrays of muscles that a run records, if its mechanism has muscles.
+MUSCLES = tuple(
+    f"muscles/{name}"
+    for name in (
+        "time", "muscle", "length", "rate", "fiber_length", "fiber_rate", "activation", "excitation", "force", "power",
+    )
+)  # fmt: skip
+
+#: Paths of those that inverse dynamics does not have.
+MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
+
 #: Paths of the arrays of estimated errors; all of them are present after a check of accuracy.
 ACCURACY = tuple(array.path for array in LAYOUT if array.group == "accuracy")
 

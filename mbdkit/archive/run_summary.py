@@ -386,8 +386,8 @@ def _muscles(run: Run) -> str:
 
 
 def _contact_forces(run: Run) -> str:
-    """Return the largest reaction force of each joint with and without muscles; empty without muscles."""
-    if not run.muscles:
+    """Return the largest reaction force of each joint with and without muscles; empty without recruitment."""
+    if not run.records("muscles/certificate"):
         return ""
     without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
     told = []
@@ -404,7 +404,7 @@ def _contact_forces(run: Run) -> str:
 
 def _reserves(run: Run) -> str:
     """Return the share of each reserve in the moment of its actuator, as root mean squares; empty without muscles."""
-    if not run.muscles:
+    if not run.records("muscles/certificate"):
         return ""
     shares = reserve_shares(run)
     return ", ".join(f"{name} {share:.2%}" for name, share in shares.items()) or "none"

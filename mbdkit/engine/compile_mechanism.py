@@ -11,7 +11,14 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
-from mbdkit.engine.compiled_mechanism import CompiledMechanism, ElementState, ForceElement, Row, SampledController
+from mbdkit.engine.compiled_mechanism import (
+    ActingMuscle,
+    CompiledMechanism,
+    ElementState,
+    ForceElement,
+    Row,
+    SampledController,
+)
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
@@ -37,6 +44,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway, path_ends
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.values import Motion, Table, curve_of
+from mbdkit.muscles.acting_muscles import MuscleForce, acting_muscles
 
 Numbers = tuple[float, ...]
 
@@ -178,7 +186,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         rows=tuple(rows),
         joint_pairs=tuple(tuple(members) for members in joint_pairs),
         joint_units=tuple(joint.coordinate_unit for _, joint in joints),
-        forces=tuple(forces.elements),
+        forces=tuple(forces.elements[: len(mechanism.forces)]),
         beams=tuple((name, beam.elements) for name, beam in mechanism.beams.items()),
         markers=tuple((name, marker.body) for name, marker in mechanism.markers.items()),
         drivers=frozenset(name for name, joint in joints if joint.is_driver),
@@ -188,6 +196,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         laws=tuple(forces.laws),
         states=tuple(forces.states),
         controllers=tuple(forces.controllers),
+        muscles=tuple(forces.muscles),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
@@ -250,12 +259,17 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         (name, type(one).__name__, one.__dict__)
         for kind, named in mechanism.elements.items()
         for name, one in named.items()
-        if kind != "muscles"  # they are not compiled
+        if kind != "muscles"
     ]
     fixed = mechanism.assembly.fix
     data = [
         (name, plain(one))
-        for named in (mechanism.beams, mechanism.states, mechanism.controllers)
+        for named in (
+            mechanism.beams,
+            mechanism.states,
+            mechanism.controllers,
+            mechanism.muscles if mechanism.muscles_act else {},
+        )
         for name, one in named.items()
     ]
     try:
@@ -321,6 +335,7 @@ class _Forces:
         self.slopes: list[Numbers] = []
         self.first_segments: dict[str, int] = {}
         self.controllers: list[SampledController] = []
+        self.muscles: list[ActingMuscle] = []
         self.elements: list[ForceElement] = []
         self.spring_places: list[int] = []
         self.load_places: list[int] = []
@@ -328,6 +343,9 @@ class _Forces:
         self.load_points: list[Numbers] = []
         for name, force in mechanism.forces.items():
             self.add(name, force)
+        for name, muscle in acting_muscles(mechanism).items():
+            self.muscles.append(ActingMuscle(muscle, len(self.states)))
+            self.add_law(name, muscle, "muscles")
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
@@ -351,17 +369,22 @@ class _Forces:
     def add(self, name: str, force: Force) -> None:
         match force:
             case SpringDamper() | TorsionSpring():
-                self.add_spring(name, force.pathway, force.linear)
+                self.add_spring(name, f"forces.{name}", force.pathway, force.linear)
             case Law():
                 self.add_law(name, force)
             case Torque() | PointForce():
                 self.add_load(name, force.load)
 
     def add_spring(
-        self, name: str, pathway: Pathway | SpringDamper | TorsionSpring, linear: Numbers, law: int = -1
+        self,
+        name: str,
+        key: str,
+        pathway: Pathway | SpringDamper | TorsionSpring | MuscleForce,
+        linear: Numbers,
+        law: int = -1,
     ) -> None:
         segments = pathway.segments(self.joints)
-        first, count = self.first_segments.setdefault(name, len(self.springs)), len(segments)
+        first, count = self.first_segments.setdefault(key, len(self.springs)), len(segments)
         for index, segment in enumerate(segments):
             self.spring_places.append(len(self.elements))
             ends = [self.number[body] for body in segment.bodies]
@@ -372,14 +395,14 @@ class _Forces:
         self.couplings += [(k, other) for k in rows for other in rows if k != other]
         self.elements.append(ForceElement(name, path_ends(segments), pathway.length_unit))
 
-    def add_law(self, name: str, force: Law) -> None:
+    def add_law(self, name: str, force: Law | MuscleForce, kind: str = "forces") -> None:
         law, segment, begin = force.force_law, len(self.springs), len(self.law_parameters)
         try:
             compiled, block = bind_law(law, force, force.law_id)
             rates = [bind_law(state.rate, force, force.law_id)[0] for state in law.states]
         except SpecError as error:
-            raise error.located(prefix=f"model.forces.{name}") from None
-        self.add_spring(name, force.pathway, (0.0, 0.0, 0.0), len(self.laws))
+            raise error.located(prefix=f"model.{kind}.{name}") from None
+        self.add_spring(name, f"{kind}.{name}", force.pathway, (0.0, 0.0, 0.0), len(self.laws))
         names = [parameter for parameter, _ in compiled.parameters]
         for number, state in enumerate(law.states, len(self.laws) + 1):
             self.states.append(ElementState(f"{name}.{state.name}", state.unit))

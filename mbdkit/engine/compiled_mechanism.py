@@ -12,6 +12,7 @@ from mbdkit.base.text import counted, listed
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.mechanism.values import Motion
+from mbdkit.muscles.acting_muscles import MuscleForce
 
 MOST_COUPLINGS = 60
 """Sum of the squared numbers of joints per body, relative to the number of pairs of rows, above which the Schur
@@ -45,6 +46,23 @@ class ForceElement:
     name: str
     bodies: tuple[str, str]
     unit: str
+
+
+@dataclass(frozen=True)
+class ActingMuscle:
+    """A muscle that acts in runs.
+
+    Attributes
+    ----------
+    force
+        The muscle as a force element.
+    activation
+        Number of its activation among the first-order states; that of its fibre length follows, if its tendon is
+        elastic.
+    """
+
+    force: MuscleForce
+    activation: int
 
 
 @dataclass(frozen=True)
@@ -127,6 +145,8 @@ class CompiledMechanism:
         (J,) unit of the coordinate of each joint, m for a travel and rad for an angle.
     forces
         Force elements and loads, in the order of the mechanism.
+    muscles
+        Muscles that act in runs; kernels have them after the force elements and loads.
     beams
         Name and number of elements of each beam.
     markers
@@ -176,6 +196,7 @@ class CompiledMechanism:
     redundancy: Redundancy = Redundancy()
     states: tuple[ElementState, ...] = ()
     controllers: tuple[SampledController, ...] = ()
+    muscles: tuple[ActingMuscle, ...] = ()
 
     def freedoms(self) -> str:
         """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
@@ -195,6 +216,19 @@ class CompiledMechanism:
     def initial_states(self) -> np.ndarray:
         """(Z,) initial values of the first-order states."""
         return self.topology.law_parameters[self.topology.states[:, 1]]
+
+    @property
+    def stiffest_muscle(self) -> str:
+        """Name of the muscle with an elastic tendon that is shortest for the speed of its fibres; empty if tendons are
+        rigid.
+        """
+        muscles = [one.force.muscle for one in self.muscles]
+        slack = {
+            one.force.name: muscle.tendon_length / (muscle.max_velocity * muscle.optimal_length)
+            for one, muscle in zip(self.muscles, muscles, strict=True)
+            if muscle.tendon == "elastic"
+        }
+        return min(slack, key=slack.__getitem__, default="")
 
     def refuse_states(self, what: str) -> None:
         """Raise SpecError if the mechanism has first-order states, for something that does not include them."""
@@ -227,6 +261,7 @@ class CompiledMechanism:
             self.beams,
             self.markers,
             self.states,
+            tuple(one.force.name for one in self.muscles),
         )
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.checks import check_centers, check_springs
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.muscles.muscle_path import MusclePath
 
 
 @contextmanager
@@ -112,6 +114,21 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
     return Starts().at_start(mechanism, t0, end)
 
 
+def _with_fibers(mechanism: Mechanism, compiled: CompiledMechanism, q: np.ndarray, t0: float) -> CompiledMechanism:
+    """Return a compiled mechanism whose fibres on elastic tendons start in equilibrium; positions are those of the
+    start.
+    """
+    if not compiled.muscles:
+        return compiled
+    names, parameters = QuantityNames(mechanism), compiled.topology.law_parameters.copy()
+    for one in compiled.muscles:
+        path = MusclePath(one.force.name, one.force.muscle, names).at(np.array([t0]), q.reshape(1, -1))
+        fiber = one.force.fiber_length_at(float(path.length[0]))
+        if one.force.muscle.tendon == "elastic":
+            parameters[compiled.topology.states[one.activation + 1, 1]] = fiber
+    return replace(compiled, topology=compiled.topology._replace(law_parameters=parameters))
+
+
 MOST_MECHANISMS = 8
 """Number of compiled mechanisms in the cache."""
 
@@ -152,6 +169,7 @@ class Starts:
 
             check_springs(mechanism.forces, placed)
             check_centers(mechanism.joints, placed)
+            compiled = _with_fibers(mechanism, compiled, start.q, t0)
             if found.has_loops:
                 q, v = start.q.ravel(), start.v.ravel()
                 compiled = without_redundancy(compiled, t0, q, v, t0 if end is None else end)

@@ -22,8 +22,9 @@ from mbdkit.engine.kernels import law_kernels, law_programs
 from mbdkit.engine.kernels.law_programs import HEAD, ONLY_OF_NUMBERS, OPCODES, REGISTERS, WORDS
 from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE
 from mbdkit.engine.native.kernel import LawFunction
+from mbdkit.engine.traced_law import traced_source
 from mbdkit.laws import exponential, gas_spring, linear, one_sided, tabulated
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, TracedLaw
 from mbdkit.mechanism.law_parameters import law_parameters
 
 _STORED: Mapping[ForceLaw, LawFunction] = {
@@ -124,7 +125,7 @@ def _code_of(law: ForceLaw, example: dict[str, float], *, duals: bool) -> tuple[
     if law in _STORED and tuple(example) == law_kernels.PARAMETERS.get(_STORED[law].function.__name__, ()):
         stored = _STORED[law]
         return (stored.address_for_duals if duals else stored.address), 0, stored
-    if isinstance(law, ExpressionLaw):
+    if isinstance(law, ExpressionLaw | TracedLaw):
         block = _program_of(law, tuple(example.items()))
         stored = law_programs.run_program
         if duals and (missing := sorted(ONLY_OF_NUMBERS & set(_names_in(block)))):
@@ -142,8 +143,10 @@ def _code_of(law: ForceLaw, example: dict[str, float], *, duals: bool) -> tuple[
 
 
 @cache
-def _program_of(law: ExpressionLaw, example: tuple[tuple[str, float], ...]) -> np.ndarray:
+def _program_of(law: ExpressionLaw | TracedLaw, example: tuple[tuple[str, float], ...]) -> np.ndarray:
     """Return the program of a law as integers, some of which are the bits of constants."""
+    if isinstance(law, TracedLaw):
+        return _Compiler(traced_source(law, list(dict(example))), len(example)).block()
     from mbdkit.symbolic.symbolic_law import law_source
 
     return _Compiler(law_source(law, dict(example)), len(example)).block()

@@ -76,7 +76,7 @@ class Numbering:
     bodies
         Number of each body, the ground's included.
     springs
-        First segment of each force element on a pathway.
+        First segment of each force element on a pathway, by ``forces.NAME`` or ``muscles.NAME``.
     states
         Number of each first-order state, and of each output and state of a controller, ``controller.output``.
     """
@@ -137,9 +137,12 @@ class _Terms:
                 return self._of_point(marker.body, marker.held, attribute)
             case "joints":
                 return self._coordinate(name)
-            case "forces" if name in self.numbering.springs:
+            case "muscles":
+                code = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "force": TENSION_INPUT}[attribute]
+                return self._input(code, self.numbering.springs[f"muscles.{name}"])
+            case "forces" if f"forces.{name}" in self.numbering.springs:
                 code = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "value": TENSION_INPUT}[attribute]
-                text, force = self._input(code, self.numbering.springs[name]), mechanism.forces[name]
+                text, force = self._input(code, self.numbering.springs[f"forces.{name}"]), mechanism.forces[name]
                 pathway = getattr(force, "pathway", None)
                 turns = attribute == "value" and pathway is not None and pathway.length_unit == "rad"
                 return f"(-{text})" if turns else text

@@ -21,6 +21,7 @@ class StateCompiler(RunCompiler):
         "markers": ("x", "y", "vx", "vy"),
         "forces": ("length", "rate", "value"),
         "beams": (),
+        "muscles": ("length", "rate", "force"),
         "states": ("value",),
     }
     wanted = (

@@ -152,7 +152,8 @@ def _archive_of(
         If it cannot be written.
     """
     spec, mechanism = result.problem.spec, result.problem.prepared.workspace.mechanism
-    extra = [array.path for array in layout.LAYOUT if array.group in _groups(result)]
+    groups = _groups(result)
+    extra = [one.path for one in layout.LAYOUT if one.group in groups and one.path not in layout.MUSCLES_OF_RUNS]
     if mechanism.solved_rows:
         extra.append("constraints/singularity_distance")
     states, names = recorded_states(result), _names(result)

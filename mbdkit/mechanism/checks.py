@@ -14,6 +14,7 @@ from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import NO_BODY, Assembly
+from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table
 
@@ -61,16 +62,21 @@ def check_names(bodies: Iterable[str], beams: Iterable[str], elements: Mapping[s
             check_name(name, f"model.{kind}.{name}")
 
 
-def motions_by_key(joints: Mapping[str, Joint], forces: Mapping[str, Force]) -> list[tuple[str, Motion]]:
-    """Return (key path, motion) of every driver and load."""
+def motions_by_key(
+    joints: Mapping[str, Joint], forces: Mapping[str, Force], muscles: Mapping[str, Muscle]
+) -> list[tuple[str, Motion]]:
+    """Return (key path, motion) of every driver, load and excitation of a muscle."""
     used = [(f"model.joints.{name}.{key}", value) for name, joint in joints.items() for key, value in joint.motions()]
     used += [(f"model.forces.{name}.{key}", value) for name, force in forces.items() for key, value in force.motions()]
+    used += [(f"model.muscles.{name}.{key}", value) for name, one in muscles.items() for key, value in one.motions()]
     return used
 
 
-def check_tables(joints: Mapping[str, Joint], forces: Mapping[str, Force], start: float, end: float) -> None:
+def check_tables(
+    joints: Mapping[str, Joint], forces: Mapping[str, Force], muscles: Mapping[str, Muscle], start: float, end: float
+) -> None:
     """Raise a SpecError for the first table that neither covers the times from `start` to `end` [s] nor is periodic."""
-    for key, motion in motions_by_key(joints, forces):
+    for key, motion in motions_by_key(joints, forces, muscles):
         if not isinstance(motion, Table) or motion.period:
             continue
         first, last = motion.span

@@ -84,7 +84,7 @@ class LawState:
     """
 
     name: str
-    rate: ExpressionLaw
+    rate: ExpressionLaw | TracedLaw
     unit: str
 
 
@@ -118,4 +118,35 @@ class FunctionLaw:
     states: ClassVar[tuple[LawState, ...]] = ()
 
 
-ForceLaw = ExpressionLaw | FunctionLaw
+@dataclass(frozen=True, eq=False)
+class TracedLaw:
+    """A force law, or the rate of a state, as a Python function without branches that is traced to a program.
+
+    In contrast to an expression, intermediate results are computed once, so that a law may contain a fixed number of
+    iterations.
+
+    Parameters
+    ----------
+    function
+        Takes length, rate, time and a mapping with the parameters by name; returns the force. It consists of operators
+        and functions of NumPy, of numbers and of ``numpy.where``.
+    parameters
+        Function from an instance of the law's options to the values of the parameters by name.
+    states
+        First-order states of an element with this law, whose rates have the same parameters.
+    has_derivatives
+        Whether its derivatives by length and rate are needed: those of a rate are not.
+    valid_range
+        Where the law holds, as in `ExpressionLaw`.
+    """
+
+    function: Callable[[Any, Any, Any, Mapping[str, Any]], Any]
+    parameters: Callable[[Any], Mapping[str, float]]
+    states: tuple[LawState, ...] = ()
+    has_derivatives: bool = True
+    valid_range: Ranges | Callable[[Any], Ranges] = field(default_factory=dict)
+    potential: ClassVar[None] = None
+    passive: ClassVar[bool] = False
+
+
+ForceLaw = ExpressionLaw | FunctionLaw | TracedLaw

@@ -67,6 +67,8 @@ class Mechanism(HtmlView):
         First-order states of the mechanism itself by name.
     controllers : dict
         Sampled controllers by name.
+    muscles_act : bool
+        Whether muscles are force elements, as in runs; in inverse dynamics, they share moments instead.
     warnings : tuple of str
         Warnings for every run of the mechanism, such as parts of a file that were ignored. It does not change the
         verdict, and is not part of a spec.
@@ -93,6 +95,7 @@ class Mechanism(HtmlView):
         self.coordinates: dict[str, NamedCoordinate] = {}
         self.states: dict[str, FirstOrderState] = {}
         self.controllers: dict[str, Controller] = {}
+        self.muscles_act = False
         self.warnings: tuple[str, ...] = ()
 
     @property
@@ -604,7 +607,7 @@ class Mechanism(HtmlView):
         tendon_length: float,
         **properties: Any,
     ) -> None:
-        """Add a muscle, which acts in inverse dynamics with `recruitment`.
+        """Add a muscle, which exerts a force in runs, and shares moments in inverse dynamics with `recruitment`.
 
         Parameters
         ----------
@@ -762,14 +765,15 @@ class Mechanism(HtmlView):
         ]
 
     def state_names(self) -> list[str]:
-        """Return the names of all first-order states, those of force elements as ``element.state``."""
+        """Return the names of all first-order states, those of force elements and muscles as ``element.state``."""
         of_elements = [
             f"{name}.{state.name}"
             for name, force in self.forces.items()
             if isinstance(force, Law)
             for state in force.force_law.states
         ]
-        return [*of_elements, *self.states]
+        of_muscles = [f"{name}.{state}" for name, muscle in self.muscles.items() for state in muscle.states]
+        return [*of_elements, *of_muscles, *self.states]
 
     def held_names(self) -> list[str]:
         """Return the names of all outputs and states of controllers, as ``controller.output``."""
@@ -842,7 +846,7 @@ class Mechanism(HtmlView):
         SpecError
             With the key path of the first table that does not cover them.
         """
-        check_tables(self.joints, self.forces, start, end)
+        check_tables(self.joints, self.forces, self.muscles, start, end)
 
     # ---- to and from a spec --------------------------------------------------------------------------------------
 

@@ -123,7 +123,7 @@ class MechanismData(StrictModel):
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Points of bodies whose positions and velocities are recorded, by name."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
-    """Muscles by name; they act in inverse dynamics, with `recruitment`."""
+    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
     coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)
     """Names of quantities, such as ``knee_angle: knee.angle`` or ``knee_angle: {of: knee.angle, scale: -1}``."""
     states: dict[str, FirstOrderState] = Field(default_factory=dict)

@@ -116,7 +116,7 @@ class PathItem(StrictModel):
 
 
 class Activation(StrictModel):
-    """First-order dynamics from excitation to activation."""
+    """First-order dynamics from excitation to activation, in runs."""
 
     rise: Positive = 0.01
     """Time constant of rising activation [s]."""
@@ -155,7 +155,8 @@ class Muscle(Element):
     activation: Activation = Activation()
     """Time constants of the activation, and its initial value."""
     excitation: Motion | None = None
-    """Excitation between 0 and 1 as a function of time; recruitment in inverse dynamics does not use it."""
+    """Excitation between 0 and 1 as a function of time, which runs need; recruitment in inverse dynamics does not use
+    it."""
     max_velocity: Positive = 10.0
     """Velocity of shortening at which fibres exert no active force, in optimal lengths per second."""
     weight: Positive = 1.0
@@ -188,6 +189,11 @@ class Muscle(Element):
     def thickness(self) -> float:
         """Thickness perpendicular to the tendon, which stays constant [m]."""
         return self.optimal_length * math.sin(self.pennation)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of its first-order states in a run."""
+        return ("activation",) if self.tendon == "rigid" else ("activation", "fiber_length")
 
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""

@@ -107,7 +107,7 @@ class LegOptions(StrictModel):
     markers: dict[str, Marker] = Field(default_factory=dict)
     """Further points of bodies whose positions and velocities are recorded, by name."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
-    """Muscles by name; they act in inverse dynamics, with `recruitment`."""
+    """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
 
 
 class LegFourBarOptions(LegOptions):

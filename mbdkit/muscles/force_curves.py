@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class DeGrooteFregly:
 
     def active(self, length: np.ndarray) -> Curve:
         """Return the active isometric force at full activation: a sum of three Gaussians."""
-        value, slope = np.zeros_like(length), np.zeros_like(length)
+        value, slope = 0.0 * length, 0.0 * length
         for height, center, width, growth in _GAUSSIANS:
             spread = width + growth * length
             x = (length - center) / spread
@@ -63,9 +63,12 @@ class DeGrooteFregly:
         grown = np.exp(shape * (length - 1.0) / strain) / (np.exp(shape) - start)
         return grown - start / (np.exp(shape) - start), grown * shape / strain
 
+    VELOCITY: ClassVar[tuple[float, float, float, float]] = -0.3211346127989808, -8.149, -0.374, 0.8825327733249912
+    """Constants d1 to d4 of the curve of force by velocity."""
+
     def velocity(self, velocity: np.ndarray) -> Curve:
         """Return the factor of the active force due to velocity, -0.0015 at -1 and 1.004 at 0."""
-        d1, d2, d3, d4 = -0.3211346127989808, -8.149, -0.374, 0.8825327733249912
+        d1, d2, d3, d4 = self.VELOCITY
         x = d2 * velocity + d3
         return d1 * np.arcsinh(x) + d4, d1 * d2 / np.sqrt(x * x + 1.0)
 

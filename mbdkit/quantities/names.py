@@ -112,4 +112,5 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         element_beams=tuple(beam for beam, count in mechanism.beams for _ in range(count)),
         states=tuple(state.name for state in mechanism.states),
         state_units=tuple(state.unit for state in mechanism.states),
+        muscles=tuple(one.force.name for one in mechanism.muscles),
     )

@@ -9,7 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 
@@ -18,7 +19,7 @@ NONE = np.zeros(0)
 
 @dataclass(frozen=True)
 class Muscles:
-    """Muscles in T states; all arrays are (T, M).
+    """Muscles in T states of inverse dynamics; all arrays are (T, M).
 
     Attributes
     ----------
@@ -68,7 +69,7 @@ class States:
     actuators
         (T, A, 2) value and power of each actuator of inverse dynamics.
     muscles
-        Muscles; None where there are none.
+        Muscles of inverse dynamics; None where there are none.
     elapsed
         (T,) wall time since the first step [s]; empty where not known.
     multipliers
@@ -127,9 +128,44 @@ class States:
         summed = joint_sums(self.mechanism).sum(x.reshape(*x.shape[:2], math.prod(x.shape[2:])))
         return summed.reshape(*summed.shape[:2], *x.shape[2:])
 
+    @property
+    def forces(self) -> np.ndarray:
+        """(T, F, 5) length, rate, value, power and potential of each force element and load."""
+        return self.observed.forces[:, : len(self.mechanism.forces)]
+
     def of_muscles(self, name: str) -> np.ndarray:
-        """Return an array (T, M) of `Muscles`; empty if there are none."""
-        return NONE if self.muscles is None else np.asarray(getattr(self.muscles, name))
+        """Return an array (T, M) of `Muscles`, or the excitations of a run; empty if there are no muscles.
+
+        Raises
+        ------
+        SpecError
+            If the states have derivatives, and those of the array are not known.
+        """
+        if self.muscles is not None:
+            return np.asarray(getattr(self.muscles, name))
+        acting = self.mechanism.muscles
+        if not acting:
+            return NONE
+        column = {"length": 0, "rate": 1, "force": 2, "power": 3}.get(name)
+        if column is not None:
+            return np.asarray(self.observed.forces[:, len(self.mechanism.forces) :, column])
+        return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
+
+    def _of_acting_muscle(self, number: int, one: ActingMuscle, name: str) -> np.ndarray:
+        """Return the activation, the excitation, or the length or rate of the fibres of a muscle of a run (T,)."""
+        muscle = one.force.muscle
+        if name == "activation":
+            return self.z[:, one.activation]
+        if muscle.tendon == "elastic" and name != "excitation":
+            place = one.activation + 1
+            return self.z[:, place] if name == "fiber_length" else self.observed.state_rates[:, place]
+        if self.q.ndim > 2:
+            raise SpecError(f"derivatives of muscles.{one.force.name}.{name} by parameters are not known")
+        if name == "excitation":
+            return one.force.excitation_at(self.time)
+        along = self.of_muscles("length")[:, number] - muscle.tendon_length
+        fiber = np.hypot(along, muscle.thickness)
+        return np.asarray(fiber if name == "fiber_length" else self.of_muscles("rate")[:, number] * along / fiber)
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Return the values (T, m) of the constraint rows, in the order of the archive, from those of pairs."""

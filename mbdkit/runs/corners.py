@@ -166,7 +166,7 @@ def _is_at_end(time: float, margin: float, start: float, end: float) -> bool:
 
 def _motions(spec: RunSpec) -> Iterator[tuple[str, Motion]]:
     mechanism = spec.mechanism()
-    yield from motions_by_key(mechanism.joints, mechanism.forces)
+    yield from motions_by_key(mechanism.joints, mechanism.forces, mechanism.muscles)
 
 
 def _is_driver(key: str) -> bool:

@@ -19,6 +19,7 @@ from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.force_law import ARGUMENTS
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_range
+from mbdkit.muscles.acting_muscles import MuscleForce, acting_muscles
 from mbdkit.stepping.interface import Failure, Nodes
 
 if TYPE_CHECKING:
@@ -50,9 +51,9 @@ class WatchedLaw:
     Attributes
     ----------
     name, law
-        Name of the element, and long name of its law.
+        Kind and name of the element, and long name of its law.
     column
-        Its index among the force elements.
+        Its index among the force elements and muscles.
     unit
         Unit of its length.
     bounds
@@ -81,10 +82,12 @@ class WatchedLaw:
 
 def has_ranges(mechanism: Mechanism) -> bool:
     """Return whether a force law of a mechanism declares a range. Raises the errors of `law_range`."""
-    return any(_bounds(force) != UNBOUNDED for force in mechanism.forces.values() if isinstance(force, Law))
+    laws: list[Law | MuscleForce] = [force for force in mechanism.forces.values() if isinstance(force, Law)]
+    laws += acting_muscles(mechanism).values()
+    return any(_bounds(force) != UNBOUNDED for force in laws)
 
 
-def _bounds(force: Law) -> tuple[tuple[float, float], ...]:
+def _bounds(force: Law | MuscleForce) -> tuple[tuple[float, float], ...]:
     return tuple(law_range(force.force_law, force, force.law_id).values())
 
 
@@ -126,9 +129,14 @@ class LawRanges:
             return None
         columns = {one.name: column for column, one in enumerate(mechanism.forces)}
         laws = [
-            WatchedLaw(name, force.law_id, columns[name], force.pathway.length_unit, bounds)
+            WatchedLaw(f"force '{name}'", force.law_id, columns[name], force.pathway.length_unit, bounds)
             for name, force in model.forces.items()
             if isinstance(force, Law) and (bounds := _bounds(force)) != UNBOUNDED
+        ]
+        laws += [
+            WatchedLaw(f"muscle '{one.force.name}'", one.force.law_id, column, one.force.length_unit, bounds)
+            for column, one in enumerate(mechanism.muscles, len(mechanism.forces))
+            if (bounds := _bounds(one.force)) != UNBOUNDED
         ]
         return cls(laws, workspace, stops=stops)
 
@@ -215,7 +223,7 @@ class LawRanges:
             place = k, argument, side
             law, value = self.laws[k], self._sides[side] * self._worst[place]
             found.append(
-                f"the {ARGUMENTS[argument]} of force '{law.name}' leaves the range in which {law.held(int(argument))}, "
+                f"the {ARGUMENTS[argument]} of {law.name} leaves the range in which {law.held(int(argument))}, "
                 f"at t = {self._first[place]:.6g} s, and reaches {value:.6g} {law.units[argument]} at "
                 f"t = {self._worst_time[place]:.6g} s"
             )
@@ -225,7 +233,7 @@ class LawRanges:
         """Return the failure of a run that stops because it has left a range."""
         k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
         law, what = self.laws[int(k)], ARGUMENTS[argument]
-        leaves = f"the {what} of force '{law.name}' leaves the range in which {law.held(int(argument))}"
+        leaves = f"the {what} of {law.name} leaves the range in which {law.held(int(argument))}"
         return Failure("out-of-range", f"at t = {self._first.min():.6g} s {leaves}.")
 
     def stored(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, FormulationName
 from mbdkit.engine.stabilization import Stabilization
+from mbdkit.muscles.acting_muscles import check_acting
 from mbdkit.registry.catalogue import Kind, Registered, Registry, item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.spec.choices import Choice, choice_of
@@ -337,11 +338,8 @@ class RunSpec(ModelSpec):
 
     def _accept(self, mechanism: Mechanism) -> None:
         if mechanism.muscles:
-            raise SpecError(
-                "muscles act only in inverse dynamics so far (`mbdkit inverse`, with `recruitment`); a run needs a "
-                "model without them",
-                key="model.muscles",
-            )
+            check_acting(mechanism)
+            mechanism.muscles_act = True
         self._watched = self._parsed(mechanism)
         self._settings = self._parsed_settings(mechanism)
 

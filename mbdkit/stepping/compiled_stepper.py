@@ -434,7 +434,7 @@ class CompiledStepper:
         where = f"in step {done + 1} from t = {self.time:.6g} s"
         if unusable := self.workspace.unusable():
             if not (self.controlled and status != step_loop.TOO_SMALL and self._shrink()):
-                self.failure = Failure("not-finite", f"{unusable} {where}.")
+                self.failure = Failure("not-finite", f"{unusable} {where}{self._stiffness()}.")
             return
         if status in (REPIVOT, REPIVOT_STAGES) and not self.workspace.is_finite():
             status = DIVERGED if self.method.carries_stages else NOT_FINITE
@@ -502,6 +502,15 @@ class CompiledStepper:
         self._renewed.clear()
         return bool(progress.next_size[0] > self.plan.control.min_size[0])
 
+    def _stiffness(self) -> str:
+        """Return a clause on fibres that explicit methods cannot integrate with large steps; empty if there are
+        none.
+        """
+        name = self.workspace.mechanism.stiffest_muscle
+        if not name or self.method.carries_stages:
+            return ""
+        return f"; the fibres of muscle '{name}' are stiff: they need smaller steps, or an implicit method (radau-iia)"
+
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
         """Return why the run stops."""
         hint, workspace = self.method.hint, self.workspace
@@ -515,7 +524,7 @@ class CompiledStepper:
                 return Failure("energy-jump", f"{sentence} may not be the derivative of its potential.")
             return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
         if status == NOT_FINITE:
-            return Failure("not-finite", f"numbers overflowed {where}; {hint}.")
+            return Failure("not-finite", f"numbers overflowed {where}; {hint}{self._stiffness()}.")
         if status == DIVERGED:
             return Failure("newton-failed", f"{where}{self.method.describe_divergence(self.run_state.report)}; {hint}.")
         if singular is not None:

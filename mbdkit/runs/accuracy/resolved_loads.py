@@ -40,7 +40,9 @@ def resolved_until(spec: RunSpec, time: np.ndarray) -> float:
         (N,) ends of all steps, with the start [s].
     """
     mechanism = spec.mechanism()
-    varying = [motion for _, motion in motions_by_key(mechanism.joints, mechanism.forces) if _varies(motion)]
+    varying = [
+        motion for _, motion in motions_by_key(mechanism.joints, mechanism.forces, mechanism.muscles) if _varies(motion)
+    ]
     if not varying or len(time) < 2:
         return math.inf
     margin = 4.0 * max(stops_of(spec).margins, default=4.0 * EPS * float(np.max(np.abs(time))))

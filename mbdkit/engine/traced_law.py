@@ -1,0 +1,149 @@
+"""Laws that are functions of numbers: they are called once with objects that write down what is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+from mbdkit.mechanism.force_law import ARGUMENTS, TracedLaw
+
+Term = str | float
+"""A name of the source, or a constant."""
+
+_TEXTS: Mapping[Any, str] = {
+    np.add: "{} + {}", np.subtract: "{} - {}", np.multiply: "{}*{}", np.divide: "{}/{}", np.power: "{}**{}",
+    np.negative: "-{}", np.absolute: "abs({})", np.sqrt: "sqrt({})", np.exp: "exp({})", np.log: "log({})",
+    np.sin: "sin({})", np.cos: "cos({})", np.tan: "tan({})", np.arcsin: "asin({})", np.arccos: "acos({})",
+    np.arctan: "atan({})", np.sinh: "sinh({})", np.cosh: "cosh({})", np.tanh: "tanh({})",
+    np.arctan2: "atan2({}, {})", np.minimum: "({0} if {0} <= {1} else {1})", np.maximum: "({0} if {0} >= {1} else {1})",
+    np.less: "{} < {}", np.less_equal: "{} <= {}", np.greater: "{} > {}", np.greater_equal: "{} >= {}",
+    np.where: "({1} if {0} else {2})",
+}  # fmt: skip
+"""Functions that can be traced, and how the source has them."""
+
+_SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
+    np.add: lambda f, x, y: (1.0, 1.0),
+    np.subtract: lambda f, x, y: (1.0, -1.0),
+    np.multiply: lambda f, x, y: (y, x),
+    np.divide: lambda f, x, y: (1.0 / y, -f / y),
+    np.power: lambda f, x, y: (y * x ** (y - 1.0), 0.0),  # of constant exponents
+    np.negative: lambda f, x: (-1.0,),
+    np.sqrt: lambda f, x: (0.5 / f,),
+    np.exp: lambda f, x: (f,),
+    np.log: lambda f, x: (1.0 / x,),
+    np.sinh: lambda f, x: (np.cosh(x),),
+    np.cosh: lambda f, x: (np.sinh(x),),
+    np.tanh: lambda f, x: (1.0 - f * f,),
+}
+"""Derivatives of a function with the value f by its operands; of the other functions, only values can be traced."""
+
+
+class _Source:
+    """Collects the assignments of the source; equal terms are computed once."""
+
+    def __init__(self) -> None:
+        self.names: dict[tuple[Any, ...], str] = {}
+        self.lines: list[tuple[str, str, tuple[str, ...]]] = []
+
+    def term(self, function: Any, operands: Sequence[Term]) -> Term:
+        """Return the value of a function, as a constant if all operands are constants."""
+        if not any(isinstance(one, str) for one in operands):
+            return float(function(*operands))
+        same = _without_effect(function, operands)
+        if same is not None:
+            return same
+        key = (function, *operands)
+        if key not in self.names:
+            name = f"x_{len(self.names)}"
+            self.names[key] = name
+            written = [one if isinstance(one, str) else f"({one!r})" if one < 0 else repr(one) for one in operands]
+            used = tuple(one for one in operands if isinstance(one, str))
+            self.lines.append((name, _TEXTS[function].format(*written), used))
+        return self.names[key]
+
+    def needed(self, results: Sequence[Term]) -> list[str]:
+        """Return the assignments that results depend on, in their order."""
+        wanted = {one for one in results if isinstance(one, str)}
+        kept = []
+        for name, text, used in reversed(self.lines):
+            if name in wanted:
+                kept.append(f"    {name} = {text}")
+                wanted.update(used)
+        return kept[::-1]
+
+
+def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
+    """Return the result of a sum with 0, or of a product or quotient with 0 or 1; None of others."""
+    first, *others = operands
+    second = others[0] if others else None
+    if function is np.multiply:
+        if 0.0 in (first, second):
+            return 0.0
+        return second if first == 1.0 else first if second == 1.0 else None
+    if function is np.add:
+        return second if first == 0.0 else first if second == 0.0 else None
+    if function is np.subtract and second == 0.0:
+        return first
+    if function is np.divide:
+        return 0.0 if first == 0.0 else first if second == 1.0 else None
+    return first if function is np.power and second == 1.0 else None
+
+
+class Traced(NDArrayOperatorsMixin):
+    """A number of a law while it is traced, with its derivatives by length and rate, if they are wanted."""
+
+    def __init__(self, source: _Source, term: Term, slopes: tuple[Any, ...] = ()):
+        self.source, self.term, self.slopes = source, term, slopes
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **_: Any) -> Any:
+        return self._applied(ufunc, operands)
+
+    def __array_function__(self, function: Any, types: Any, operands: Any, options: Any) -> Any:
+        return self._applied(function, operands)
+
+    def _applied(self, function: Any, operands: Sequence[Any]) -> Any:
+        if function is np.arcsinh:  # dual numbers lack it
+            (x,) = operands
+            return np.log(x + np.sqrt(x * x + 1.0))
+        operands = [one.item() if isinstance(one, np.generic) else one for one in operands]
+        if function is np.power and float(operands[1]).is_integer():
+            operands[1] = int(operands[1])
+        given = [one if isinstance(one, Traced) else Traced(self.source, one) for one in operands]
+        value = Traced(self.source, self.source.term(function, [one.term for one in given]))
+        count = max(len(one.slopes) for one in given)
+        if not count:
+            return value
+        if function is np.where:
+            pairs = [[one.slopes[k] if one.slopes else 0.0 for one in given[1:]] for k in range(count)]
+            return Traced(self.source, value.term, tuple(np.where(operands[0], *pair) for pair in pairs))
+        plain = [Traced(self.source, one.term) for one in given]
+        factors = _SLOPES[function](value, *plain)
+        slopes = tuple(
+            sum((factor * one.slopes[k] for factor, one in zip(factors, given, strict=True) if one.slopes), start=0.0)
+            for k in range(count)
+        )
+        return Traced(self.source, value.term, slopes)
+
+
+def traced_source(law: TracedLaw, names: Sequence[str]) -> str:
+    """Return the source of ``law(length, rate, time, parameters)``, which returns the force, its derivatives by length
+    and by rate, and 0 for the potential; a rate of a state has no derivatives.
+
+    Parameters
+    ----------
+    names
+        Names of its parameters in the order of the array.
+    """
+    source = _Source()
+    seeds: tuple[tuple[float, ...], ...] = ((1.0, 0.0), (0.0, 1.0)) if law.has_derivatives else ((), ())
+    length, rate = (Traced(source, name, seed) for name, seed in zip(ARGUMENTS, seeds, strict=False))
+    parameters = {name: Traced(source, f"parameters[{i}]") for i, name in enumerate(names)}
+    value = law.function(length, rate, Traced(source, ARGUMENTS[2]), parameters)
+    slopes = value.slopes or (0.0, 0.0)
+    results = [value.term, *(one.term if isinstance(one, Traced) else float(one) for one in slopes), 0.0]
+    lines = ["def law(length, rate, time, parameters):", *source.needed(results)]
+    lines.append(f"    return {', '.join(f'float({one})' for one in results)}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,148 @@
+"""Muscles that act in a run: force elements along their paths, with the law of `mbdkit.muscles.hill_laws`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import ClassVar
+
+import numpy as np
+from scipy.optimize import brentq
+
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.force_law import TracedLaw
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.muscles import Muscle, PathItem
+from mbdkit.mechanism.pathways import Segment
+from mbdkit.mechanism.values import Table
+from mbdkit.muscles.force_curves import CURVES
+from mbdkit.muscles.hill_laws import LAW_ID, function_of_time, muscle_law, program_of
+
+SHORTEST = 0.2
+"""Shortest fibres that an equilibrium at the start may have, in optimal lengths; there the passive force is zero."""
+
+
+@dataclass(frozen=True)
+class MuscleForce:
+    """A muscle as a force element of a run, and its own pathway.
+
+    Attributes
+    ----------
+    name, muscle
+        The muscle.
+    """
+
+    name: str
+    muscle: Muscle
+    law_id: ClassVar[str] = LAW_ID
+    length_unit: ClassVar[str] = "m"
+
+    @property
+    def pathway(self) -> MuscleForce:
+        """The pathway along which the force acts, which is the element itself."""
+        return self
+
+    @cached_property
+    def force_law(self) -> TracedLaw:
+        """The law of the tension."""
+        form = tuple((name, 0.0 if name == "const" else number) for name, number in self._excitation)
+        return muscle_law(self.muscle.tendon, form)
+
+    @property
+    def numbers(self) -> list[float]:
+        """The constants of the excitation."""
+        return [number for name, number in self._excitation if name == "const"]
+
+    @cached_property
+    def _excitation(self) -> tuple[tuple[str, float], ...]:
+        excitation = self.muscle.excitation
+        assert isinstance(excitation, int | float | str)
+        return program_of(excitation)
+
+    def excitation_at(self, time: np.ndarray) -> np.ndarray:
+        """Return the excitation at times (T,)."""
+        return np.asarray(np.zeros(len(time)) + function_of_time(self._excitation)(time))
+
+    def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
+        """Return the straight parts of the path between points on different bodies."""
+        return tuple(
+            Segment("two_points", (a.on, b.on), (*_fixed(a), *_fixed(b))) for a, b in pairwise(self.muscle.path)
+        )
+
+    def fiber_length_at(self, length: float) -> float:
+        """Return the length of the fibres [m] for a length of the path [m]; with an elastic tendon, that of fibres at
+        rest that are in equilibrium with it.
+
+        Raises
+        ------
+        SpecError
+            If a rigid tendon is longer than the path, or there is no equilibrium.
+        """
+        muscle = self.muscle
+        curves, thickness, along = CURVES[muscle.curves], muscle.thickness, length - muscle.tendon_length
+        lengths = f"the path is {length:.6g} m long, the tendon {muscle.tendon_length:.6g} m"
+        key = f"model.muscles.{self.name}.tendon_length"
+        if muscle.tendon == "rigid":
+            if along <= 0.0:
+                raise SpecError(f"the tendon is longer than the path at the start: {lengths}", key=key)
+            return float(np.hypot(along, thickness))
+
+        def surplus(fiber: float) -> float:
+            along = np.sqrt(fiber * fiber - thickness * thickness)
+            normal = np.array(fiber / muscle.optimal_length)
+            pull = muscle.activation.initial * curves.active(normal)[0] + curves.passive(normal)[0]
+            tendon = curves.tendon(np.array((length - along) / muscle.tendon_length))[0]
+            return float(pull * along / fiber - tendon)
+
+        shortest = max(SHORTEST * muscle.optimal_length, 1.001 * thickness)
+        if along <= 0.0 or (longest := float(np.hypot(along, thickness))) <= shortest or surplus(shortest) >= 0.0:
+            raise SpecError(
+                f"no length of the fibres is in equilibrium with the tendon at the start: {lengths}; correct "
+                "`tendon_length` or the path",
+                key=key,
+            )
+        return float(brentq(surplus, shortest, longest, xtol=1e-15, rtol=1e-15))
+
+
+def _fixed(item: PathItem) -> tuple[float, float]:
+    x, y = item.center
+    assert isinstance(x, int | float)
+    assert isinstance(y, int | float)
+    return float(x), float(y)
+
+
+def acting_muscles(mechanism: Mechanism) -> dict[str, MuscleForce]:
+    """Return the muscles that act in runs of a mechanism, by name; none unless its muscles act."""
+    if not mechanism.muscles_act:
+        return {}
+    return {name: MuscleForce(name, muscle) for name, muscle in mechanism.muscles.items()}
+
+
+def check_acting(mechanism: Mechanism) -> None:
+    """Raise a SpecError for the first muscle with something that runs do not know, or without an excitation."""
+    for name, muscle in mechanism.muscles.items():
+        key = f"model.muscles.{name}"
+        if muscle.excitation is None:
+            raise SpecError(
+                "is missing: in a run, a muscle needs an excitation between 0 and 1, a number or an expression of t",
+                key=f"{key}.excitation",
+            )
+        if isinstance(muscle.excitation, Table):
+            raise SpecError("runs have no tables of excitations so far", key=f"{key}.excitation")
+        if muscle.curves != "de-groote-fregly":
+            raise SpecError("runs have only the curves de-groote-fregly so far", key=f"{key}.curves")
+        if muscle.tendon == "elastic" and not muscle.tendon_length:
+            raise SpecError("should be greater than 0: an elastic tendon has a length", key=f"{key}.tendon_length")
+        for index, item in enumerate(muscle.path):
+            place = f"{key}.path[{index}]"
+            if item.wrap is not None:
+                raise SpecError("muscles of a run cannot wrap around circles so far", key=f"{place}.wrap")
+            if item.when is not None:
+                raise SpecError("muscles of a run cannot have points that come and go", key=f"{place}.when")
+            if item.moves:
+                raise SpecError("muscles of a run cannot have points that move so far", key=f"{place}.point")
+            if item.offset:
+                raise SpecError("muscles of a run lie in the plane so far", key=f"{place}.point[2]")

@@ -1,0 +1,181 @@
+"""Forces of muscles in runs: laws of the length of the path and its rate, with activation and fibre length as states.
+
+With the length L of the path, fibres of length l at the angle alpha to the tendon, thickness ``w = l sin(alpha)``, and
+the normalised velocity v of the fibres (negative: shortening), the tension is
+
+    F = max_force (a f_active(l) f_velocity(v) + f_passive(l) + damping v) cos(alpha)
+
+A rigid tendon gives ``l cos(alpha) = L - tendon_length``. An elastic one is in equilibrium with the fibres, so that
+their velocity is a function of l and of the tension ``max_force f_tendon((L - l cos(alpha)) / tendon_length)``. De
+Groote's curve of force by velocity is ``d1 y + d4`` with ``y = arcsinh(d2 v + d3)``; equilibrium is then the equation
+
+    p y + q sinh(y) = r,    p = -d1 a f_active,    q = -damping / d2,
+    r = d4 a f_active + f_passive - damping d3 / d2 - f_tendon / cos(alpha)
+
+The left side increases, so that there is one solution, also for muscles without activation.
+
+The activation a follows the excitation e with the time constants of `Activation`, which F. De Groote et al., Annals of
+Biomedical Engineering 44:2922-2936, 2016, equations 1 and 2, blend smoothly: with ``f = tanh(STEEPNESS (e - a)) / 2``
+
+    a' = ((1/2 + f) / (rise (1/2 + 3/2 a)) + (1/2 - f) (1/2 + 3/2 a) / fall) (e - a)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import Expression
+from mbdkit.expressions.program import Program, execute
+from mbdkit.mechanism.force_law import LawState, TracedLaw
+from mbdkit.mechanism.muscles import Muscle
+from mbdkit.muscles.force_curves import DeGrooteFregly
+
+STEEPNESS = 10.0
+"""Steepness b of the change between rising and falling activation. The paper prints 0.1, with which the two time
+constants would hardly differ; 10 is the value of SymPy (`sympy.physics.biomechanics`)."""
+
+ITERATIONS = 5
+"""Iterations of Halley's method for `solved`: four reach rounding errors, and one more their derivatives."""
+
+LAW_ID = "mbdkit:muscle"
+
+Parameters = Mapping[str, Any]
+_CURVES = DeGrooteFregly()
+
+
+def activation_rate(excitation: Any, p: Parameters) -> Any:
+    """Return the derivative of the activation by time."""
+    a = p["activation"]
+    slowing = 0.5 + 1.5 * a
+    f = 0.5 * np.tanh(STEEPNESS * (excitation - a))
+    return ((0.5 + f) / (p["rise"] * slowing) + (0.5 - f) * slowing / p["fall"]) * (excitation - a)
+
+
+def rigid_tension(length: Any, rate: Any, p: Parameters) -> Any:
+    """Return the tension of a muscle with a rigid tendon."""
+    along = length - p["tendon_length"]
+    fiber = np.sqrt(along * along + p["thickness"] * p["thickness"])
+    cosine = along / fiber
+    velocity = rate * cosine / p["max_speed"]
+    normal = fiber / p["optimal_length"]
+    active = p["activation"] * _CURVES.active(normal)[0] * _CURVES.velocity(velocity)[0]
+    return p["max_force"] * (active + _CURVES.passive(normal)[0] + p["damping"] * velocity) * cosine
+
+
+def elastic_tension(length: Any, p: Parameters) -> Any:
+    """Return the tension of an elastic tendon."""
+    return p["max_force"] * _CURVES.tendon((length - _along(p)) / p["tendon_length"])[0]
+
+
+def _along(p: Parameters) -> Any:
+    """Return the length of the fibres along the tendon; nan if they are shorter than the muscle is thick."""
+    fiber, thickness = p["fiber_length"], p["thickness"]
+    return np.where(fiber > thickness, np.sqrt(fiber * fiber - thickness * thickness), np.nan)
+
+
+def fiber_rate(length: Any, p: Parameters) -> Any:
+    """Return the rate of the length of fibres that are in equilibrium with an elastic tendon."""
+    along, fiber = _along(p), p["fiber_length"]
+    normal = fiber / p["optimal_length"]
+    d1, d2, d3, d4 = _CURVES.VELOCITY
+    active = p["activation"] * _CURVES.active(normal)[0]
+    tendon = _CURVES.tendon((length - along) / p["tendon_length"])[0]
+    q = p["damping"] / -d2
+    r = d4 * active + _CURVES.passive(normal)[0] + q * d3 - tendon * fiber / along
+    return p["max_speed"] * (np.sinh(solved(-d1 * active, q, r)) - d3) / d2
+
+
+def solved(p: Any, q: Any, r: Any) -> Any:
+    """Return the solution y of ``p y + q sinh(y) = r``, with p and q not negative and one of them positive.
+
+    Halley's method starts from the smaller one of two upper bounds of abs(y). There the solution is less than 1 away,
+    where sinh bends little.
+    """
+    size = np.where(r < 0.0, -r, r)
+    steep = size / (q + TINY)
+    first, second = size / (p + q), np.log(steep + np.sqrt(steep * steep + 1.0))
+    bound = np.where(first < second, first, second)
+    y = np.where(r < 0.0, -bound, bound)
+    for _ in range(ITERATIONS):
+        s, c = np.sinh(y), np.cosh(y)
+        gap, slope = p * y + q * s - r, p + q * c
+        y = y - 2.0 * gap * slope / (2.0 * slope * slope - gap * q * s)
+    return y
+
+
+TINY = 1e-100
+"""Added to a divisor that may be 0, which no other number notices."""
+
+
+def function_of_time(program: Program, numbers: list[Any] | None = None) -> Callable[[Any], Any]:
+    """Return a program of the time as a function, whose constants may be replaced by `numbers`, in their order."""
+
+    def value(time: Any) -> Any:
+        constants = None if numbers is None else iter(numbers)
+
+        def step(operation: str, number: float, *operands: Any) -> Any:
+            if operation == "const":
+                return number if constants is None else next(constants)
+            if operation == "t":
+                return time
+            if operation == "powi":
+                return operands[0] ** int(number)
+            return OPERATIONS[operation].array(*operands)
+
+        return execute(program, step)
+
+    return value
+
+
+@lru_cache(maxsize=256)
+def muscle_law(tendon: str, form: Program) -> TracedLaw:
+    """Return the law of a muscle with a rigid or an elastic tendon; its excitation is a program without its constants,
+    which are parameters.
+    """
+    count = sum(operation == "const" for operation, _ in form)
+
+    def activation(length: Any, rate: Any, time: Any, p: Parameters) -> Any:
+        excitation = function_of_time(form, [p[f"number_{i}"] for i in range(count)])
+        return activation_rate(excitation(time), p)
+
+    states = [LawState("activation", TracedLaw(activation, _parameters, has_derivatives=False), "1")]
+    if tendon == "rigid":
+        return TracedLaw(
+            lambda length, rate, time, p: rigid_tension(length, rate, p),
+            _parameters,
+            tuple(states),
+            valid_range=lambda force: {"length": (force.muscle.tendon_length, np.inf)},
+        )
+    rate_law = TracedLaw(lambda length, rate, time, p: fiber_rate(length, p), _parameters, has_derivatives=False)
+    states.append(LawState("fiber_length", rate_law, "m"))
+    return TracedLaw(lambda length, rate, time, p: elastic_tension(length, p), _parameters, tuple(states))
+
+
+def _parameters(force: Any) -> dict[str, float]:
+    """Return the parameters of the law of a `MuscleForce`."""
+    muscle: Muscle = force.muscle
+    numbers = {f"number_{i}": number for i, number in enumerate(force.numbers)}
+    elastic = {"fiber_length": muscle.optimal_length} if muscle.tendon == "elastic" else {}
+    return {
+        "activation": muscle.activation.initial,
+        "rise": muscle.activation.rise,
+        "fall": muscle.activation.fall,
+        "max_force": muscle.max_force,
+        "optimal_length": muscle.optimal_length,
+        "tendon_length": muscle.tendon_length,
+        "thickness": muscle.thickness,
+        "max_speed": muscle.max_velocity * muscle.optimal_length,
+        "damping": muscle.damping,
+        **numbers,
+        **elastic,
+    }
+
+
+def program_of(excitation: float | str) -> Program:
+    """Return the program of an excitation that is a number or an expression of the time."""
+    return Expression.parse(excitation if isinstance(excitation, str) else repr(float(excitation))).program

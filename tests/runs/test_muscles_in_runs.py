@@ -1,0 +1,288 @@
+"""Muscles in runs, against equations written here from the papers and integrated by SciPy, and closed forms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.optimize import brentq
+
+import mbdkit
+from mbdkit import Mechanism, SpecError
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.muscles.muscle_path import MusclePath
+from mbdkit.runs.batch import simulate_batch
+from mbdkit.spec import load_spec
+from tests.runs.resuming.killed_runs import killed
+
+FORCE, FIBER, PENNATION, SPEED, DAMPING = 600.0, 0.12, 0.1, 10.0, 0.1
+WIDTH = FIBER * np.sin(PENNATION)
+EXCITATION = "0.3 + 0.2*sin(5*t)"
+IMPLICIT = {"name": "radau-iia", "stages": 3}
+PRECISE = {"name": "dop853", "adaptive": True, "rtol": 1e-12, "atol": 1e-12}
+
+
+# De Groote et al., 2016, supplementary material, with the constants of OpenSim 4 (DeGrooteFregly2016Muscle)
+def active(x: float) -> float:
+    parts = (
+        (0.8150671134243542, 1.055033428970575, 0.162384573599574, 0.063303448465465),
+        (0.433004984392647, 0.716775413397760, -0.029947116970696, 0.200356847296188),
+        (0.1, 1.0, 0.353553390593274, 0.0),
+    )
+    return sum(b1 * np.exp(-((x - b2) ** 2) / (2 * (b3 + b4 * x) ** 2)) for b1, b2, b3, b4 in parts)
+
+
+def passive(x: float) -> float:
+    least = np.exp(4 * (0.2 - 1) / 0.6)
+    return (np.exp(4 * (x - 1) / 0.6) - least) / (np.exp(4) - least)
+
+
+def by_velocity(v: float) -> float:
+    x = -8.149 * v - 0.374
+    return -0.3211346127989808 * np.log(x + np.sqrt(x * x + 1)) + 0.8825327733249912
+
+
+def tendon(x: float) -> float:
+    return 0.2 * np.exp(np.log(6) / 0.049 * (x - 1)) - 0.2
+
+
+def activation_rate(excitation: float, a: float, rise: float = 0.01, fall: float = 0.04) -> float:
+    f = 0.5 * np.tanh(10 * (excitation - a))
+    return ((f + 0.5) / (rise * (0.5 + 1.5 * a)) + (0.5 - f) * (0.5 + 1.5 * a) / fall) * (excitation - a)
+
+
+def arm(kind: str, fiber: float = FIBER, slack: float = 0.18, excitation: Any = EXCITATION, **more: Any) -> Mechanism:
+    """A forearm with a muscle from (0.04, 0.3) to a point 0.04 m from the elbow."""
+    m = Mechanism()
+    m.body("forearm", mass=1.5, inertia=0.02, position=(0.15, 0.0))
+    m.revolute("elbow", m.ground, "forearm", at=(0, 0))
+    path = [{"body": "ground", "point": (0.04, 0.3)}, {"body": "forearm", "point": (-0.11, 0.0)}]
+    values = {"max_force": FORCE, "optimal_length": fiber, "tendon_length": slack, "pennation": PENNATION}
+    m.muscle("biceps", path, tendon=kind, excitation=excitation, **(values | more))
+    return m
+
+
+def length_of(angle: float) -> tuple[float, float]:
+    """Length of the path and its derivative by the angle of the forearm."""
+    x, y = 0.04 * np.cos(angle) - 0.04, 0.04 * np.sin(angle) - 0.3
+    length = float(np.hypot(x, y))
+    return length, float((-0.04 * np.sin(angle) * x + 0.04 * np.cos(angle) * y) / length)
+
+
+def rates(t: float, y: np.ndarray) -> list[float]:
+    """Derivatives of angle, rate, activation and, with an elastic tendon, the fibre length."""
+    angle, rate, a = y[:3]
+    length, slope = length_of(angle)
+    more = []
+    if len(y) == 4:
+        cosine = np.sqrt(1 - (WIDTH / y[3]) ** 2)
+        force = FORCE * tendon((length - y[3] * cosine) / 0.18)
+        isometric, at_rest = a * active(y[3] / FIBER), passive(y[3] / FIBER)
+        v = brentq(
+            lambda v: FORCE * (isometric * by_velocity(v) + at_rest + DAMPING * v) * cosine - force, -20, 20,
+            xtol=1e-15, rtol=1e-15,
+        )  # fmt: skip
+        more = [v * SPEED * FIBER]
+    else:
+        fiber = np.hypot(length - 0.18, WIDTH)
+        cosine = (length - 0.18) / fiber
+        v = slope * rate * cosine / (SPEED * FIBER)
+        force = FORCE * (a * active(fiber / FIBER) * by_velocity(v) + passive(fiber / FIBER) + DAMPING * v) * cosine
+    torque = -force * slope - 1.5 * 9.81 * 0.15 * np.cos(angle)
+    return [rate, torque / (0.02 + 1.5 * 0.15**2), activation_rate(0.3 + 0.2 * np.sin(5 * t), a), *more]
+
+
+@pytest.mark.parametrize("kind", ["rigid", "elastic"])
+def test_runs_agree_with_an_independent_integration(kind: str) -> None:
+    start = [0.0, 0.0, 0.05]
+    if kind == "elastic":
+        path = length_of(0.0)[0]
+        start.append(
+            brentq(
+                lambda x: (0.05 * active(x / FIBER) + passive(x / FIBER)) * np.sqrt(1 - (WIDTH / x) ** 2)
+                - tendon((path - np.sqrt(x * x - WIDTH**2)) / 0.18), 0.05, 0.1211, xtol=1e-15, rtol=1e-15,
+            )
+        )  # fmt: skip
+    wanted = solve_ivp(rates, (0, 0.1), start, method="Radau", rtol=1e-12, atol=1e-13).y[:, -1]
+    run = mbdkit.run(arm(kind), integrator=PRECISE, time={"end": 0.1}).check()
+    muscle, arm_ = run.muscles["biceps"], run["forearm"]
+    got = [arm_.angle[-1], arm_.angular_velocity[-1], muscle.activation[-1], muscle.fiber_length[-1]]
+    np.testing.assert_allclose(got[: len(wanted)], wanted, rtol=0, atol=1e-10)
+    assert np.abs(run.energy.balance).max() < 1e-11
+
+
+@pytest.mark.parametrize("kind", ["rigid", "elastic"])
+@pytest.mark.parametrize(
+    ("integrator", "order"),
+    [({"name": "rk4"}, 4), ({"name": "gauss", "stages": 2}, 4), ({"name": "radau-iia", "stages": 2}, 3)],
+    ids=str,
+)
+def test_methods_keep_their_order(integrator: dict[str, Any], order: int, kind: str) -> None:
+    model = arm(kind, excitation="0.1 + 0.2*sin(5*t)", activation={"initial": 0.1})
+    exact = mbdkit.run(model, integrator=PRECISE, time={"end": 0.1}).muscles["biceps"].fiber_length[-1]
+    runs = [mbdkit.run(model, integrator=integrator, time={"end": 0.1, "step": step}) for step in (0.001, 0.0005)]
+    coarse, fine = (abs(run.muscles["biceps"].fiber_length[-1] - exact) for run in runs)
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.3)
+
+
+def slide(motion: str, kind: str = "rigid", **more: Any) -> Mechanism:
+    """A muscle along a slide with a prescribed motion."""
+    m = Mechanism(gravity=(0, 0))
+    m.body("slider", mass=1.0, inertia=1.0, position=(0.3, 0.0))
+    m.weld("turn", m.ground, "slider", at=(0, 0)) if motion == "0" else m.prismatic(
+        "rail", m.ground, "slider", at=(0.3, 0), axis=(1, 0)
+    )
+    if motion != "0":
+        m.driver("drive", m.ground, "slider", coordinate="x", motion=f"0.3 + {motion}")
+    values = {"max_force": FORCE, "optimal_length": FIBER, "tendon_length": 0.18, "pennation": PENNATION}
+    path = [{"body": "ground", "point": (0.0, 0.0)}, {"body": "slider", "point": (0.0, 0.0)}]
+    m.muscle("m", path, tendon=kind, **(values | more))
+    return m
+
+
+def test_an_isometric_contraction_has_the_closed_form_of_its_activation() -> None:
+    """A falling activation far from the excitation decays by a separable equation, integrated here by quadrature."""
+    run = mbdkit.run(slide("0", excitation=0.2, activation={"initial": 0.9}), integrator=PRECISE, time={"end": 0.02})
+    muscle = run.muscles["m"]
+    time, _ = quad(lambda a: 1 / activation_rate(0.2, a), 0.9, muscle.activation[-1], epsabs=1e-13, epsrel=1e-13)
+    assert time == pytest.approx(0.02, abs=1e-11)
+    fiber = np.hypot(0.12, WIDTH)
+    force = (
+        FORCE * (muscle.activation * active(fiber / FIBER) * by_velocity(0.0) + passive(fiber / FIBER)) * 0.12 / fiber
+    )
+    np.testing.assert_allclose(muscle.force, force, rtol=1e-13)
+    np.testing.assert_array_equal(muscle.excitation, 0.2)
+
+
+def test_an_isokinetic_contraction_has_the_closed_form_of_the_curves() -> None:
+    spec = {"excitation": 0.5, "activation": {"initial": 0.5}}
+    run = mbdkit.run(slide("-0.4*t", **spec), integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.01}).check()
+    along = 0.12 - 0.4 * run.time
+    fiber = np.hypot(along, WIDTH)
+    v = -0.4 * along / fiber / (SPEED * FIBER)
+    force = (
+        FORCE * (0.5 * active(fiber / FIBER) * by_velocity(v) + passive(fiber / FIBER) + DAMPING * v) * along / fiber
+    )
+    muscle = run.muscles["m"]
+    np.testing.assert_allclose(muscle.force, force, rtol=1e-11)
+    np.testing.assert_allclose(muscle.fiber_length, fiber, rtol=1e-12)
+    np.testing.assert_allclose(muscle.fiber_rate, v * SPEED * FIBER, rtol=1e-11)
+    np.testing.assert_allclose(muscle.power, -force * -0.4, rtol=1e-11)
+    np.testing.assert_allclose(run.joints["drive"].driver_power, -muscle.power, rtol=1e-9)
+
+
+def test_a_passive_muscle_makes_no_energy() -> None:
+    """Over a cycle, fibres without activation give back what they take, less what their damping dissipates."""
+    rest = {"excitation": 0.0, "activation": {"initial": 0.0}}
+    time = {"end": 1.0, "step": 0.002}
+    cycle = "0.05*sin(2*pi*t)"
+    elastic = mbdkit.run(slide(cycle, **rest, damping=0.0), integrator=IMPLICIT, time=time).check()
+    assert np.ptp(elastic.muscles["m"].force) > 10.0
+    assert abs(elastic.energy.work[-1]) < 1e-9
+    for kind in ("rigid", "elastic"):
+        lossy = mbdkit.run(slide(cycle, kind, **rest), integrator=IMPLICIT, time=time).check()
+        supplied = -np.trapezoid(lossy.muscles["m"].power, lossy.time)
+        assert 0.01 < supplied < 5.0
+
+
+@pytest.mark.parametrize("slack", [0.01, 0.003])
+def test_stiff_fibres_run_with_implicit_methods_at_steps_of_a_millisecond(slack: float) -> None:
+    stiff = arm("elastic", fiber=0.29 - slack, slack=slack)
+    exact = mbdkit.run(stiff, integrator=PRECISE | {"rtol": 1e-10, "atol": 1e-10}, time={"end": 0.2}).check()
+    for integrator in (IMPLICIT, {"name": "gauss", "stages": 2}):
+        run = mbdkit.run(stiff, integrator=integrator, time={"end": 0.2, "step": 0.001}).check()
+        assert run["forearm"].angle[-1] == pytest.approx(exact["forearm"].angle[-1], abs=1e-7)
+        assert run.muscles["biceps"].force[-1] == pytest.approx(exact.muscles["biceps"].force[-1], rel=1e-3)
+    run = mbdkit.run(stiff, integrator={"name": "rk4"}, time={"end": 0.2, "step": 0.001})
+    assert run.status == "failed"
+    assert "fibres of muscle 'biceps' are stiff" in run.status_reason
+
+
+def bent() -> Mechanism:
+    """An arm of two segments with a muscle over four points of three bodies."""
+    m = Mechanism()
+    m.body("upper", mass=2.0, inertia=0.02, position=(0.0, -0.15), angle=0.1)
+    m.body("forearm", mass=1.5, inertia=0.02, position=(0.12, -0.32), angle=0.3)
+    m.revolute("shoulder", m.ground, "upper", points=((0, 0), (0, 0.15)))
+    m.revolute("elbow", "upper", "forearm", points=((0, -0.15), (-0.12, 0)))
+    path = [
+        {"body": "ground", "point": (0.03, 0.02)},
+        {"body": "upper", "point": (0.03, 0.05)},
+        {"body": "upper", "point": (0.035, -0.08)},
+        {"body": "forearm", "point": (-0.07, 0.01)},
+    ]
+    m.muscle(
+        "biceps", path, max_force=800, optimal_length=0.13, tendon_length=0.15, tendon="elastic",
+        excitation="0.5 - 0.3*cos(8*t)",
+    )  # fmt: skip
+    return m
+
+
+def test_a_path_over_points_of_several_bodies_pulls_on_all_of_them() -> None:
+    run = mbdkit.run(bent(), integrator=IMPLICIT, time={"end": 0.3, "step": 0.002}).check()
+    q = run.array("trajectory/position").reshape(len(run.time), -1)
+    m = bent()
+    path = MusclePath("biceps", m.muscles["biceps"], QuantityNames(m)).at(run.time, q)
+    muscle = run.muscles["biceps"]
+    np.testing.assert_allclose(muscle.length, path.length, rtol=1e-13)
+    v = run.array("trajectory/velocity").reshape(len(run.time), -1)
+    np.testing.assert_allclose(muscle.rate, path.rate(v), atol=1e-12)
+    # Newton's law of the forearm: the reaction of the elbow is what weight and muscle leave over
+    pull = -muscle.force[:, None] * path.gradient[:, 3:5]
+    wanted = 1.5 * run["forearm"].acceleration[:, :2] - pull - [0, -1.5 * 9.81]
+    np.testing.assert_allclose(run.joints["elbow"].reaction_force, wanted, atol=1e-9)
+    assert np.abs(run.energy.balance).max() < 1e-7
+
+
+def test_events_measures_and_archives_know_muscles(tmp_path: Path) -> None:
+    spec = {"mbdkit": 1, "model": bent().to_spec(), "integrator": IMPLICIT, "time": {"end": 0.3, "step": 0.002}}
+    spec["events"] = {"strong": {"when": "muscles.biceps.force - 120"}}
+    spec["measures"] = {"most": "max(muscles.biceps.force)"}
+    run = mbdkit.run(spec, archive=tmp_path / "run.h5").check()
+    muscle = mbdkit.load(tmp_path / "run.h5").muscles["biceps"]
+    assert run.measures["most"] == pytest.approx(muscle.force.max(), rel=1e-6)
+    (event,) = run.events[:1]
+    assert np.interp(event.time, run.time, muscle.force) == pytest.approx(120, abs=0.1)
+    assert list(run.states) == ["biceps.activation", "biceps.fiber_length"]
+    assert not run.forces
+
+
+def test_lanes_and_resumed_runs_have_the_same_bits(tmp_path: Path) -> None:
+    def spec(integrator: dict[str, Any], step: float, fiber: float = FIBER) -> Any:
+        model = arm("elastic", fiber=fiber).to_spec()
+        return load_spec({"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 0.2, "step": step}})
+
+    specs = [spec({"name": "rk4"}, 0.002, 0.12 + 0.001 * k) for k in range(9)]
+    for one, run in zip(specs, simulate_batch(specs), strict=True):
+        assert run.data_sha256 == mbdkit.run(one).data_sha256
+    slow = spec(IMPLICIT, 2e-5)
+    part = tmp_path / "run.h5.part"
+    assert killed(slow, part, delay=0.0)
+    assert mbdkit.resume(part).data_sha256 == mbdkit.run(slow).data_sha256
+
+
+@pytest.mark.parametrize(
+    ("change", "key", "sentence"),
+    [
+        ({"slack": 0.31}, "tendon_length", "tendon is longer than the path at the start"),
+        ({"kind": "elastic", "slack": 0.31}, "tendon_length", "no length of the fibres is in equilibrium"),
+        ({"kind": "elastic", "slack": 0.0}, "tendon_length", "should be greater than 0"),
+        ({"excitation": None}, "excitation", "needs an excitation"),
+        ({"curves": "millard"}, "curves", "de-groote-fregly"),
+        ({"excitation": "sin(x)"}, "excitation", "unknown name 'x'"),
+    ],
+)
+def test_errors_name_the_muscle_and_its_key(change: dict[str, Any], key: str, sentence: str) -> None:
+    with pytest.raises(SpecError, match=sentence) as caught:
+        mbdkit.run(arm(**({"kind": "rigid"} | change)), integrator=IMPLICIT, time={"end": 0.1, "step": 0.01})
+    assert str(caught.value.key) == f"model.muscles.biceps.{key}"
+
+
+def test_a_path_that_becomes_shorter_than_its_tendon_makes_the_run_doubtful() -> None:
+    short = slide("-1.5*t", excitation=0.2)
+    run = mbdkit.run(short, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.005})
+    assert run.verdict == "doubtful"
+    assert "the length of muscle 'm' leaves the range" in " ".join(run.warnings)
