@@ -18,6 +18,7 @@ NAMES = [
     "car-axis",
     "chain",
     "crank-press",
+    "delayed-balance",
     "double-pendulum",
     "double-wishbone",
     "flexible-slider-crank",
@@ -29,6 +30,7 @@ NAMES = [
     "leaf-spring",
     "limit-stop",
     "n-four-bar",
+    "pd-leg",
     "pendulum",
     "quick-return",
     "roll-up",
@@ -375,3 +377,55 @@ def test_the_series_elastic_actuator_moves_as_its_equations_say():
         *(run.states[name].value[-1] for name in ("current", "motor_speed", "motor_angle")),
     ]
     np.testing.assert_allclose(found, y[[0, 2, 3, 4]], rtol=1e-6, atol=1e-6)
+
+
+def test_the_controlled_leg_swings_in_the_closed_form():
+    # expected: the damped oscillation of the linear equation I a'' + d a' + k (a - target) = 0 from rest
+    run = mbdkit.run("pd-leg", integrator={"name": "gauss", "stages": 3})
+    inertia, stiffness, damping, target = 0.9 + 11 * 0.38**2, 60.0, 10.0, 0.6
+    decay = damping / (2 * inertia)
+    frequency = np.sqrt(stiffness / inertia - decay**2)
+    turned = frequency * run.time
+    wanted = target * (1 - np.exp(-decay * run.time) * (np.cos(turned) + decay / frequency * np.sin(turned)))
+    np.testing.assert_allclose(run["leg"].angle, wanted, atol=1e-12)
+
+
+def limit_of_balance(inertia, weight, stiffness, damping):
+    """Return frequency and delay at which I a'' = weight a - stiffness a(t - d) - damping a'(t - d) has an undamped
+    oscillation: -I w^2 = weight - (stiffness + i damping w) exp(-i w d).
+    """
+    square = np.roots([inertia**2, 2 * inertia * weight - damping**2, weight**2 - stiffness**2]).max()
+    frequency = np.sqrt(square)
+    return frequency, np.arctan(damping * frequency / stiffness) / frequency
+
+
+def test_balance_is_lost_beyond_the_delay_of_the_theory():
+    frequency, delay = limit_of_balance(8 + 70 * 0.95**2, 70 * 9.81 * 0.95, 1000.0, 350.0)
+    assert delay == pytest.approx(0.246, abs=5e-4)  # the comment of the example
+    parameters = load_spec("delayed-balance").parameters
+    growth = []
+    for share in (0.98, 1.02):
+        given = parameters | {"delay": share * delay, "lean": 0.001}
+        run = mbdkit.run("delayed-balance", parameters=given, time={"end": 12.0, "step": 0.01}).check()
+        angle = np.abs(run["person"].angle)
+        period = round(2 * np.pi / frequency / 0.01)
+        growth.append(angle[-period:].max() / angle[-4 * period : -3 * period].max())
+    assert growth[0] < 0.9
+    assert growth[1] > 1.1
+
+
+def test_the_delayed_loop_moves_as_its_discrete_equation_says():
+    """Between changes of the torque, a small lean follows the linear equation, whose solution is exact."""
+    inertia, weight = 8 + 70 * 0.95**2, 70 * 9.81 * 0.95
+    rate, half = np.sqrt(weight / inertia), 0.001  # the torque changes half a period after a sample
+    c, s = np.cosh(rate * half), np.sinh(rate * half)
+    moved, pushed = np.array([[c, s / rate], [rate * s, c]]), np.array([(c - 1) / weight, rate * s / weight])
+    x, torque, waiting = np.array([1e-4, 0.0]), 0.0, {}
+    for k in range(round(1.0 / half)):
+        if k % 2 == 0:
+            waiting[k + 149] = -np.array([1000.0, 350.0]) @ x
+        torque = waiting.pop(k, torque)
+        x = moved @ x + pushed * torque
+    parameters = load_spec("delayed-balance").parameters | {"lean": 1e-4}
+    run = mbdkit.run("delayed-balance", parameters=parameters, time={"end": 1.0, "step": 0.01})
+    np.testing.assert_allclose([run["person"].angle[-1], run["person"].angular_velocity[-1]], x, rtol=1e-6)
