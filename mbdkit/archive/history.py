@@ -13,6 +13,7 @@ from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, later
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.beams import beam_of
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
 from mbdkit.quantities.table import BY_GROUP
 
@@ -275,7 +276,7 @@ class BeamHistory(View, of="beams"):
         return self.source.array("trajectory/position")[:, nodes[0] : nodes[-1] + 1]
 
     def _has_node(self, body: str) -> bool:
-        return body.rpartition(".")[0] == self.name
+        return beam_of(body) == self.name
 
     def __repr__(self) -> str:
         return f"<beam {self.name}: {len(self.nodes)} nodes>"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.base.text import counted, shown
+from mbdkit.mechanism.beams import beam_of
 from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
@@ -450,7 +451,7 @@ def _measures(run: Run) -> list[tuple[str, str]]:
 
 def _elements(run: Run) -> list[str]:
     """Return the numbers of bodies, beams and joints; the nodes of recorded beams do not count as bodies."""
-    nodes = [beam for beam in (name.rpartition(".")[0] for name in run.bodies) if beam and beam in run.beams]
+    nodes = [beam for beam in map(beam_of, run.bodies) if beam and beam in run.beams]
     beams, bodies = set(nodes), len(run.bodies) - len(nodes)
     return [
         *([counted(bodies, "body", "bodies")] if bodies or not beams else []),

@@ -10,6 +10,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any
 
 from pydantic import BaseModel
@@ -57,11 +58,25 @@ def collecting_new_objects_only() -> Iterator[None]:
         gc.unfreeze()
 
 
+_MEANT = re.compile(r"[.\[\]\"=\\]")
+"""Characters that have a meaning in key paths or in assignments; keys that contain one are quoted."""
+QUOTED = r'"(?:[^"\\]|\\.)*+"'
+"""Pattern of a quoted key."""
+_PART = re.compile(rf"({QUOTED})(?=[.\[]|$)|\[(\d{{1,9}})\]|(?:[^.\[]++|\[(?!\d{{1,9}}\]))+")
+
+
+def quoted(name: str) -> str:
+    """Return a key as it stands in a key path: in double quotes, with backslashes, if it has dots, for example."""
+    if name and not _MEANT.search(name):
+        return name
+    return '"' + re.sub(r'(["\\])', r"\\\1", name) + '"'
+
+
 def path_text(path: Path) -> str:
-    """Return a key path as text, such as ``model.joints.A.bodies[1]``."""
+    """Return a key path as text, such as ``model.joints.A.bodies[1]`` or ``model.bodies."R.Shank".mass``."""
     text = ""
     for part in path:
-        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
+        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{quoted(part)}"
     return text
 
 
@@ -71,11 +86,21 @@ def parse_path(text: str) -> Path:
     Since specs have at most `DEEPEST` levels, at most one part more is returned.
     """
     parts: list[str | int] = []
-    for word in text.split(".", DEEPEST) if text else ():
-        name, *indices = re.split(r"\[(\d{1,9})\]", word, maxsplit=DEEPEST)
-        parts += [name] if name or not indices else []
-        parts += [int(index) for index in indices[::2]]
-    return tuple(parts[: DEEPEST + 1])
+    for match in islice(_PART.finditer(text), DEEPEST + 1):
+        name, index = match.groups()
+        parts.append(match[0] if match.lastindex is None else int(index) if name is None else _unquoted(name))
+    return tuple(parts)
+
+
+def assignment_parts(text: str) -> tuple[str, str, str]:
+    """Return the key, equals sign and value of ``KEY=VALUE``; equals signs within quotes belong to the key."""
+    end = re.match(rf"(?:{QUOTED}|[^=])*", text)
+    assert end is not None
+    return text[: end.end()], text[end.end() : end.end() + 1], text[end.end() + 1 :]
+
+
+def _unquoted(text: str) -> str:
+    return re.sub(r"\\(.)", r"\1", text[1:-1])
 
 
 def plain(value: Any, path: Path = ()) -> Any:

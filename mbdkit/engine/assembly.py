@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.motions import OF_CENTER
@@ -161,10 +162,12 @@ class _Assembly:
             return
         written: list[tuple[str, Any]] = []
         for name, joint in self.mechanism.joints.items():
-            written.append((f"model.joints.{name}.motion", getattr(joint, "motion", None)))
+            written.append((f"model.joints.{quoted(name)}.motion", getattr(joint, "motion", None)))
         for name, force in self.mechanism.forces.items():
             value = getattr(force, "value", None)
-            written += [(f"model.forces.{name}.value", x) for x in (value if isinstance(value, tuple) else [value])]
+            written += [
+                (f"model.forces.{quoted(name)}.value", x) for x in (value if isinstance(value, tuple) else [value])
+            ]
         values = dict(
             zip(self.compiled.motions, scratch.u, strict=False)
         )  # the programs of moving centers follow those of the motions
@@ -186,7 +189,7 @@ class _Assembly:
         """Raise SpecError for the first moving center that is not finite at the start."""
         top, u = self.compiled.topology, self.search.scratch.u
         functions = [
-            (f"model.joints.{name}.center.{key}", function)
+            (f"model.joints.{quoted(name)}.center.{key}", function)
             for name, joint in self.mechanism.joints.items()
             if isinstance(joint, Revolute) and joint.center is not None
             for key, function in joint.center.functions

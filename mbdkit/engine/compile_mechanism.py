@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import plain
+from mbdkit.base.plain_data import plain, quoted
 from mbdkit.engine.compiled_mechanism import (
     ActingMuscle,
     CompiledMechanism,
@@ -401,7 +401,7 @@ class _Forces:
             compiled, block = bind_law(law, force, force.law_id)
             rates = [bind_law(state.rate, force, force.law_id)[0] for state in law.states]
         except SpecError as error:
-            raise error.located(prefix=f"model.{kind}.{name}") from None
+            raise error.located(prefix=f"model.{kind}.{quoted(name)}") from None
         self.add_spring(name, f"{kind}.{name}", force.pathway, (0.0, 0.0, 0.0), len(self.laws))
         names = [parameter for parameter, _ in compiled.parameters]
         for number, state in enumerate(law.states, len(self.laws) + 1):
@@ -439,18 +439,22 @@ class _Forces:
                 if is_of_state(text):
                     self._add_load_value(numbering, name, k, component, str(text))
         for name, state in mechanism.states.items():
-            law, _, _ = self._add_expression(numbering, f"model.states.{name}.rate", name, state.rate)
+            law, _, _ = self._add_expression(numbering, f"model.states.{quoted(name)}.rate", name, state.rate)
             self._add_state(ElementState(name, state.unit), state.initial, law)
         for name, value, initial in held:
             self._add_state(ElementState(f"{name}.{value}", "1"), initial, -1)
         for name, controller in mechanism.controllers.items():
             rows = {
-                key: self._add_expression(numbering, f"model.controllers.{name}.{key}", name, text)[0]
+                key: self._add_expression(numbering, f"model.controllers.{quoted(name)}.{key}", name, text)[0]
                 for key, text in controller.expressions()
             }
             place = numbering.states
-            outputs = tuple((place[f"{name}.{value}"], rows[f"outputs.{value}"]) for value in controller.outputs)
-            states = tuple((place[f"{name}.{value}"], rows[f"states.{value}.next"]) for value in controller.states)
+            outputs = tuple(
+                (place[f"{name}.{value}"], rows[f"outputs.{quoted(value)}"]) for value in controller.outputs
+            )
+            states = tuple(
+                (place[f"{name}.{value}"], rows[f"states.{quoted(value)}.next"]) for value in controller.states
+            )
             self.controllers.append(SampledController(name, controller.period, controller.delay, outputs, states))
 
     def _add_state(self, state: ElementState, initial: float, law: int) -> None:
@@ -461,7 +465,7 @@ class _Forces:
         self.states.append(state)
 
     def _add_load_value(self, numbering: Numbering, name: str, load: int, component: int, text: str) -> None:
-        law, begin, expression = self._add_expression(numbering, f"model.forces.{name}.value", name, text)
+        law, begin, expression = self._add_expression(numbering, f"model.forces.{quoted(name)}.value", name, text)
         self.load_values.append((law, int(self.loads[load][3 + component])))
         inputs = iter(range(len(self.inputs) - len(expression.slopes), len(self.inputs)))
         for slope, number in zip(expression.slopes, inputs, strict=True):

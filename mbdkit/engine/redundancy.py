@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Redundancy, with_ground
 from mbdkit.engine.elimination_order import SingularSystemError
@@ -354,4 +355,4 @@ def require_unique_start(workspace: Workspace) -> None:
 def refuse_law(workspace: Workspace) -> None:
     """Raise SpecError if a force law does not return a finite number at the start."""
     if force := workspace.unusable_law():
-        raise SpecError("its law gives no finite number at the start", key=f"model.forces.{force}")
+        raise SpecError("its law gives no finite number at the start", key=f"model.forces.{quoted(force)}")

@@ -192,10 +192,6 @@ class RunCompiler(Compiler):
             self.hint = self.spelling(next(iter(self.quoted)))
         super().__init__(text, parameters)
 
-    def unquoted(self) -> str:
-        """Return the source with quoted names replaced by blanks of the same length."""
-        return re.sub(r"\"[^\"\\]*\"|'[^'\\]*'", lambda match: " " * len(match[0]), self.source)
-
     def operand(self, node: ast.expr) -> Code:
         """Return the program of a quantity."""
         match node:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -41,6 +42,9 @@ OPERATORS: dict[type[ast.operator], str] = {
 
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
 """Hints for names of the time in other programs."""
+
+_QUOTED = r"""(["'])(?:(?!\1)[^\\]|\\["'\\])*\1"""
+"""Pattern of a quoted name."""
 
 
 class ExpressionError(SpecError):
@@ -152,8 +156,8 @@ class Compiler:
                 self.refuse(f"the character {letter!r} is not part of an expression", index)
 
     def unquoted(self) -> str:
-        """Return the text with quoted parts replaced by blanks; this class has no quotes, but subclasses may."""
-        return self.source
+        """Return the text with quoted names replaced by blanks of the same length."""
+        return re.sub(_QUOTED, lambda match: " " * len(match[0]), self.source)
 
     def program(self) -> Code:
         """Return the postfix program of the text; raises SpecError with the position of the first error."""

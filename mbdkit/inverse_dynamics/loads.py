@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import shown
 from mbdkit.inverse_dynamics.measured import si_values, source_table, times_of, unit_factor
 from mbdkit.inverse_dynamics.reduced_motion import Motion
@@ -118,7 +119,7 @@ def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None)
     SpecError
         If a table lacks a column, or has a gap.
     """
-    return {name: _series(spec, names, f"loads.{name}", load, of_motion) for name, load in spec.loads.items()}
+    return {name: _series(spec, names, f"loads.{quoted(name)}", load, of_motion) for name, load in spec.loads.items()}
 
 
 def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_motion: Table | None) -> LoadSeries:
@@ -197,7 +198,7 @@ def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str
             raise SpecError(
                 f"is known from {one.time[0]:.6g} to {one.time[-1]:.6g} s, but the motion lasts from {time[0]:.6g} to "
                 f"{time[-1]:.6g} s; cut it with `time.start` and `time.end`",
-                key=f"loads.{name}",
+                key=f"loads.{quoted(name)}",
             )
         force[:, index], torque[:, index] = one.at(time, one.force), one.at(time, one.torque)
         point[:, index] = _global_point(one, time, q)

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed, shown
 from mbdkit.base.units import read_unit
 from mbdkit.inverse_dynamics.fit import Target
@@ -98,7 +99,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     assert table is not None
     columns = _columns(motion, table, names)
     time, kept = _times(spec, table)
-    quantities = Quantities([names.find(name, f"motion.columns.{name}") for name in columns])
+    quantities = Quantities([names.find(name, f"motion.columns.{quoted(name)}") for name in columns])
     raw = np.empty((len(time), len(columns)))
     values = raw.copy()
     as_given, has_unit = raw.copy(), np.zeros(len(columns), dtype=bool)
@@ -106,7 +107,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
     has_derivatives = [column.rate is not None for column in columns.values()]
     _require_all_or_none(motion, columns, has_derivatives)
     for index, (name, column) in enumerate(columns.items()):
-        key, unit = f"motion.columns.{name}", quantities.quantities[index].unit
+        key, unit = f"motion.columns.{quoted(name)}", quantities.quantities[index].unit
         factor, where = unit_factor(column, table, unit, key), (table, column.column, kept)
         given = as_given[:, index] = si_values(column, table, unit, key)[kept]
         has_unit[index] = column.unit is not None or (table.in_degrees if unit == "rad" else table.length_unit != "m")
@@ -163,7 +164,7 @@ def _require_all_or_none(
     if lacking:
         raise SpecError(
             "is missing: either all columns have `rate` and `acceleration`, or none",
-            key=f"motion.columns.{lacking[0]}.rate",
+            key=f"motion.columns.{quoted(lacking[0])}.rate",
         )
 
 
@@ -332,7 +333,7 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
         wanted = {f"{name}.{axis}": ObservedColumn(column=f"{name}.{axis}") for name in bodies for axis in axes}
     else:
         wanted = dict(motion.columns)
-    found = {name: names.find(name, f"motion.columns.{name}") for name in wanted}
+    found = {name: names.find(name, f"motion.columns.{quoted(name)}") for name in wanted}
     quantities = Quantities(list(found.values()))
     values = quantities.values(q)
     jacobian = quantities.jacobian(q)

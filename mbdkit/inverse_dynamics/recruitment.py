@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.inverse_dynamics.dynamics import Balance, Dynamics
 from mbdkit.inverse_dynamics.reduced_motion import Motion
@@ -148,7 +149,7 @@ class Recruiter:
             if muscle.tendon == "elastic" and (asked.capacity == "full" or asked.passive):
                 raise SpecError(
                     "recruitment takes tendons as rigid so far; write `rigid`, or use `capacity: isometric`",
-                    key=f"model.muscles.{name}.tendon",
+                    key=f"model.muscles.{quoted(name)}.tendon",
                 )
         self._joined = np.array([not one.is_residual for one in actuators], dtype=bool)
         self._reserves = reserves_of(asked, actuators)

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.beam_shape import INTEGRATION, NODE_SHARES, Place, curved, straight
 from mbdkit.mechanism.bodies import Body
@@ -301,7 +302,7 @@ class Beam(StrictModel):
             raise SpecError(
                 "the masses, moments of inertia or velocities of its nodes are zero, negative or too large for "
                 "double precision",
-                key=f"beams.{name}",
+                key=f"beams.{quoted(name)}",
             ) from None
 
     def loads(self, name: str) -> dict[str, PointForce]:
@@ -326,6 +327,12 @@ class Beam(StrictModel):
                 slope = tuple(x / length for x in point.slope)
                 reference = (1.0, 0.0, 0.0) if is_straight else _strains(places[some], point.shape, slope)
                 yield BeamSection(element, names[some], point.shape, slope, point.weight * length, reference)
+
+
+def beam_of(node: str) -> str:
+    """Return the name of the beam that a node belongs to, by its own name, such as ``tube.0``; otherwise, no text."""
+    beam, _, number = node.rpartition(".")
+    return beam if number.isdecimal() else ""
 
 
 def parts_of(beams: Mapping[str, Beam]) -> frozenset[str]:

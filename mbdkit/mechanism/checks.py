@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Mapping
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import LONGEST_NAME, found
+from mbdkit.base.plain_data import LONGEST_NAME, found, quoted
 from mbdkit.base.text import did_you_mean, listed, shortened
-from mbdkit.mechanism.beams import Beam, parts_of
+from mbdkit.mechanism.beams import Beam, beam_of, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
@@ -39,7 +39,7 @@ def check_mechanism(
     points = {name for name, body in bodies.items() if body.inertia is None}
     pins = {_ends(joint): name for name, joint in joints.items() if joint.joins_points}
     for key, element in (
-        (f"model.{kind}.{name}", one) for kind, named in elements.items() for name, one in named.items()
+        (f"model.{kind}.{quoted(name)}", one) for kind, named in elements.items() for name, one in named.items()
     ):
         _check_element(key, element, bodies, points)
         if isinstance(element, Law) and isinstance(element.pathway, JointAngles):
@@ -53,23 +53,29 @@ def check_mechanism(
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
 
-def check_names(bodies: Iterable[str], beams: Iterable[str], elements: Mapping[str, Iterable[str]]) -> None:
+def check_names(bodies: Iterable[str], beams: Collection[str], elements: Mapping[str, Iterable[str]]) -> None:
     """Raise a SpecError if there are neither bodies nor beams, or for the first name that is not valid."""
     if not (bodies or beams):
         raise SpecError(NO_BODY, key="model.bodies")
     for kind, names in {"bodies": bodies, "beams": beams, **elements}.items():
         for name in names:
-            check_name(name, f"model.{kind}.{name}")
+            key = f"model.{kind}.{quoted(name)}"
+            check_name(name, key)
+            if kind == "bodies" and (beam := beam_of(name)) in beams:
+                raise SpecError(f"'{name}' would be a node of the beam '{beam}'; choose another name", key=key)
 
 
 def motions_by_key(
     joints: Mapping[str, Joint], forces: Mapping[str, Force], muscles: Mapping[str, Muscle]
 ) -> list[tuple[str, Motion]]:
     """Return (key path, motion) of every driver, load and excitation of a muscle."""
-    used = [(f"model.joints.{name}.{key}", value) for name, joint in joints.items() for key, value in joint.motions()]
-    used += [(f"model.forces.{name}.{key}", value) for name, force in forces.items() for key, value in force.motions()]
-    used += [(f"model.muscles.{name}.{key}", value) for name, one in muscles.items() for key, value in one.motions()]
-    return used
+    groups: dict[str, Mapping[str, Joint | Force | Muscle]] = {"joints": joints, "forces": forces, "muscles": muscles}
+    return [
+        (f"model.{kind}.{quoted(name)}.{key}", value)
+        for kind, elements in groups.items()
+        for name, element in elements.items()
+        for key, value in element.motions()
+    ]
 
 
 def check_tables(
@@ -106,7 +112,7 @@ def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) ->
             first, last = table.span
             raise SpecError(
                 f"the table covers {first:.6g} rad to {last:.6g} rad, but the joint starts at {angle:.6g} rad",
-                key=f"model.joints.{name}.center.{key}.table[0]",
+                key=f"model.joints.{quoted(name)}.center.{key}.table[0]",
             )
 
 
@@ -127,7 +133,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
             raise SpecError(
                 f"the two ends coincide at the start, at ({a[0]:.6g}, {a[1]:.6g}), so the direction of the force is "
                 "undefined; move one of the points, or use a spring-damper with free_length 0",
-                key=f"model.forces.{name}.{line.pathway_key}points",
+                key=f"model.forces.{quoted(name)}.{line.pathway_key}points",
             )
 
 
@@ -140,11 +146,8 @@ def check_name(name: object, key: str) -> None:
     if len(name) > LONGEST_NAME:
         message = f"has {len(name)} characters; a name has at most {LONGEST_NAME}"
         raise SpecError(message, key=key.replace(name, shortened(name)))
-    if not name or name != name.strip() or any(letter in "/." or not letter.isprintable() for letter in name):
-        raise SpecError(
-            f"should be non-empty printable text without '/', '.' and surrounding spaces, not {name!r}",
-            key=key,
-        )
+    if not name or name != name.strip() or "/" in name or not name.isprintable():
+        raise SpecError(f"should be non-empty printable text without '/' and surrounding spaces, not {name!r}", key=key)
 
 
 def check_known(name: object, bodies: Iterable[str], key: str) -> None:
@@ -153,11 +156,11 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         raise SpecError(f"should be text, not {found(name)}", key=key)
     if name != GROUND and name not in bodies:
         known = [GROUND, *bodies]
-        nodes = [other for other in known if other.rpartition(".")[0] == name]
+        nodes = [other for other in known if beam_of(other) == name]
         if nodes:
             raise SpecError(f"'{name}' is a beam; name one of its nodes, '{nodes[0]}' to '{nodes[-1]}'", key=key)
-        beam = name.rpartition(".")[0]
-        nodes = [other for other in known if beam and other.rpartition(".")[0] == beam]
+        beam = beam_of(name)
+        nodes = [other for other in known if beam and beam_of(other) == beam]
         if nodes:
             raise SpecError(f"there is no node '{name}'; the beam '{beam}' has '{nodes[0]}' to '{nodes[-1]}'", key=key)
         hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
@@ -211,14 +214,15 @@ def _check_joint_angles(
     """Raise a SpecError, with a key below `key`, unless all joints of a pathway exist and have an angle."""
     with_angle = [name for name, joint in joints.items() if joint.coordinate_unit == "rad"]
     for name in pathway.radii:
+        here = f"{key}.{quoted(name)}"
         if name not in joints:
             hint = did_you_mean(name, with_angle) or (f"; there are {listed(with_angle)}" if with_angle else "")
-            raise SpecError(f"there is no joint '{name}'{hint}", key=f"{key}.{name}")
+            raise SpecError(f"there is no joint '{name}'{hint}", key=here)
         if name not in with_angle:
-            raise SpecError(f"joint '{name}' is of type {joints[name].type}, which has no angle", key=f"{key}.{name}")
+            raise SpecError(f"joint '{name}' is of type {joints[name].type}, which has no angle", key=here)
         for body in joints[name].bodies:
             if body in point_masses:
                 raise SpecError(
                     f"joint '{name}' holds '{body}', a point mass (it has no inertia), which has no angle",
-                    key=f"{key}.{name}",
+                    key=here,
                 )

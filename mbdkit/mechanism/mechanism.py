@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.html_view import HtmlView
-from mbdkit.base.plain_data import found, plain
+from mbdkit.base.plain_data import found, plain, quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import counted
 from mbdkit.mechanism.angle_function import Center
@@ -484,7 +484,7 @@ class Mechanism(HtmlView):
             if from_ is not None or to is not None:
                 raise SpecError(
                     f"from_ and to can be given only with along='line', not with along='{along}'",
-                    key=f"model.forces.{name}",
+                    key=f"model.forces.{quoted(name)}",
                 )
             pathway |= {"type": "relative-angle"} if along == "angle" else {"type": "coordinate", "coordinate": along}
             if points is not None:
@@ -803,23 +803,29 @@ class Mechanism(HtmlView):
         check_mechanism(self.bodies, self.beams, self.elements, self.joints, self.assembly)
         check_centers(self.joints, self.bodies.__getitem__)
         for name in self.coordinates:
-            check_name(name, f"model.coordinates.{name}")
+            check_name(name, f"model.coordinates.{quoted(name)}")
         check_coordinates(self.coordinates, self.joints, self.bodies, self.markers)
         check_moving_points(self.muscles, self.coordinates, "model.")
         for kind, names in {
             "states": list(self.states),
             "controllers": list(self.controllers),
-            **{f"controllers.{name}.states": list(one.states) for name, one in self.controllers.items()},
-            **{f"controllers.{name}.outputs": list(one.outputs) for name, one in self.controllers.items()},
+            **{f"controllers.{quoted(name)}.states": list(one.states) for name, one in self.controllers.items()},
+            **{f"controllers.{quoted(name)}.outputs": list(one.outputs) for name, one in self.controllers.items()},
         }.items():
             for name in names:
-                check_name(name, f"model.{kind}.{name}")
+                check_name(name, f"model.{kind}.{quoted(name)}")
         for name, controller in self.controllers.items():
             if name in self.forces:
-                raise SpecError(f"'{name}' is also a force; choose another name", key=f"model.controllers.{name}")
+                raise SpecError(
+                    f"'{name}' is also a force; choose another name", key=f"model.controllers.{quoted(name)}"
+                )
             if twice := [one for one in controller.outputs if one in controller.states]:
-                key = f"model.controllers.{name}.outputs.{twice[0]}"
+                key = f"model.controllers.{quoted(name)}.outputs.{quoted(twice[0])}"
                 raise SpecError(f"'{twice[0]}' is also a state of the controller; choose another name", key=key)
+        held = [f"{name}.{one}" for name, c in self.controllers.items() for one in (*c.states, *c.outputs)]
+        named = [*self.state_names(), *held]
+        if twice := [name for name in named if named.count(name) > 1]:
+            raise SpecError(f"two states or outputs of controllers are called '{twice[0]}'; rename one", key="model")
         for key, text in self.expressions():
             try:
                 higher_layers.state_program(text, self)
@@ -829,10 +835,12 @@ class Mechanism(HtmlView):
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key path, text) of every expression of the state."""
         loads = [(name, force) for name, force in self.forces.items() if isinstance(force, Torque | PointForce)]
-        of_loads = [(f"model.forces.{name}.{key}", text) for name, force in loads for key, text in force.expressions()]
-        of_states = [(f"model.states.{name}.rate", one.rate) for name, one in self.states.items()]
+        of_loads = [
+            (f"model.forces.{quoted(name)}.{key}", text) for name, force in loads for key, text in force.expressions()
+        ]
+        of_states = [(f"model.states.{quoted(name)}.rate", one.rate) for name, one in self.states.items()]
         sampled = [
-            (f"model.controllers.{name}.{key}", text)
+            (f"model.controllers.{quoted(name)}.{key}", text)
             for name, one in self.controllers.items()
             for key, text in one.expressions()
         ]
@@ -927,7 +935,9 @@ class Mechanism(HtmlView):
             mechanism._add_beam(name, beam)
         for kind, elements in mechanism.elements.items():
             given: dict[str, Element] = getattr(data, kind)
-            elements |= {name: mechanism._with_points(one, f"model.{kind}.{name}") for name, one in given.items()}
+            elements |= {
+                name: mechanism._with_points(one, f"model.{kind}.{quoted(name)}") for name, one in given.items()
+            }
         mechanism.assembly = data.assembly
         mechanism.coordinates = dict(data.coordinates)
         mechanism.states = dict(data.states)
@@ -957,7 +967,7 @@ class Mechanism(HtmlView):
     # ---- private -------------------------------------------------------------------------------------------------
 
     def _new(self, name: str, taken: Mapping[str, Any], kind: str) -> str:
-        key = f"model.{kind}.{name}"
+        key = f"model.{kind}.{quoted(name)}"
         check_name(name, key)
         if name in taken:
             raise SpecError(f"the name '{name}' is already in use", key=key)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam
@@ -55,16 +56,23 @@ def check_coordinates(
     markers: Container[str],
 ) -> None:
     """Raise a SpecError for the first coordinate whose quantity does not exist."""
-    for name, coordinate in coordinates.items():
-        key = f"model.coordinates.{name}"
-        if coordinate.scale == 0:
-            raise SpecError("should not be zero", key=f"{key}.scale")
-        owner, _, quantity = coordinate.of.rpartition(".")
-        offered = [
+
+    def offered_by(owner: str) -> list[str]:
+        return [
             *(OF_JOINT if owner in joints else ()),
             *(OF_BODY if owner in bodies and owner != GROUND else ()),
             *(OF_MARKER if owner in markers else ()),
         ]
+
+    for name, coordinate in coordinates.items():
+        key = f"model.coordinates.{quoted(name)}"
+        owner, _, quantity = name.rpartition(".")
+        if quantity in offered_by(owner):
+            raise SpecError(f"is the name of a quantity of '{owner}'; choose another name", key=key)
+        if coordinate.scale == 0:
+            raise SpecError("should not be zero", key=f"{key}.scale")
+        owner, _, quantity = coordinate.of.rpartition(".")
+        offered = offered_by(owner)
         if quantity in offered:
             _check_relative(coordinate, bodies, f"{key}.relative_to")
             continue

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.bodies import Attachment, Element
@@ -237,12 +238,12 @@ def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[s
                         if used in coordinates:
                             raise CoordinateExpressionError(
                                 "the offset from the plane is constant: a number, or an expression of parameters",
-                                key=f"{prefix}muscles.{name}.path[{index}].point[2]",
+                                key=f"{prefix}muscles.{quoted(name)}.path[{index}].point[2]",
                             )
                         known = f"; coordinates: {listed(list(coordinates)) or 'none'}"
                         text = f"'{part}'" if isinstance(part, str) else "the table"
                         raise CoordinateExpressionError(
                             f"{text} contains '{used}', which is neither a coordinate of the model nor a parameter"
                             f"{did_you_mean(used, list(coordinates)) or known}",
-                            key=f"{prefix}muscles.{name}.path[{index}].point[{axis}]",
+                            key=f"{prefix}muscles.{quoted(name)}.path[{index}].point[{axis}]",
                         )

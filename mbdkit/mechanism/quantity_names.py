@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.joints import JointBase
 from mbdkit.mechanism.mechanism import Mechanism
@@ -79,16 +80,12 @@ class QuantityNames:
         """
         if name in self.mechanism.coordinates:
             return self.coordinate(name)
-        element, _, axis = name.rpartition(".")
-        kind, _, rest = element.partition(".")
-        kinds = [plural for plural, singular in _PREFIXES.items() if kind in (plural, singular)]
-        wanted = kinds[0] if kinds and rest else None
-        element = rest if wanted else element
-        found = {plural: match for plural, match in self._matches(element, axis).items() if wanted in (None, plural)}
+        found = self._matches(name)
         if len(found) > 1:
-            some = listed((f"{plural}.{element}.{axis}" for plural in found), "or")
+            some = listed((f"{plural}.{element}.{name.rpartition('.')[2]}" for plural, element in found), "or")
             raise SpecError(f"'{name}' is ambiguous: write {some}", key=key)
         if not found:
+            element = name.rpartition(".")[0]
             known = [*self._number, *self.mechanism.joints, *self.mechanism.markers]
             own = list(self.mechanism.coordinates)
             hint = did_you_mean(name, own) or did_you_mean(element, known)
@@ -103,7 +100,7 @@ class QuantityNames:
         """Return the quantity of a named coordinate of the mechanism, with its sign and zero."""
         one = self.mechanism.coordinates[name]
         if one.relative_to is None:
-            of = self.find(one.of, f"model.coordinates.{name}.of")
+            of = self.find(one.of, f"model.coordinates.{quoted(name)}.of")
         else:
             of = RelativeAngle(self._of(one.relative_to), self._of(one.of.rpartition(".")[0]))
         return of if (one.scale, one.offset) == (1.0, 0.0) else Affine(of, one.scale, one.offset)
@@ -113,23 +110,38 @@ class QuantityNames:
         """Names that observed quantities may have, for messages."""
         return listed([*list(self.mechanism.coordinates)[:_NAMES_SHOWN], "JOINT.angle", "BODY.x"], "or")
 
-    def _matches(self, element: str, axis: str) -> dict[str, Quantity]:
-        found: dict[str, Quantity] = {}
-        if element in self._number and axis in AXES:
-            found["bodies"] = Coordinate(self._number[element], AXES.index(axis))
-        if element in self.mechanism.joints and axis == "angle":
-            found["joints"] = self._coordinate(self.mechanism.joints[element])
-        marker = self.mechanism.markers.get(element)
-        if marker is not None and axis in AXES[:2] and marker.point is not None:
-            found["markers"] = MarkerCoordinate(Point(self._of(marker.body), *marker.point), AXES.index(axis))
+    def element(self, name: str) -> str:
+        """Return the element of a quantity that exists, such as ``R.Knee`` of ``joints.R.Knee.angle``."""
+        return next(element for _, element in self._matches(name))
+
+    def _matches(self, name: str) -> dict[tuple[str, str], Quantity]:
+        """Return the quantities that a name may mean, by kind and name of the element."""
+        element, _, axis = name.rpartition(".")
+        kind, _, rest = element.partition(".")
+        found: dict[tuple[str, str], Quantity] = {}
+        for plural, singular in _PREFIXES.items():
+            for one in (element, rest) if kind in (plural, singular) else (element,):
+                quantity = self._quantity(plural, one, axis)
+                if quantity is not None:
+                    found[plural, one] = quantity
         return found
+
+    def _quantity(self, kind: str, element: str, axis: str) -> Quantity | None:
+        """Return a quantity of an element; None if the element does not exist or does not have it."""
+        match kind:
+            case "bodies" if element in self._number and axis in AXES:
+                return Coordinate(self._number[element], AXES.index(axis))
+            case "joints" if element in self.mechanism.joints and axis == "angle":
+                return self._coordinate(self.mechanism.joints[element])
+            case "markers" if (marker := self.mechanism.markers.get(element)) and axis in AXES[:2] and marker.point:
+                return MarkerCoordinate(Point(self._of(marker.body), *marker.point), AXES.index(axis))
+        return None
 
     def knows(self, name: str) -> bool:
         """Return whether a name is that of exactly one quantity."""
         if name in self.mechanism.coordinates:
             return True
-        element, _, axis = name.rpartition(".")
-        return len(self._matches(element, axis)) == 1
+        return len(self._matches(name)) == 1
 
     def candidates(self) -> dict[str, Quantity]:
         """Return quantities that may be independent coordinates: named ones, then those of joints, then of bodies."""

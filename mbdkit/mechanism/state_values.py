@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import BeforeValidator, Field
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Positive, Table, pair
@@ -26,10 +27,6 @@ class StateSyntax(Compiler):
 
     wanted = "an expression of the state, which consists of numbers, t, pi, quantities such as bodies.NAME.angle"
     error = StateExpressionError
-
-    def unquoted(self) -> str:
-        """Return the text with quoted names replaced by blanks of the same length."""
-        return re.sub(r"\"[^\"\\]*\"|'[^'\\]*'", lambda match: " " * len(match[0]), self.source)
 
     def operand(self, node: ast.expr) -> Code:
         """Accept any quantity."""
@@ -108,8 +105,8 @@ class Controller(StrictModel):
 
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key, text) of each expression."""
-        of_states = [(f"states.{name}.next", one.next) for name, one in self.states.items()]
-        return of_states + [(f"outputs.{name}", text) for name, text in self.outputs.items()]
+        of_states = [(f"states.{quoted(name)}.next", one.next) for name, one in self.states.items()]
+        return of_states + [(f"outputs.{quoted(name)}", text) for name, text in self.outputs.items()]
 
 
 def of_time(values: list[tuple[str, Motion]]) -> list[tuple[str, Motion]]:

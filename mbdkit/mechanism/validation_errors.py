@@ -108,7 +108,7 @@ def spec_error(
     ]:  # limited, because each explanation takes time and there may be thousands of problems
         value = f" (the value of '{written[path]}')" if written and path in written else ""
         told = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
-        sentences.append((path_text((*([prefix] if prefix else []), *path)), _either(list(told))))
+        sentences.append((path_text((*parse_path(prefix), *path)), _either(list(told))))
     (key, message), *others = sentences
     for place, sentence in others:
         message += f"\n  also: {shortened(shown(place))}: {sentence}"

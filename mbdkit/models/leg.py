@@ -44,6 +44,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
@@ -251,7 +252,8 @@ class _Leg:
         for kind, own, more in (("joints", self.joints, o.joints), ("markers", markers, o.markers)):
             for key in own.keys() & more.keys():
                 raise SpecError(
-                    f"the leg itself has an element of this name (it has {listed(sorted(own))})", key=f"{kind}.{key}"
+                    f"the leg itself has an element of this name (it has {listed(sorted(own))})",
+                    key=f"{kind}.{quoted(key)}",
                 )
         data = MechanismData(
             gravity=o.gravity,

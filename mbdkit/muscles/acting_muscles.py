@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
@@ -124,7 +125,7 @@ def acting_muscles(mechanism: Mechanism) -> dict[str, MuscleForce]:
 def check_acting(mechanism: Mechanism) -> None:
     """Raise a SpecError for the first muscle with something that runs do not know, or without an excitation."""
     for name, muscle in mechanism.muscles.items():
-        key = f"model.muscles.{name}"
+        key = f"model.muscles.{quoted(name)}"
         if muscle.excitation is None:
             raise SpecError(
                 "is missing: in a run, a muscle needs an excitation between 0 and 1, a number or an expression of t",

@@ -20,6 +20,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from mbdkit.base.errors import RunError
+from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
 from mbdkit.mechanism.mechanism_quantities import GROUND, Point, Quantity
 from mbdkit.mechanism.muscles import Muscle, PathItem
@@ -130,7 +131,7 @@ class MusclePath:
     def __init__(self, name: str, muscle: Muscle, names: QuantityNames):
         self.name = name
         self._places = [
-            _Place(item, names, f"model.muscles.{name}.path[{index}]") for index, item in enumerate(muscle.path)
+            _Place(item, names, f"model.muscles.{quoted(name)}.path[{index}]") for index, item in enumerate(muscle.path)
         ]
 
     def at(self, time: np.ndarray, q: np.ndarray) -> PathState:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.checks import motions_by_key
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
@@ -86,7 +87,7 @@ def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
             raise spec.placed(
                 SpecError(
                     f"the controller would be sampled more often than limits.max_steps = {spec.limits.max_steps}",
-                    key=f"model.controllers.{name}.period",
+                    key=f"model.controllers.{quoted(name)}.period",
                 )
             )
     margin = 4.0 * float(np.spacing(max(abs(start), abs(end))))
@@ -115,7 +116,7 @@ def check_jumps(spec: RunSpec) -> None:
             try:
                 _check_driver(spec, motion, joint.units[0])
             except SpecError as error:
-                raise spec.placed(error.located(prefix=f"model.joints.{name}.{key}")) from None
+                raise spec.placed(error.located(prefix=f"model.joints.{quoted(name)}.{key}")) from None
 
 
 def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:

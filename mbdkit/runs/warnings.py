@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from pydantic import BaseModel
 
-from mbdkit.base.plain_data import Path, path_text
+from mbdkit.base.plain_data import Path, path_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
@@ -66,7 +66,7 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
     size = mechanism_size(mechanism, start.q)
     if not moved > FAR * size:
         return ()
-    key = f"model.bodies.{name}" if mechanism.name == "mechanism" else "model"
+    key = f"model.bodies.{quoted(name)}" if mechanism.name == "mechanism" else "model"
     warning = (
         f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's size of "
         f"{size:.3g} m; check the positions and angles at {key} and its neighbours, because the mechanism may have "
@@ -105,9 +105,10 @@ def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...
                 key, table = outside
                 first, last = table.span
                 warnings.append(
-                    f"joint '{name}' turned to {angle:.6g} rad, beyond the table at model.joints.{name}.center.{key}, "
-                    f"which covers {first:.6g} rad to {last:.6g} rad and is extrapolated there by its first or last "
-                    f"polynomial"
+                    f"joint '{name}' turned to {angle:.6g} rad, beyond the table at "
+                    f"model.joints.{quoted(name)}.center.{key}, "
+                    f"which covers {first:.6g} rad to {last:.6g} rad and is "
+                    f"extrapolated there by its first or last polynomial"
                 )
     return tuple(warnings)
 

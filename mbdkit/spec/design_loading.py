@@ -16,7 +16,7 @@ from mbdkit.spec.loading import example_names, exists, read_source
 from mbdkit.spec.reading import Document, parse_key, put, read_file, read_stdin, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import is_inverse
-from mbdkit.spec.study_loading import base_source, by_text
+from mbdkit.spec.study_loading import base_source
 
 
 def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
@@ -77,24 +77,24 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     if isinstance(source, Mapping):
         return Document(copied(source)), FilePath()
     if isinstance(source, Document):
-        return by_text(source), FilePath(source.file).parent
+        return source, FilePath(source.file).parent
     if not isinstance(source, str | FilePath):
         raise SpecError(
             f"a design is a file, the name of a packaged design, a dict or a DesignSpec, not {type(source).__name__}"
         )
     if source == "-":
-        return by_text(read_stdin()), FilePath()
+        return read_stdin(), FilePath()
     path = FilePath(source)
     names = example_names("design")
     if str(source) in names and not os.path.isfile(path):
-        return by_text(read_source(source)), FilePath()
+        return read_source(source), FilePath()
     if not exists(path):
         raise SpecError(
             f"there is no such file, and no packaged design with this name{did_you_mean(str(source), names)}; "
             f"designs: {listed(names)}",
             file=str(source)[:200],
         )
-    return by_text(read_file(path)), path.parent
+    return read_file(path), path.parent
 
 
 Given = dict[str, tuple[Path, Any]]

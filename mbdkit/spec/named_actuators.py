@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import (
@@ -127,7 +128,7 @@ def actuators_of(
         if one.name in given:
             raise SpecError(
                 f"is the residual actuator of the coordinate '{one.name}'; choose another name for this actuator",
-                key=f"actuators.{one.name}",
+                key=f"actuators.{quoted(one.name)}",
             )
     return [*found, *residuals]
 
@@ -138,13 +139,13 @@ def _of_observed(observed: Mapping[str, Quantity], names: QuantityNames) -> list
     for name, quantity in observed.items():
         driven = without_scale(quantity)
         if isinstance(driven, RelativeAngle | Travel):
-            own = name if name in names.mechanism.coordinates else name.rpartition(".")[0].rpartition(".")[2]
+            own = name if name in names.mechanism.coordinates else names.element(name)
             found.setdefault(driven, NamedActuator(own, quantity))
     return list(found.values())
 
 
 def _given(name: str, one: Actuator, names: QuantityNames) -> NamedActuator:
-    key = f"actuators.{name}"
+    key = f"actuators.{quoted(name)}"
     if one.joint is not None:
         return NamedActuator(name, names.joint(one.joint, f"{key}.joint"), one.weight)
     if one.body is not None:
@@ -168,7 +169,7 @@ def _coordinate_of_actuator(name: str, names: QuantityNames) -> Quantity:
         hint = did_you_mean(name, known) or f" ({listed(known)})" if known else " (this model names none)"
         raise SpecError(
             "needs one of `joint`, `bodies` and `body`, unless its name is that of a coordinate of the model" + hint,
-            key=f"actuators.{name}",
+            key=f"actuators.{quoted(name)}",
         )
     return names.coordinate(name)
 

@@ -13,7 +13,17 @@ from pathlib import Path as FilePath
 from typing import Any
 
 from mbdkit.base.errors import SpecError, file_error
-from mbdkit.base.plain_data import DEEPEST, Path, copied, found, parse_path, path_text, without_collection
+from mbdkit.base.plain_data import (
+    DEEPEST,
+    QUOTED,
+    Path,
+    assignment_parts,
+    copied,
+    found,
+    parse_path,
+    path_text,
+    without_collection,
+)
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 
 
@@ -257,7 +267,7 @@ def read_assignment(assignment: str) -> tuple[Path, Any]:
         If the text is not an assignment, or if the value is not YAML.
     """
     where = f"--set {assignment}"
-    key, equals, text = assignment.partition("=")
+    key, equals, text = assignment_parts(assignment)
     path = parse_key(key.strip())
     if not equals or not path:
         raise SpecError("should have the form KEY=VALUE, such as time.step=0.005", file=where)
@@ -305,5 +315,6 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
 
 def parse_key(key: str) -> Path:
     """Return the parts of a dotted key; an empty tuple if it is not a valid dotted key, or deeper than any spec."""
-    path = () if not key or ".." in f".{key}." else parse_path(key)
+    bare = re.sub(QUOTED, "name", key)
+    path = () if not key or ".." in f".{bare}." else parse_path(key)
     return path if len(path) <= DEEPEST else ()

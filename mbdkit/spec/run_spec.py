@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
 from mbdkit.base.errors import PluginError, SpecError, blaming
-from mbdkit.base.plain_data import canonical, canonical_text
+from mbdkit.base.plain_data import canonical, canonical_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, FormulationName
@@ -353,7 +353,7 @@ class RunSpec(ModelSpec):
             try:
                 parsed[name] = RunExpression.parse(event.when, mechanism, self.numbers)
             except SpecError as error:
-                raise SpecError(error.message, key=f"events.{name}.when") from None
+                raise SpecError(error.message, key=f"events.{quoted(name)}.when") from None
         return parsed
 
     def _parsed_settings(self, mechanism: Mechanism) -> dict[str, dict[str, RunExpression]]:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, found
+from mbdkit.base.plain_data import Path, found, quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section, whole
@@ -186,16 +186,16 @@ def _check_variables(variables: dict[str, Any]) -> dict[str, Any]:
     for key in variables:
         path = parse_key(key)
         if not path:
-            raise SpecError("should be a dotted key of a run spec, such as model.angles.0", key=key)
+            raise SpecError("should be a dotted key of a run spec, such as model.angles.0", key=quoted(key))
         parts = comparable(path)
         if parts in taken:
-            raise SpecError(f"is the same key as '{taken[parts]}'", key=key)
+            raise SpecError(f"is the same key as '{taken[parts]}'", key=quoted(key))
         taken[parts] = key
     for key in variables:
         path = comparable(parse_key(key))
         for length in range(1, len(path)):
             if path[:length] in taken:
-                raise SpecError(f"is part of '{taken[path[:length]]}', which is also a variable", key=key)
+                raise SpecError(f"is part of '{taken[path[:length]]}', which is also a variable", key=quoted(key))
     return variables
 
 

@@ -8,7 +8,7 @@ from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.plain_data import Path, copied, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
@@ -94,7 +94,7 @@ def _override(document: Document, assignment: str) -> None:
         if (place and not given) or not isinstance(given, Mapping | None):
             continue
         holder["overrides"] = {name: old for name, old in (given or {}).items() if name != key} | {key: value}
-        document.overridden[parse_path(path_text((*place, "overrides", key)))] = assignment
+        document.overridden[*place, "overrides", key] = assignment
 
 
 def _check_sample(sample: Any, path: Path, assignment: str) -> None:
@@ -159,12 +159,12 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     if isinstance(source, Mapping):
         return Document(copied(source)), FilePath()
     if isinstance(source, Document):
-        return by_text(source), FilePath(source.file).parent
+        return source, FilePath(source.file).parent
     if not isinstance(source, str | FilePath):
         what = type(source).__name__
         raise SpecError(f"a study is a file, the name of a packaged study, a dict or a StudySpec, not {what}")
     if source == "-":
-        return by_text(read_stdin()), FilePath()
+        return read_stdin(), FilePath()
     path = FilePath(source)
     packaged = None if os.path.isfile(path) else _packaged(str(source))
     if packaged is not None:
@@ -176,7 +176,7 @@ def _document(source: Any) -> tuple[Document, FilePath]:
             f"studies: {listed(names)}{registry().advice(str(source))}",
             file=str(source)[:200],
         )
-    return by_text(read_file(path)), path.parent
+    return read_file(path), path.parent
 
 
 def _document_of(item: Registered) -> tuple[Document, FilePath]:
@@ -184,17 +184,10 @@ def _document_of(item: Registered) -> tuple[Document, FilePath]:
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec
     text = path.read_text("utf-8")
-    document = by_text(read_text(text, f"{item.spec_name} (packaged study)", path.suffix))
+    document = read_text(text, f"{item.spec_name} (packaged study)", path.suffix)
     if item.plugin.verdict is not None and "verdict" not in document.data:
         document.data["verdict"] = item.spec_name
     return document, path.parent
-
-
-def by_text(document: Document) -> Document:
-    """Convert the paths in `lines` like `parse_path`, so that keys with dots in them can be looked up."""
-    lines = document.lines
-    document.lines = lambda: {parse_path(path_text(path)): line for path, line in lines().items()}
-    return document
 
 
 def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Document]:

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_valid
 from pydantic_core import PydanticCustomError
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text
+from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text, quoted
 from mbdkit.base.text import listed, shortened
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
@@ -38,7 +38,7 @@ def _check_key(key: str) -> str:
 def _check_keys(keys: dict[str, Any]) -> dict[str, Any]:
     for key in keys:
         if not parse_key(key):
-            raise SpecError("should be a dotted key of a run spec, such as time.step", key=key)
+            raise SpecError("should be a dotted key of a run spec, such as time.step", key=quoted(key))
     return keys
 
 

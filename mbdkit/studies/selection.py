@@ -62,21 +62,20 @@ class _Condition(Compiler):
     def __init__(self, text: str, columns: Mapping[str, np.ndarray]):
         self.columns = columns
         self.aliases: dict[str, str] = {}
+        odd = sorted((name for name in columns if not (name.isidentifier() and name.isascii())), key=len, reverse=True)
+        names = "|".join(re.escape(name) for name in odd) or "(?!)"
+        self.words = re.compile(rf"({_QUOTED})|(?<![\w.])({names})(?![\w.])")
         super().__init__(text)
 
     def unquoted(self) -> str:
-        return re.sub(_QUOTED, lambda found: " " * len(found[0]), self.source)
+        return self.words.sub(lambda found: " " * len(found[0]), self.source)
 
     def tree(self) -> ast.expr:
         """Return the syntax tree, in which columns whose names are not Python identifiers have substitutes of the same
         length.
         """
         original = self.source
-        odd = sorted((name for name in self.columns if not name.isidentifier()), key=len, reverse=True)
-        if odd:
-            names = "|".join(re.escape(name) for name in odd)
-            words = re.compile(rf"({_QUOTED})|(?<![\w.])({names})(?![\w.])")
-            self.source = words.sub(lambda found: found[1] or self.alias(found[2]), original)
+        self.source = self.words.sub(lambda found: found[1] or self.alias(found[2]), original)
         try:
             return super().tree()
         finally:

@@ -18,6 +18,7 @@ import sympy as sp
 from sympy.core.function import UndefinedFunction
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.angle_function import Center, expression_of
 from mbdkit.mechanism.beams import Beam
@@ -209,12 +210,12 @@ class _Builder:
             case Torque() | PointForce():
                 self.add_load(name, force.load)
             case _:
-                raise SpecError(f"a {force.type} has no symbolic form", key=f"model.forces.{name}")
+                raise SpecError(f"a {force.type} has no symbolic form", key=f"model.forces.{quoted(name)}")
 
     def add_load(self, name: str, load: AppliedLoad) -> None:
         """Add the generalized forces of a load."""
         if any(map(is_of_state, load.values)):
-            raise SpecError("an expression of the state has no symbolic form", key=f"model.forces.{name}.value")
+            raise SpecError("an expression of the state has no symbolic form", key=f"model.forces.{quoted(name)}.value")
         values = [_jet(x)[0] for x in load.values]
         if load.kind == "torque":
             gradient = _pathway_terms("relative_angle")[1]
@@ -241,7 +242,7 @@ class _Builder:
         """
         law = force.force_law
         if law.states:
-            raise SpecError("first-order states have no symbolic form", key=f"model.forces.{name}")
+            raise SpecError("first-order states have no symbolic form", key=f"model.forces.{quoted(name)}")
         names, values = law_parameters(law, force, force.law_id)
         if not isinstance(law, ExpressionLaw):
             function = self.numeric_law(name, law.function, np.array(values))

@@ -212,7 +212,7 @@ def test_a_key_is_set_in_the_base_of_every_run(mbdkit, in_tmp_path):
             "--set model.length=3: an axis of the study sets model.length, so this would",
         ),
         ("limits.max_steps=3", "an axis of the study sets limits.max_steps"),
-        ("time.ende=3", "--set time.ende=3: overrides.time.ende: unknown key (did you mean 'end'?)"),
+        ("time.ende=3", "--set time.ende=3: overrides.\"time.ende\": unknown key (did you mean 'end'?)"),
         ("time.end", "should have the form KEY=VALUE"),
     ],
 )
@@ -257,7 +257,7 @@ def test_validate_takes_a_study(mbdkit, in_tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (SWEEP.replace("model.length", "model.lenght"), "sweep.yaml:7: axes[0].model.lenght[0]: "),
+        (SWEEP.replace("model.length", "model.lenght"), 'sweep.yaml:7: axes[0]."model.lenght"[0]: '),
         (
             SWEEP + "measures: {far: max(abs(rod2.position))}\n",
             "sweep.yaml:9: measures.far: there is no body",

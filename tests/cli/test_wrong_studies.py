@@ -52,12 +52,12 @@ WRONG = {
         "should be a mapping",
     ),
     "an axis of nothing": (study("time.step: [0.1, 0.05]", "{}"), 11, "axes[1]", "at least one key"),
-    "values that are no list": (study("[0.1, 0.05]", "0.1"), 11, "axes[1].time.step", "should be a list of values"),
-    "no values": (study("[0.1, 0.05]", "[]"), 11, "axes[1].time.step", "at least one value"),
+    "values that are no list": (study("[0.1, 0.05]", "0.1"), 11, 'axes[1]."time.step"', "should be a list of values"),
+    "no values": (study("[0.1, 0.05]", "[]"), 11, 'axes[1]."time.step"', "at least one value"),
     "a mistyped spacing": (
         study("[0.1, 0.05]", "{geomspce: [1, 2, 3]}"),
         11,
-        "axes[1].time.step.geomspce",
+        'axes[1]."time.step".geomspce',
         "did you mean 'geomspace'?",
     ),
     "keys of different length": (
@@ -69,7 +69,7 @@ WRONG = {
     "one key on two axes": (
         study("[0.1, 0.05]", "[0.1]\n  - time.step: [0.2]"),
         12,
-        "axes[2].time.step",
+        'axes[2]."time.step"',
         "is already in axes[1]",
     ),
     "a key under one that comes later": (
@@ -78,17 +78,17 @@ WRONG = {
         "axes[1].integrator",
         "as 'integrator.stages'",
     ),
-    "no key at all": (study("  - time.step:", "  - .step:"), 11, "axes[1]..step", "dotted key"),
+    "no key at all": (study("  - time.step:", "  - .step:"), 11, 'axes[1].".step"', "dotted key"),
     "a mistyped key of the run": (
         study("time.step: [", "time.stpe: ["),
         11,
-        "axes[1].time.stpe[0]",
+        'axes[1]."time.stpe"[0]',
         "did you mean 'step'?",
     ),
     "a value that a run refuses": (
         study("0.05]", "-0.05]"),
         11,
-        "axes[1].time.step[1]",
+        'axes[1]."time.step"[1]',
         "should be greater than 0, not -0.05 (in run 2: rk4; time.step -0.05)",
     ),
     "an unknown integrator": (
@@ -104,11 +104,11 @@ WRONG = {
         "should be at most 6",
     ),
     "a mistake in the base": (study("double-pendulum", "duoble-pendulum"), 3, "base.model.name", "'double-pendulum'"),
-    "a mistake in the overrides": (study("output.every", "output.evry"), 6, "overrides.output.evry", "mean 'every'?"),
+    "a mistake in the overrides": (study("output.every", "output.evry"), 6, 'overrides."output.evry"', "mean 'every'?"),
     "an override of what has no keys": (
         study("output.every", "time.step.small"),
         6,
-        "overrides.time.step.small",
+        'overrides."time.step.small"',
         "so it has no 'small'",
     ),
     "a combination that a run refuses": (
@@ -120,7 +120,7 @@ WRONG = {
     "a key that only together is wrong": (
         study("time.step: [0.1, 0.05]", "time.steps: [10]"),
         11,
-        "axes[1].time.steps[0]",
+        'axes[1]."time.steps"[0]',
         "time: takes exactly one of `end` and `steps`, not both; null removes a key, as in --set time.steps=null",
     ),
     "a reference that is a number": (
@@ -158,13 +158,13 @@ WRONG = {
     "several keys beside one": (
         study("[0.1, 0.05]", "[0.1, {label: x, set: {time.step: 0.1}}]"),
         11,
-        "axes[1].time.step[1]",
+        'axes[1]."time.step"[1]',
         "cannot mix values with and without `set`",
     ),
     "several keys of which one is none": (
         study("time.step: [0.1, 0.05]", "name: [{label: x, set: {.step: 0.1}}]"),
         11,
-        "axes[1].name[0].set..step",
+        'axes[1].name[0].set.".step"',
         "dotted key",
     ),
     "several keys of which one is set by another axis": (
@@ -184,7 +184,7 @@ WRONG = {
     "a mistake in one of several keys": (
         study("time.step: [0.1, 0.05]", "name: [{label: x, set: {time.step: 0.1, time.stpe: 2}}]"),
         11,
-        "axes[1].name[0].set.time.stpe",
+        'axes[1].name[0].set."time.stpe"',
         "did you mean 'step'?",
     ),
     "an unknown integrator of a distribution that is installed": (
@@ -216,7 +216,7 @@ WRONG = {
     "a mistake in a family": (
         "mbdkit_study: 1\nbase: pendulum\nfamilies:\n  a:\n    axes:\n      - time.step: [0]\n",
         6,
-        "families.a.axes[0].time.step[0]",
+        'families.a.axes[0]."time.step"[0]',
         "should be greater than 0",
     ),
     "a family without base": (
@@ -292,7 +292,7 @@ WRONG = {
         f"axes[1].{'a' * 289}...",
         "is longer than 255 bytes",
     ),
-    "not finite": (study("[0.1, 0.05]", "[.nan]"), 11, "axes[1].time.step[0]", "finite"),
+    "not finite": (study("[0.1, 0.05]", "[.nan]"), 11, 'axes[1]."time.step"[0]', "finite"),
 }
 
 

@@ -10,6 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import Mechanism
 
 STEEL = {"E": 2.0e11, "nu": 0.25, "density": 8000.0}
@@ -161,9 +162,14 @@ def test_a_joint_to_a_whole_beam_is_told_the_names_of_its_nodes() -> None:
         m.revolute("pin", m.ground, "link", at=(0, 0))
 
 
-def test_a_beam_needs_a_name_without_dots() -> None:
-    with pytest.raises(SpecError, match=r"without '/', '\.'"):
-        Mechanism().beam("a.b", a=(0, 0), b=(1, 0), **DIRECT)
+def test_a_body_is_not_named_like_a_node() -> None:
+    m = Mechanism()
+    m.beam("a.b", a=(0, 0), b=(1, 0), elements=2, **DIRECT)
+    m.body("a.toe", mass=1)
+    assert [beam_of(name) for name in m.bodies] == ["a.b", "a.b", "a.b", ""]
+    m.body("a.b.7", mass=1)
+    with pytest.raises(SpecError, match=r'bodies."a.b.7": .* a node of the beam'):
+        m.validate()
 
 
 def test_numbers_of_a_beam_may_be_expressions_of_parameters() -> None:

@@ -71,7 +71,7 @@ def test_wrong_distributions_are_refused_with_their_key(given: Any, key: str, me
     with pytest.raises(SpecError) as error:
         load_study_spec(_study(n=4, variables={"model.angles.0": given}))
     assert message in error.value.message
-    assert error.value.key == ".".join(filter(None, ["sample.variables.model.angles.0", key]))
+    assert error.value.key == ".".join(filter(None, ['sample.variables."model.angles.0"', key]))
 
 
 UNIFORM = {"uniform": [0, 1]}
@@ -88,15 +88,15 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
         "should be at least 0, not -1",
     ),
     "unknown key": (_study(n=4, sed=1, variables={"time.step": UNIFORM}), "sample.sed", "seed"),
-    "no key of a spec": (_study(n=4, variables={"a..b": UNIFORM}), "sample.variables.a..b", "dotted key"),
+    "no key of a spec": (_study(n=4, variables={"a..b": UNIFORM}), 'sample.variables."a..b"', "dotted key"),
     "one key twice": (
         _study(n=4, variables={"model.angles.0": UNIFORM, "model.angles[0]": UNIFORM}),
-        "sample.variables.model.angles[0]",
+        'sample.variables."model.angles[0]"',
         "is the same key as 'model.angles.0'",
     ),
     "a key and a part of it": (
         _study(n=4, variables={"model.angles.0": UNIFORM, "model.angles": UNIFORM}),
-        "sample.variables.model.angles.0",
+        'sample.variables."model.angles.0"',
         "is part of 'model.angles'",
     ),
     "an axis of the same key": (

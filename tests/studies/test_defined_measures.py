@@ -86,7 +86,7 @@ REFUSED: dict[str, tuple[Any, str, str]] = {
     "a built-in one": ({"duration": "final(t)"}, "measures.duration", "is a built-in measure"),
     "a name with a blank": ({"a b": "final(t)"}, "measures.a b", "letters, digits"),
     "the same name twice": ([{"a": "final(t)"}, {"a": "final(t)"}], "measures[1].a", "defined twice"),
-    "an axis": ({"model.gravity": "final(t)"}, "measures.model.gravity", "is also a measure"),
+    "an axis": ({"model.gravity": "final(t)"}, 'measures."model.gravity"', "is also a measure"),
     "an unknown plugin": ({"a": {"name": "jump"}}, "measures.a", "there is no measure 'jump'"),
     "a built-in name": ({"a": {"name": "duration"}}, "measures.a", "selected by its name alone"),
     "neither": ("some", "measures", "should be 'all', a list of measures, or a mapping"),
@@ -261,7 +261,7 @@ def test_a_measure_of_one_base_is_not_taken_of_the_runs_of_another(tmp_path: Pat
             {"overrides": {"measures.depth": "final(bal.y)"}},
             "overrides.measures.depth: there is no body or joint 'bal' (did you mean 'ball'?)",
         ),
-        ({"axes": [{"measures.depth": ["a", "b"]}]}, "axes[0].measures.depth[0]: a measure is a column of the study"),
+        ({"axes": [{"measures.depth": ["a", "b"]}]}, 'axes[0]."measures.depth"[0]: a measure is a column of the study'),
         ({"base": {**FALL["base"], "measures": {"x": 3}}}, "base.measures.x: should be an expression such as"),
     ],
 )

@@ -205,11 +205,23 @@ def test_a_locked_coordinate_makes_a_weld(tmp_path: Path) -> None:
     assert not m.coordinates
 
 
-def test_dots_in_names_of_markers_are_replaced_with_a_warning(tmp_path: Path) -> None:
-    markers = (osim.marker("R.ASIS", "rod", (0.1, 0.0, 0.1)), osim.marker("heel", "rod", (0.0, 0.0, 0.0)))
-    m = build_mechanism(written(tmp_path, osim.document(ROD, [PIN], markers)), {}, {})
-    assert list(m.markers) == ["R_ASIS", "heel"]
-    assert m.warnings == ("in names of markers, '_' takes the place of '.': R.ASIS",)
+def test_markers_keep_names_with_dots_and_fit_a_file_of_trajectories(tmp_path: Path) -> None:
+    markers = (osim.marker("R.ASIS", "rod", (0.1, 0.0, 0.1)), osim.marker("Top.Head", "rod", (0.3, 0.1, 0.0)))
+    model = {"name": "opensim", "file": written(tmp_path, osim.document(ROD, [PIN], markers))}
+    angle = np.linspace(0.0, 0.5, 21)
+    trc = ["PathFileType\t4\t(X/Y/Z)\tm.trc", "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+           f"100\t100\t{len(angle)}\t2\tmm", "Frame#\tTime\tR.ASIS\t\t\tTop.Head",
+           "\t\tX1\tY1\tZ1\tX2\tY2\tZ2", ""]  # fmt: skip
+    for i, turned in enumerate(angle):
+        c, s = 1000 * math.cos(turned), 1000 * math.sin(turned)
+        values = [i + 1, i / 100, 0.1 * c, 0.1 * s, 0, 0.3 * c - 0.1 * s, 0.3 * s + 0.1 * c, 0]
+        trc.append("\t".join(map(str, values)))
+    (tmp_path / "m.trc").write_text("\n".join(trc))
+    run = mbdkit.inverse({"mbdkit": 1, "model": model, "motion": {"file": str(tmp_path / "m.trc"), "columns": {
+        f"{name}.{axis}": {"column": f"{name}.{axis}"} for name in ("R.ASIS", "Top.Head") for axis in "xy"},
+        "smooth": {"name": "none"}}, "actuators": {"pin": {"joint": "pin"}}})  # fmt: skip
+    assert list(run.markers) == ["R.ASIS", "Top.Head"]
+    np.testing.assert_allclose(run.joints["pin"].angle, angle, atol=1e-6)
 
 
 def test_muscles_are_left_out_with_a_warning_of_the_run(tmp_path: Path) -> None:

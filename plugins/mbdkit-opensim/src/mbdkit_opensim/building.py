@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from mbdkit import Mechanism, SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit_opensim.frames import Frame, Frames
 from mbdkit_opensim.functions import center_of, constant
@@ -106,24 +107,16 @@ class _Builder:
                 self.add(joint, parent, child)
         if loose := [name for name in self.bodies if name not in self.poses]:
             raise refused(f"body '{loose[0]}' has no joint, so it could move out of the plane")
-        told = self.add_markers()
-        told += self.add_muscles(joints) if self.with_muscles else []
+        self.add_markers()
+        told = self.add_muscles(joints) if self.with_muscles else []
         self.result.warnings = (*told, *self.left_out(joints))
         return self.result
 
-    def add_markers(self) -> list[str]:
-        """Add the markers, and return a warning about those whose names have a dot, which separates quantities here."""
-        renamed = []
+    def add_markers(self) -> None:
+        """Add the markers."""
         for marker in objects_of(self.model, "MarkerSet"):
             body, place = self.frames.of_marker(marker)
-            name = name_of(marker).replace(".", "_")
-            self.result.marker(name, body, point=(place - self.centres[body]).tolist())
-            if name != name_of(marker):
-                renamed.append(name_of(marker))
-        if not renamed:
-            return []
-        more = [f"{len(renamed) - MOST_NAMED} more"] if len(renamed) > MOST_NAMED else []
-        return [f"in names of markers, '_' takes the place of '.': {listed([*renamed[:MOST_NAMED], *more], 'and')}"]
+            self.result.marker(name_of(marker), body, point=(place - self.centres[body]).tolist())
 
     def add_muscles(self, joints: list[Element]) -> list[str]:
         """Add the muscles, and return warnings about those that are not read as they are."""
@@ -179,7 +172,7 @@ class _Builder:
             for name in values:
                 if name not in known:
                     hint = did_you_mean(name, known) or f"; there are {listed(known)}"
-                    raise SpecError(f"there is no coordinate '{name}'{hint}", key=f"model.{key}.{name}")
+                    raise SpecError(f"there is no coordinate '{name}'{hint}", key=f"model.{key}.{quoted(name)}")
 
     def left_out(self, joints: list[Element]) -> list[str]:
         """Return warnings that name what is left out."""
