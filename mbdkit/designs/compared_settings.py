@@ -33,6 +33,8 @@ class Comparison:
         Whether it satisfies all limits with the settings of the design.
     reason
         Reason why there is no point, or why it is not feasible with these settings either; empty otherwise.
+    own_start, own_best
+        The start and the best point of the design itself, computed with these settings; None if the start fails.
     """
 
     name: str
@@ -40,6 +42,19 @@ class Comparison:
     actual: DesignPoint | None
     is_feasible: bool
     reason: str = ""
+    own_start: DesignPoint | None = None
+    own_best: DesignPoint | None = None
+
+    def confirmation(self) -> str:
+        """Return the goal at the start and at the best point of the design with these settings, as a sentence."""
+        if self.own_start is None or self.own_best is None:
+            return ""
+        (goal,) = self.own_best.goals
+        before, after = self.own_start.goals[goal], self.own_best.goals[goal]
+        if np.isnan(after):
+            return f"With {self.name}, a run fails at the best point of this design."
+        change = f" ({100 * (after - before) / abs(before):+.3g} %)" if before else ""
+        return f"With {self.name}, this design changes the {goal} from {before:.6g} to {after:.6g}{change}."
 
     @property
     def fails(self) -> bool:
@@ -49,10 +64,12 @@ class Comparison:
     @classmethod
     def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Comparison:
         """Return the comparison from plain data."""
-        believed, actual = (
-            None if data[key] is None else DesignPoint.from_dict(spec, data[key]) for key in ("believed", "actual")
+        believed, actual, own_start, own_best = (
+            None if data[key] is None else DesignPoint.from_dict(spec, data[key])
+            for key in ("believed", "actual", "own_start", "own_best")
         )
-        return cls(str(data["name"]), believed, actual, bool(data["is_feasible"]), str(data["reason"]))
+        is_feasible, reason = bool(data["is_feasible"]), str(data["reason"])
+        return cls(str(data["name"]), believed, actual, is_feasible, reason, own_start, own_best)
 
 
 def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
@@ -60,8 +77,8 @@ def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
     return Evaluator(evaluator.spec, evaluator.run, compared=name)
 
 
-def compare(evaluator: Evaluator, name: str, notify: Notify) -> Comparison:
-    """Search for the best point of a design with the other settings of this name."""
+def compare(evaluator: Evaluator, name: str, best: np.ndarray, notify: Notify) -> Comparison:
+    """Search for the best point of a design with the other settings of this name; its own `best` is computed, too."""
     other = compared_with(evaluator, name)
     try:
         found = searches(Problem(other), evaluator.spec.optimizer, evaluator.first)[0]
@@ -73,7 +90,8 @@ def compare(evaluator: Evaluator, name: str, notify: Notify) -> Comparison:
            f"{other.totals(end)[0]:.6g}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)
     reason = "" if found.feasible else f"With {name}, the search found no point that satisfies all limits."
-    return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible, reason)
+    own = point_of(other, evaluator.first), point_of(other, best)
+    return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible, reason, *own)
 
 
 def comparison_table(best: DesignPoint, compared: Sequence[Comparison]) -> str:

@@ -109,6 +109,8 @@ class Design:
                 str(trust["verdict"]),
                 str(trust["reason"]),
                 tuple(map(str, trust["failures"])),
+                numbers(trust["gain_errors"]),
+                bool(trust["is_of_data"]),
             ),
             is_feasible=bool(data["is_feasible"]),
             runs=int(data["runs"]),
@@ -130,6 +132,10 @@ class Design:
             error = self.trust.errors[name]
             told = "unknown" if np.isnan(error) else f"{error:.1g}"
             rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told))
+        for name in self.spec.subject_to:
+            for scenario, measures in self.best.measures.items():
+                label = f"{scenario}: {name}" if scenario else name
+                rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", ""))
         at_best, every = self.searches
         lines = [table(rows), f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
         if self.derivatives:
@@ -139,7 +145,8 @@ class Design:
         if len(self.front) > 1:
             lines.append(front_table(self.front, self.best))
         if self.compared:
-            lines += [comparison_table(self.best, self.compared), *(one.reason for one in self.compared if one.reason)]
+            remarks = (text for one in self.compared for text in (one.confirmation(), one.reason) if text)
+            lines += [comparison_table(self.best, self.compared), *remarks]
         return "\n".join([*lines, *self.warnings])
 
     @property
@@ -174,7 +181,7 @@ def solve(evaluator: Evaluator, notify: Notify) -> Design:
         one.feasible == found[0].feasible and one.cost <= found[0].cost + 1e-3 * abs(found[0].cost) for one in found
     )
     alone = undetermined(problem, best.end) if len(spec.totals) == 1 else ()
-    compared = tuple(compare(evaluator, name, notify) for name in spec.compare)
+    compared = tuple(compare(evaluator, name, best.end, notify) for name in spec.compare)
     return Design(
         spec=spec,
         start=point_of(evaluator, first),

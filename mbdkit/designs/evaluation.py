@@ -19,6 +19,7 @@ from mbdkit.base.logs import to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.inverse_dynamics.inverse_run import compute_run
+from mbdkit.inverse_dynamics.measure_samples import SampledMeasures, sampled_measures
 from mbdkit.measures.take import describe, error_of, take
 from mbdkit.runs.batch import simulate_batch
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
@@ -137,6 +138,19 @@ class ScenarioRuns:
             errors = tuple(map(partial(error_of, run=stored, spec=spec), self._measures, values)) if spec.check else ()
             found[place] = replace(_judged(values, result.judgement.level, result.judgement.reasons), errors=errors)
         return [one for one in found if one is not None]
+
+    def sampled(self, settings: Settings) -> SampledMeasures | None:
+        """Return goals and limits with their samples, for inverse dynamics; None if their errors are unknown."""
+        spec = self.at(settings)
+        if isinstance(spec, RunSpec):
+            return None
+        with one_thread_of_linear_algebra():
+            try:
+                return sampled_measures(spec, [measure.name for measure in self._measures])
+            except ResourceError:
+                raise
+            except MbdkitError:
+                return None
 
     @property
     def _cheaper(self) -> Settings:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mbdkit.designs.evaluation import Evaluator, Job, Outcome, Settings
+from mbdkit.inverse_dynamics.error_bars import LEVEL
+from mbdkit.inverse_dynamics.measure_samples import SampledMeasures
 from mbdkit.spec import InverseSpec, RunSpec
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")
@@ -21,18 +23,23 @@ class Trust:
     ----------
     errors
         Estimated error of each goal and limit at the best point, by name: the errors of these measures in the runs
-        there (`Run.measure_errors`); nan where they are unknown, as in inverse dynamics, which has no steps.
+        there (`Run.measure_errors`), or the bounds of their errors by noise and cutoff in inverse dynamics; nan where
+        they are unknown.
     gain
         Decrease of each goal from the start to the best point, by name.
     is_gain
-        Whether the gain of each goal exceeds the estimated errors of both points, by name; None if there is no
-        estimate.
+        Whether the gain of each goal exceeds its error, by name; None if there is no estimate.
     verdict
         Worst verdict of the runs at the best point, which estimate their errors (``check: true``).
     reason
         Reason why this is doubtful or bad; empty otherwise.
     failures
         Why errors of runs are unknown, the first reason at the start and at the best point, as sentences.
+    gain_errors
+        Error of each gain by name: the sum of the errors of both points or, in inverse dynamics, the bound of the error
+        of the difference, because both points have the same data with the same noise; nan where it is unknown.
+    is_of_data
+        Whether errors are those of inverse dynamics, by noise, cutoff and deviations of muscles.
     """
 
     errors: dict[str, float]
@@ -41,6 +48,8 @@ class Trust:
     verdict: str
     reason: str = ""
     failures: tuple[str, ...] = ()
+    gain_errors: dict[str, float] = field(default_factory=dict)
+    is_of_data: bool = False
 
     def sentences(self) -> list[str]:
         """Return remarks for the user: goals without a gain or with unknown error, and a verdict below good."""
@@ -53,6 +62,11 @@ class Trust:
                 told.append(f"There is no gain of {name}, which grows by {-self.gain[name]:.3g}.")
             elif not real:
                 told.append(f"{gain} is within the estimated errors: it does not count as a gain.")
+            elif self.is_of_data:
+                told.append(
+                    f"{gain} has an error of at most {self.gain_errors[name]:.2g} with a probability of {LEVEL:.0%}, "
+                    "by the noise of the data, the cutoff, and the deviations of muscles if they are given."
+                )
         unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]
         if unknown:
             told.append(f"There is no estimate of the error of {', '.join(unknown)}.")
@@ -65,13 +79,18 @@ class Trust:
 
 def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
     """Certify the best point (n,) by runs that estimate their errors, there and at the start."""
-    goals = evaluator.spec.totals
+    goals, count = evaluator.spec.totals, len(evaluator.spec.totals)
     checked_at_start, checked = (_checked(evaluator, x) for x in (start, best))
-    errors_at_start, failures_at_start = _errors(evaluator, start, checked_at_start, "start")
-    errors, failures = _errors(evaluator, best, checked, "best point")
+    sampled_at_start, sampled = (_sampled(evaluator, x) for x in (start, best))
+    if sampled_at_start is None or sampled is None:
+        errors_at_start, failures_at_start = _errors(evaluator, start, checked_at_start, "start")
+        errors, failures = _errors(evaluator, best, checked, "best point")
+        both = errors_at_start + errors
+    else:
+        errors, both = sampled.bounds(), sampled_at_start.minus(sampled).bounds()
+        failures_at_start = failures = ()
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
-    both = errors_at_start + errors
     worst = min(checked, key=lambda one: WORST.index(one.verdict))
     return Trust(
         errors=dict(zip([*goals, *evaluator.spec.subject_to], errors.tolist(), strict=True)),
@@ -80,7 +99,31 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
         verdict=worst.verdict,
         reason=worst.reason,
         failures=(*failures_at_start[:1], *failures[:1]),
+        gain_errors=dict(zip(goals, both[:count].tolist(), strict=True)),
+        is_of_data=sampled is not None,
     )
+
+
+def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
+    """Return the goals, summed over the scenarios, and the largest limits with their samples at a point (n,).
+
+    They are None unless all scenarios are inverse dynamics with errors that are known.
+    """
+    found = [scenario.sampled(evaluator.settings(x)) for scenario in evaluator.scenarios]
+    known = [one for one in found if one is not None]
+    if len(known) < len(found) or len({(len(one.cutoffs), len(one.muscles)) for one in known}) > 1:
+        return None
+    weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
+
+    def summed(arrays: list[np.ndarray]) -> np.ndarray:
+        table = np.stack(arrays, axis=-1)  # (..., K, S)
+        of_goals = table[..., :count, :]
+        if evaluator.spec.sums_squares:
+            of_goals = np.sum(of_goals**2, axis=-2, keepdims=True)
+        return np.concatenate([of_goals @ weights, np.max(table[..., count:, :], axis=-1)], axis=-1)
+
+    parts = ("value", "noisy", "cutoffs", "muscles")
+    return SampledMeasures(*(summed([getattr(one, part) for one in known]) for part in parts))
 
 
 def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:

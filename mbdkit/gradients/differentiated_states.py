@@ -76,7 +76,9 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
     require_derivative(quantity)
     if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
         raise _refused(quantity, ", because redundant joints share their reactions")
-    names = replace(archive_names(states.mechanism), actuators=states.actuator_names, muscles=states.muscle_names)
+    names = replace(archive_names(states.mechanism), actuators=states.actuator_names)
+    if states.muscles is not None:
+        names = replace(names, muscles=states.muscle_names)
     found = quantity.taker(names)(states)
     return Value.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
 

@@ -6,7 +6,8 @@ central differences give the covariance of the forces. Loads are not smoothed, s
 covariance unchanged. The effect of the cutoff is added by root sum of squares: the mean of the squared changes of the
 result with a lower and a higher cutoff, minus the mean square change caused by noise alone. So is that of the choice of
 independent coordinates, unless these are the measured quantities: the squared change of the result where others are
-smoothed, minus its mean square due to noise.
+smoothed, minus its mean square due to noise. Properties of muscles that are not known exactly are drawn at random; the
+mean squares of the changes are added.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.inverse_dynamics.compute import Inverse, forces_of, recorded_states
+from mbdkit.inverse_dynamics.muscle_samples import PROPERTIES, forces_with, known_mean, with_drawn_muscles
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series, other_coordinates
 from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed, smoothed_each, with_cutoff
@@ -137,6 +139,9 @@ def error_bars(result: Inverse) -> ErrorBars | None:
             ):
                 beyond[index] += (change**2 - noise) / len(group)
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
+    of_muscles = _muscle_squares(result, random)
+    if of_muscles is not None:
+        squares = [square + more for square, more in zip(squares, of_muscles, strict=True)]
     method = _method(result, deviation, *([one.name for one in group] for group in groups))
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
     return ErrorBars(
@@ -206,6 +211,29 @@ def _with_loads(
     every[:, range(own, own + count), range(own, own + count)] = np.square(deviations)
     of_loads = [np.array(one) for one in zip(*columns, strict=True)]
     return [np.concatenate(pair) for pair in zip(sensitivity, of_loads, strict=True)], every
+
+
+def _muscle_squares(result: Inverse, random: np.random.Generator) -> list[np.ndarray] | None:
+    """Return the squared bounds of all parts, in the order of `_bounds`, due to the properties of the muscles.
+
+    Samples with muscles that cannot produce a frame do not count there; where these are more than half of them, the
+    bounds are nan. None if the properties count as exact.
+    """
+    base, factor = _outcome(result), chi2.ppf(LEVEL, 1)
+    unknown = tuple(np.full_like(part, np.nan) for part in base.parts)
+    changes = []
+    for problem in with_drawn_muscles(result.problem, random):
+        other = forces_with(problem, result)
+        changes.append(unknown if other is None else _outcome(other).minus(base).parts)
+    if not changes:
+        return None
+    actuators, reactions, position, velocity, muscles = (np.array(one) for one in zip(*changes, strict=True))
+    x, y, torque = np.moveaxis(reactions, -1, 0)
+    force = _norm_bound(*(known_mean(a * b) for a, b in ((x, x), (y, y), (x, y)))) ** 2
+    own, turned, place, rate, pull = (
+        factor * known_mean(one**2) for one in (actuators, torque, position, velocity, muscles)
+    )
+    return [own, force, turned, place, rate, pull]
 
 
 def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
@@ -314,6 +342,15 @@ def _other_coordinates(response: _Response) -> list[_Other]:
     return [_Other.of(_some(other.names), noise, outcome, base)]
 
 
+def _told_muscles(result: Inverse) -> str:
+    recruiter = result.problem.recruiter
+    own = None if recruiter is None else recruiter.asked.deviations
+    if own is None:
+        return ""
+    shares = [f"{key} {getattr(own, key):.3g}" for key in PROPERTIES if getattr(own, key)]
+    return f"; {own.samples} samples of properties of the muscles with the deviations {listed(shares, 'and')}"
+
+
 def _some(names: Sequence[str]) -> str:
     return listed(names[:6], "" if len(names) > 6 else "and") + (f" and {len(names) - 6} more" if names[6:] else "")
 
@@ -342,5 +379,5 @@ def _method(result: Inverse, deviation: np.ndarray, factors: list[str], coordina
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
         f"to sample, with the standard deviations {_some(told)}, passed through the linearised fit, smoothing and "
         f"dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
-        f"{'' if factors else '; no cutoff was varied'}."
+        f"{'' if factors else '; no cutoff was varied'}{_told_muscles(result)}."
     )

@@ -40,6 +40,8 @@ from mbdkit.spec.inverse_loading import InverseSource
 
 _LOG = logger_of(__name__)
 
+TIMINGS = ("setup_s", "wall_s", "cpu_s")
+
 
 def inverse(
     source: InverseSource, *, archive: str | Path | None = None, overwrite: bool = False, **sections: Any
@@ -124,6 +126,13 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     return load(path)
 
 
+def run_of(result: Inverse) -> Run:
+    """Return a result without error bars as a run in memory."""
+    file = _archive_of(result, None, (), None, overwrite=False, timings=dict.fromkeys(TIMINGS, 0.0))
+    assert file is not None
+    return Run(file)
+
+
 def _archive_of(
     result: Inverse,
     bars: ErrorBars | None,
@@ -142,7 +151,7 @@ def _archive_of(
     doubts
         What is implausible in the data.
     timings
-        ``setup_s``, ``wall_s`` and ``cpu_s``.
+        Those of `TIMINGS`.
 
     Raises
     ------
@@ -211,7 +220,7 @@ def _names(result: Inverse) -> ArchiveNames:
         observed_units=[quantity.unit for quantity in measured.quantities.quantities],
         actuators=[actuator.name for actuator in actuators],
         actuator_units=[actuator.unit for actuator in actuators],
-        muscles=() if result.problem.recruiter is None else result.problem.recruiter.muscles,
+        muscles=() if result.problem.recruiter is None else tuple(result.problem.recruiter.muscles),
         loads=result.loads.names,
         load_bodies=result.loads.bodies,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -64,6 +64,16 @@ class LoadSeries:
         values = getattr(self, name).copy()
         values[self.acts, ... if axis is None else axis] += by
         return replace(self, **{name: values})
+
+    def with_noise(self, random: np.random.Generator) -> LoadSeries:
+        """Return the load with Gaussian noise of its components at all times at which it acts."""
+        moved: dict[str, Any] = {}
+        acts = self.acts
+        for (name, axis), deviation in self.deviation.items():
+            values = moved.setdefault(name, getattr(self, name).copy())
+            noise = deviation * random.standard_normal(len(self.time))
+            values[acts, ... if axis is None else axis] += noise[acts]
+        return replace(self, **moved)
 
     @property
     def acts(self) -> np.ndarray:

@@ -12,7 +12,8 @@ and of ``(r / optimal force)^p``.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from mbdkit.base.text import counted, listed
 from mbdkit.inverse_dynamics.dynamics import Balance, Dynamics
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
+from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.fibers import fibers_on_rigid_tendon
 from mbdkit.muscles.muscle_path import MusclePath
@@ -130,7 +132,7 @@ class Recruiter:
     Attributes
     ----------
     muscles
-        Names of the muscles.
+        The muscles by name.
 
     Raises
     ------
@@ -142,8 +144,8 @@ class Recruiter:
         own = names.mechanism.muscles
         if not own:
             raise SpecError("needs muscles, but the model has none", key="recruitment")
-        self.asked, self._muscles, self._actuators = asked, own, actuators
-        self.muscles = tuple(own)
+        self.asked, self._actuators = asked, actuators
+        self.muscles: Mapping[str, Muscle] = own
         self._paths = {name: MusclePath(name, muscle, names) for name, muscle in own.items()}
         for name, muscle in own.items():
             if muscle.tendon == "elastic" and (asked.capacity == "full" or asked.passive):
@@ -153,6 +155,12 @@ class Recruiter:
                 )
         self._joined = np.array([not one.is_residual for one in actuators], dtype=bool)
         self._reserves = reserves_of(asked, actuators)
+
+    def with_muscles(self, muscles: Mapping[str, Muscle]) -> Recruiter:
+        """Return a recruiter of muscles with other properties on the same paths."""
+        other = copy(self)
+        other.muscles = muscles
+        return other
 
     @property
     def reserves(self) -> list[NamedActuator]:
@@ -238,7 +246,7 @@ class Recruiter:
         """Return geometry and possible forces of the muscles."""
         is_full = self.asked.capacity == "full"
         columns: list[tuple[np.ndarray, ...]] = []
-        for name, muscle in self._muscles.items():
+        for name, muscle in self.muscles.items():
             path = self._paths[name].at(motion.time, motion.q)
             rate = path.rate(motion.v)
             if is_full or self.asked.passive:
@@ -285,7 +293,7 @@ class Recruiter:
     @property
     def weights(self) -> np.ndarray:
         """Weights (M,) of the muscles."""
-        return np.array([muscle.weight for muscle in self._muscles.values()])
+        return np.array([muscle.weight for muscle in self.muscles.values()])
 
     def _impossible(
         self, programme: Programme, time: np.ndarray, failed: np.ndarray, driven: Sequence[NamedActuator]

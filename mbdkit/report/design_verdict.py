@@ -109,11 +109,11 @@ def _compared(design: Design, one: Comparison) -> Claim:
     in_fact = "a run fails there" if one.fails else f"it is {actual:.6g}{unit}"
     text = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
     if same:
-        return Claim(name, statement, "", text, Answer.YES, one.reason)
+        return Claim(name, statement, "", text, Answer.YES, f"{one.confirmation()} {one.reason}".strip())
     beyond = "" if one.is_feasible or one.fails else ", and limits are violated there"
     sentence = (
         f"With {one.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
-        f"{in_fact}{beyond}. {one.reason}"
+        f"{in_fact}{beyond}. {one.confirmation()} {one.reason}"
     )
     return Claim(name, statement, "", text, Answer.NO, sentence.rstrip())
 

@@ -293,6 +293,28 @@ class Actuator(Section):
         return self
 
 
+class MuscleDeviations(Section):
+    """How well properties of the muscles are known: standard deviations of their logarithms, about their shares.
+
+    Each property of each muscle varies by itself.
+    """
+
+    max_force: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Of the isometric force."""
+    optimal_length: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Of the optimal length of the fibres."""
+    tendon_length: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Of the length of the tendon."""
+    samples: Annotated[Count, Field(ge=20)] = 100
+    """Number of samples."""
+
+    @model_validator(mode="after")
+    def _vary_something(self) -> MuscleDeviations:
+        if not self.max_force and not self.optimal_length and not self.tendon_length:
+            raise PydanticCustomError("mbdkit", "needs `max_force`, `optimal_length` or `tendon_length`")
+        return self
+
+
 class Recruitment(Section):
     """How muscles share the moments of actuators.
 
@@ -300,6 +322,8 @@ class Recruitment(Section):
     force)^exponent``, is minimised. Muscles and reserves together exert the moment of each actuator that a muscle acts
     on.
     """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviations",)
 
     exponent: Annotated[int, Field(ge=1, le=20)] | Literal["inf"] = 2
     """A whole number, or `inf`: the largest share is minimised. Of equally good solutions, as they exist for 1 and
@@ -314,6 +338,9 @@ class Recruitment(Section):
     cosine of the pennation, on a rigid tendon; or `isometric`, max_force."""
     passive: bool = False
     """Whether the force of passive fibres is added to that of active ones."""
+    deviations: MuscleDeviations | None = None
+    """How well properties of the muscles are known; samples of them are then part of the error bars. By default, they
+    count as exact."""
 
 
 class Span(Section):

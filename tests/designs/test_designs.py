@@ -29,7 +29,7 @@ def test_the_best_torsion_spring_is_the_regression_of_the_moment(optimizer: str,
     assert found.trust.is_gain["goal"]
 
 
-def test_a_design_of_inverse_dynamics_has_no_estimate_of_its_error() -> None:
+def test_a_design_of_inverse_dynamics_without_known_noise_has_no_estimate_of_its_error() -> None:
     # expected: <(k phi - 2)^2> of the brace is least at k = 2 <phi> / <phi^2>, but for the rule on rows
     m = shank()
     data = {"time": T.tolist(), "angle": (0.2 + 0.5 * np.sin(3 * T)).tolist()}

@@ -1,0 +1,152 @@
+"""Errors of measures of inverse dynamics, by samples of noise and of properties of muscles, and by other cutoffs.
+
+The error bars of `mbdkit.inverse_dynamics.error_bars` hold at each time. A measure depends on all times, so that it is
+computed again from noisy motions and loads. The same seed gives the same noise, which therefore cancels in the
+difference of two results of one motion, such as those with and without a device.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from mbdkit.base.errors import SpecError
+from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
+from mbdkit.inverse_dynamics.error_bars import CUTOFFS, LEVEL
+from mbdkit.inverse_dynamics.inverse_run import run_of
+from mbdkit.inverse_dynamics.loads import LoadSeries
+from mbdkit.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
+from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
+from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series
+from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
+from mbdkit.spec import InverseSpec
+
+SAMPLES = 40
+"""Number of samples; the bounds scatter by 1 / sqrt(2 * SAMPLES), 11 %."""
+
+FACTOR = float(chi2.ppf(LEVEL, 1))
+"""Squared bound of a Gaussian variable over its mean square."""
+
+
+@dataclass(frozen=True)
+class SampledMeasures:
+    """Measures of inverse dynamics for the data, for noisy data, and for other cutoffs.
+
+    Attributes
+    ----------
+    value
+        (..., K) measures for the data.
+    noisy
+        (S, ..., K) measures with noise added to the data.
+    cutoffs
+        (C, ..., K) measures with other cutoffs; C may be 0.
+    muscles
+        (P, ..., K) measures with other properties of the muscles; P may be 0.
+    """
+
+    value: np.ndarray
+    noisy: np.ndarray
+    cutoffs: np.ndarray
+    muscles: np.ndarray
+
+    def minus(self, other: SampledMeasures) -> SampledMeasures:
+        """Return the differences of two results, each with the same noise and cutoffs."""
+        return SampledMeasures(
+            self.value - other.value,
+            self.noisy - other.noisy,
+            self.cutoffs - other.cutoffs,
+            self.muscles - other.muscles,
+        )
+
+    def bounds(self) -> np.ndarray:
+        """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
+
+        Noise and muscles count with their mean squares, which include the bias of extrema, and cutoffs with their mean
+        square change, by root sum of squares. Samples that muscles cannot produce do not count, unless they are more
+        than half of them.
+        """
+        square = np.zeros_like(self.value)
+        for factor, samples in ((FACTOR, self.noisy), (FACTOR, self.muscles), (1.0, self.cutoffs)):
+            if len(samples):
+                square = square + factor * known_mean((samples - self.value) ** 2)
+        return np.asarray(np.sqrt(square))
+
+
+def sampled_measures(spec: InverseSpec, measures: Sequence[str]) -> SampledMeasures | None:
+    """Return K measures of a spec, given by their names, with their samples.
+
+    Returns
+    -------
+    SampledMeasures or None
+        None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
+        stated nor can be estimated from the residuals.
+
+    Raises
+    ------
+    MbdkitError
+        If the computation fails for the data.
+    """
+    asked = spec.motion.errors
+    result = compute(InverseProblem.of(spec))
+    independent = result.independent
+    if asked == "none" or independent is None or not independent.names:
+        return None
+    random = np.random.default_rng(asked.seed)
+    measured, times = result.fitted.measured, result.motion.time
+    coordinates = independent.quantities.values(result.fitted.q)
+    how = fixed(times, coordinates, spec.motion.smooth)
+    path = NoisePath(result, independent, how)
+    left = measured.raw - measured.quantities.values(result.motion.q)
+    deviation = noise_deviation(path, left, measured.deviation, random)
+    if np.any(np.isnan(deviation)):
+        return None
+    series = smoothed_each(times, coordinates, how)
+    noisy = [
+        _measured(_moved(result, independent, one, loads), measures)
+        for one, loads in _noisy(result, path, deviation, series, random)
+    ]
+    others = []
+    for factor in CUTOFFS:
+        moved = [with_cutoff(one, factor) or one for one in how]
+        if moved != how:
+            try:
+                other = smoothed_each(times, coordinates, moved)
+            except SpecError:  # the cutoff is too high for the sampling rate
+                continue
+            others.append(_measured(_moved(result, independent, other, result.problem.loads), measures))
+    drawn = [forces_with(problem, result) for problem in with_drawn_muscles(result.problem, random)]
+    value = _measured(result, measures)
+    unknown = np.full_like(value, np.nan)
+    muscles = [unknown if one is None else _measured(one, measures) for one in drawn]
+    return SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, muscles)))
+
+
+def _noisy(
+    result: Inverse, path: NoisePath, deviation: np.ndarray, series: Smoothed, random: np.random.Generator
+) -> Iterator[tuple[Smoothed, dict[str, LoadSeries]]]:
+    """Yield samples of the coordinates and of the loads."""
+    for block in path.samples(deviation, SAMPLES, random):
+        change = path.smoothed(block)
+        for k in range(block.shape[2]):
+            own = Smoothed(
+                series.value + change.value[..., k],
+                series.rate + change.rate[..., k],
+                series.acceleration + change.acceleration[..., k],
+            )
+            yield own, {name: load.with_noise(random) for name, load in result.problem.loads.items()}
+
+
+def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: dict[str, LoadSeries]) -> Inverse:
+    """Return the result for other coordinates and loads; tensions are nan where muscles cannot produce the motion."""
+    problem = replace(result.problem, loads=loads)
+    motion = motion_of_series(problem.fitter, independent, result.motion.time, result.motion.q, series)
+    return forces_of(problem, result.fitted, independent, motion, strict=False)
+
+
+def _measured(result: Inverse, measures: Sequence[str]) -> np.ndarray:
+    """Return the measures (K,) of a result."""
+    with run_of(result) as run:
+        return np.array([run.measures[name] for name in measures])

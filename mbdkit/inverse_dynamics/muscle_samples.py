@@ -1,0 +1,59 @@
+"""Muscles whose properties are drawn at random: the effect of not knowing them on tensions and joint forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from mbdkit.base.errors import RunError
+from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, forces_of
+from mbdkit.inverse_dynamics.recruitment import Recruiter
+from mbdkit.spec.inverse_sections import MuscleDeviations
+
+PROPERTIES = ("max_force", "optimal_length", "tendon_length")
+
+
+def with_drawn_muscles(problem: InverseProblem, random: np.random.Generator) -> Iterator[InverseProblem]:
+    """Yield a problem with muscles whose properties are drawn from log-normal distributions.
+
+    Each property of each muscle is drawn by itself, about its value in the spec as median. There are as many problems
+    as `MuscleDeviations.samples` says, and none if the spec has no `recruitment.deviations`.
+    """
+    recruiter = problem.recruiter
+    deviations = None if recruiter is None else recruiter.asked.deviations
+    if recruiter is None or deviations is None:
+        return
+    for _ in range(deviations.samples):
+        yield replace(problem, recruiter=_drawn(recruiter, deviations, random))
+
+
+def _drawn(recruiter: Recruiter, deviations: MuscleDeviations, random: np.random.Generator) -> Recruiter:
+    """Return a recruiter of muscles with drawn properties."""
+    muscles = {}
+    for name, muscle in recruiter.muscles.items():
+        factors = np.exp([getattr(deviations, key) * random.standard_normal() for key in PROPERTIES])
+        muscles[name] = muscle.model_copy(
+            update={key: getattr(muscle, key) * float(by) for key, by in zip(PROPERTIES, factors, strict=True)}
+        )
+    return recruiter.with_muscles(muscles)
+
+
+def forces_with(problem: InverseProblem, result: Inverse) -> Inverse | None:
+    """Return the result with other muscles for the same motion; None if their tendons are longer than their paths.
+
+    Tensions are nan in frames that the muscles cannot produce.
+    """
+    try:
+        return forces_of(problem, result.fitted, result.independent, result.motion, strict=False)
+    except RunError:
+        return None
+
+
+def known_mean(samples: np.ndarray) -> np.ndarray:
+    """Return the mean (...) of the known ones of samples (S, ...); nan where more than half of them are nan."""
+    known = np.isfinite(samples)
+    number = np.sum(known, axis=0)
+    total = np.sum(np.where(known, samples, 0.0), axis=0)
+    return np.asarray(np.where(2 * number >= len(samples), total / np.maximum(number, 1), np.nan))
