@@ -28,9 +28,13 @@ limits: {max_steps: 2000000000}
 """
 
 
-def start(folder: Path, *arguments: str, **options) -> ForkedProcess:
+def start(folder: Path, *arguments: str, hangup: signal.Handlers = signal.SIG_DFL, **options) -> ForkedProcess:
     (folder / "long.yaml").write_text(LONG)
-    return forked_command("run", "long.yaml", *arguments, folder=folder, **options)
+    before = signal.signal(signal.SIGHUP, hangup)  # the tests themselves may run under nohup
+    try:
+        return forked_command("run", "long.yaml", *arguments, folder=folder, **options)
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def wait_until_it_runs(process: subprocess.Popen | ForkedProcess, part: Path) -> None:
@@ -76,11 +80,7 @@ def test_ctrl_c_and_its_like_keep_the_archive_and_are_exit_status_130(stop, tmp_
 
 
 def test_a_run_under_nohup_goes_on(tmp_path):
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        process = start(tmp_path)
-    finally:
-        signal.signal(signal.SIGHUP, before)
+    process = start(tmp_path, hangup=signal.SIG_IGN)
     try:
         wait_until_it_runs(process, tmp_path / "long.h5.part")
         process.send_signal(signal.SIGHUP)

@@ -59,7 +59,9 @@ def test_scenarios_are_summed_by_their_weights() -> None:
     assert found.best.goals["goal"] == pytest.approx(total, rel=1e-12)
 
 
-@pytest.mark.parametrize("optimizer", ["slsqp", "trust-constr", "differential-evolution"])
+@pytest.mark.parametrize(
+    "optimizer", ["slsqp", "trust-constr", pytest.param("differential-evolution", marks=pytest.mark.slow)]
+)
 def test_a_limit_that_is_active_holds_at_the_best_point(optimizer: str) -> None:
     # expected: the brace may exert 3 N m at most, at the largest angle
     spec, most = swing(), 0.7  # the angle is 0.2 + 0.5 sin(3 t)

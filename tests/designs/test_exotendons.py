@@ -30,7 +30,7 @@ def gait() -> Gait:
     [
         (ONE_OF_THREE, "moment", -46.0, 8),
         (ONE_OF_THREE, "power", -47.0, 8),
-        (TWO_OF_SIX, "moment", -71.0, 32),
+        pytest.param(TWO_OF_SIX, "moment", -71.0, 32, marks=pytest.mark.slow),
         (TWO_OF_SIX, "power", -74.0, 16),
     ],
 )

@@ -179,7 +179,10 @@ def outcome(kind: Any, installed: Registry, name: str) -> Result:
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("midpoint", "symplectic Euler"))) for name in RIGHT],
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("midpoint", "symplectic Euler", "runge-kutta")))
+        for name in RIGHT
+    ],
 )
 def test_what_is_right_is_accused_by_no_check_that_catches_what_is_wrong(name: str) -> None:
     kind, installed = RIGHT[name]

@@ -65,7 +65,7 @@ def test_a_jump_in_energy_between_two_rows_of_a_plugin_is_seen() -> None:
 
 
 @pytest.mark.parametrize("name", SCIPY)
-@pytest.mark.parametrize("rtol", [1e-3, 1e-6, pytest.param(1e-9, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rtol", [1e-3, *(pytest.param(rtol, marks=pytest.mark.slow) for rtol in (1e-6, 1e-9))])
 def test_no_solver_of_scipy_leaves_its_branch_without_a_word(name: str, rtol: float) -> None:
     for n in (1, 2):
         run = flat_linkage(n, {"name": name, "rtol": rtol, "atol": rtol})
