@@ -316,6 +316,8 @@ class MuscleHistory(View, of="muscles"):
     excitation: np.ndarray
     force: np.ndarray
     power: np.ndarray
+    fiber_power: np.ndarray
+    metabolic_power: np.ndarray
     force_error: np.ndarray
 
 

@@ -105,6 +105,7 @@ MUSCLES = tuple(
     f"muscles/{name}"
     for name in (
         "time", "muscle", "length", "rate", "fiber_length", "fiber_rate", "activation", "excitation", "force", "power",
+        "fiber_power", "metabolic_power",
     )
 )  # fmt: skip
 

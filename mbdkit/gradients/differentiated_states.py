@@ -146,5 +146,6 @@ def _together(
     arrays: dict[str, Any] = {name: join([getattr(part, name) for part in parts]) for name in known}
     if first.muscles is not None:
         every = [part.muscles for part in parts if part.muscles is not None]
-        arrays["muscles"] = Muscles(*(join(x) for x in zip(*(one.arrays for one in every), strict=True)))
+        of_muscles: dict[str, Any] = {name: join([getattr(one, name) for one in every]) for name in Muscles.ARRAYS}
+        arrays["muscles"] = replace(first.muscles, **of_muscles)
     return replace(first, observe=lambda: observed, **arrays)

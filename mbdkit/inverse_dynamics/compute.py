@@ -294,8 +294,9 @@ def _muscles(result: Inverse) -> Muscles | None:
     one = result.recruited
     if one is None:
         return None
-    own = one.contraction
-    return Muscles(own.length, own.rate, own.fiber_length, own.fiber_rate, one.activation, one.force, one.power)
+    own, muscles = one.contraction, tuple(result.problem.names.mechanism.muscles.values())
+    fibers = own.fiber_length, own.fiber_rate
+    return Muscles(own.length, own.rate, *fibers, one.activation, one.force, one.power, muscles)
 
 
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:

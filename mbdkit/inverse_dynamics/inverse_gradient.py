@@ -319,7 +319,11 @@ class _Frames:
         own = self._actuators(recruited.actuator, np.where(driven[:, None], value, change.beside))
         left_over = np.where(driven, recruited.beside, 0.0), np.where(driven[:, None], change.beside, 0.0)
         spare = self._actuators(*left_over)[:, places]
-        return lam, np.concatenate([own, spare], axis=1), differentiated_muscles(recruited, change, self.seeds)
+        return (
+            lam,
+            np.concatenate([own, spare], axis=1),
+            differentiated_muscles(recruiter, recruited, change, self.seeds),
+        )
 
     def _slope(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         """Return the derivatives (..., K) of an array of the motion; zeros if it has none."""

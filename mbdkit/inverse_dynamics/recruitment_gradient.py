@@ -143,7 +143,9 @@ def _change(
     return activation, force, beside, pushed[..., 0]
 
 
-def differentiated_muscles(recruited: Recruited, change: RecruitedChange, seeds: Seeds) -> Muscles:
+def differentiated_muscles(
+    recruiter: Recruiter, recruited: Recruited, change: RecruitedChange, seeds: Seeds
+) -> Muscles:
     """Return the muscles with a last axis for the value and its K derivatives."""
     own = recruited.contraction
     slopes = [_slopes(seeds, recruited, k) for k in range(seeds.count)]
@@ -155,4 +157,5 @@ def differentiated_muscles(recruited: Recruited, change: RecruitedChange, seeds:
         "power": recruited.power,
     }
     every = kinematic | {"activation": change.activation, "force": change.force, "power": power}
-    return Muscles(**{name: np.concatenate([x[..., None], every[name]], axis=-1) for name, x in values.items()})
+    joined = {name: np.concatenate([x[..., None], every[name]], axis=-1) for name, x in values.items()}
+    return Muscles(**joined, muscles=tuple(recruiter.muscles.values()))

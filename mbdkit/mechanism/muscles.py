@@ -127,6 +127,29 @@ class Activation(StrictModel):
     """Activation at the start."""
 
 
+class Metabolics(StrictModel):
+    """How the energy that a muscle consumes is estimated."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("mass",)
+
+    model: Literal["umberger"] = "umberger"
+    """`umberger`: B. R. Umberger et al. (2003), with the changes of Umberger (2010)."""
+    slow_fibers: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """Share of slow-twitch fibres."""
+    aerobic_factor: Positive = 1.5
+    """Factor of all heat: 1.5 for aerobic, 1.0 for anaerobic conditions."""
+    specific_tension: Positive = 250000.0
+    """Isometric force per cross-section [Pa], from which the mass follows."""
+    density: Positive = 1059.7
+    """Density of the muscle [kg/m^3]."""
+    mass: Positive | None = None
+    """Mass of the muscle [kg]; by default, max_force / specific_tension * density * optimal_length."""
+
+
+def _as_metabolics(value: Any) -> Any:
+    return {"model": value} if isinstance(value, str) else value
+
+
 class Muscle(Element):
     """A muscle of Hill type along a path: a fibre, pennate to a tendon in series with it.
 
@@ -134,7 +157,7 @@ class Muscle(Element):
     of the muscle, ``optimal_length * sin(pennation)``, is constant.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
     """Points and circles from origin to insertion; the first and the last item are points that are always there."""
@@ -162,6 +185,10 @@ class Muscle(Element):
     """Velocity of shortening at which fibres exert no active force, in optimal lengths per second."""
     weight: Positive = 1.0
     """Weight in recruitment, which minimises the sum of (activation / weight)^exponent."""
+    metabolics: Annotated[
+        Metabolics | None, BeforeValidator(_as_metabolics, json_schema_input_type=Metabolics | Literal["umberger"])
+    ] = None
+    """Model of the energy that the muscle consumes: a name, or a name and its options; none by default."""
 
     @model_validator(mode="after")
     def _is_possible(self) -> Muscle:
@@ -190,6 +217,14 @@ class Muscle(Element):
     def thickness(self) -> float:
         """Thickness perpendicular to the tendon, which stays constant [m]."""
         return self.optimal_length * math.sin(self.pennation)
+
+    @property
+    def mass(self) -> float:
+        """Mass of the muscle [kg]; only with `metabolics`."""
+        own = self.metabolics
+        assert own is not None
+        volume = self.max_force / own.specific_tension * self.optimal_length
+        return own.density * volume if own.mass is None else own.mass
 
     @property
     def states(self) -> tuple[str, ...]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,8 +14,20 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.mechanism.muscles import Muscle
+from mbdkit.muscles.energetics import fiber_power, metabolic_power
 
 NONE = np.zeros(0)
+
+
+ENERGETICS = ("fiber_power", "metabolic_power")
+"""Quantities of muscles that are functions of others."""
+
+
+def _by_muscle(muscles: Sequence[Muscle], *arrays: np.ndarray) -> Iterator[tuple[Muscle, tuple[np.ndarray, ...]]]:
+    """Yield each muscle with its columns (T,) of arrays (T, M)."""
+    for index, muscle in enumerate(muscles):
+        yield muscle, tuple(x[:, index] for x in arrays)
 
 
 @dataclass(frozen=True)
@@ -29,6 +42,8 @@ class Muscles:
         Lengths of the fibres [m] and their rates [m/s].
     activation, force, power
         Activations, tensions [N], and powers that the muscles supply to the bodies [W].
+    muscles
+        The muscles.
     """
 
     length: np.ndarray
@@ -38,11 +53,9 @@ class Muscles:
     activation: np.ndarray
     force: np.ndarray
     power: np.ndarray
+    muscles: tuple[Muscle, ...]
 
-    @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """The arrays in the order of the attributes."""
-        return tuple(getattr(self, one.name) for one in fields(self))
+    ARRAYS: ClassVar[tuple[str, ...]] = ("length", "rate", "fiber_length", "fiber_rate", "activation", "force", "power")
 
 
 @dataclass(frozen=True)
@@ -141,6 +154,8 @@ class States:
         SpecError
             If the states have derivatives, and those of the array are not known.
         """
+        if name in ENERGETICS and (self.muscles is not None or self.mechanism.muscles):
+            return self._energetics(name)
         if self.muscles is not None:
             return np.asarray(getattr(self.muscles, name))
         acting = self.mechanism.muscles
@@ -150,6 +165,24 @@ class States:
         if column is not None:
             return np.asarray(self.observed.forces[:, len(self.mechanism.forces) :, column])
         return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
+
+    def _energetics(self, name: str) -> np.ndarray:
+        """Return the power of the fibres or the power that muscles consume (T, M); the excitation of muscles of inverse
+        dynamics counts as their activation.
+        """
+        own = self.muscles
+        if self.q.ndim > 2:
+            raise SpecError(f"derivatives of {name} of muscles by parameters are not known")
+        muscles = tuple(one.force.muscle for one in self.mechanism.muscles) if own is None else own.muscles
+        length, rate = self.of_muscles("fiber_length"), self.of_muscles("fiber_rate")
+        if name == "fiber_power":
+            columns = [fiber_power(one, *x) for one, x in _by_muscle(muscles, self.of_muscles("force"), length, rate)]
+        else:
+            activation = self.of_muscles("activation")
+            excitation = self.of_muscles("excitation") if own is None else activation
+            every = _by_muscle(muscles, activation, excitation, length, rate)
+            columns = [metabolic_power(one, *x) for one, x in every]
+        return np.stack(columns, axis=1)
 
     def _of_acting_muscle(self, number: int, one: ActingMuscle, name: str) -> np.ndarray:
         """Return the activation, the excitation, or the length or rate of the fibres of a muscle of a run (T,)."""

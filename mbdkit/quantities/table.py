@@ -392,6 +392,8 @@ KINDS = (
         _of_muscles("force", "N", "tension",
             charts=(Chart("tensions", "Tensions of the muscles", "Along the tendons.", "tension", "N"),)),
         _of_muscles("power", "W", "power that the muscle supplies to the bodies"),
+        _of_muscles("fiber_power", "W", "power that the fibres supply; nan where fiber_length is"),
+        _of_muscles("metabolic_power", "W", "power that the muscle consumes; nan without `metabolics`"),
         Array("force_error", _TU, "N",
             "bound of the error of force that holds with a probability of 95 % at each time, nan where unknown"),
         Array("certificate", _T, "1",

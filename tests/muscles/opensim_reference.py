@@ -189,9 +189,51 @@ def postures():
     return found
 
 
+ENERGETIC = [(0.3, 0.7), (0.6, 0.2), (0.05, 0.05), (0.9, 1.0)]
+"""Activations and excitations whose energetics are compared."""
+
+
+def energetics():
+    """Return the power that muscles consume by OpenSim's model of Umberger (2010), with 40 % of slow fibres.
+
+    Work of lengthening fibres costs nothing in the published model; OpenSim has an option for it.
+    """
+    leg = model()
+    probe = osim.Umberger2010MuscleMetabolicsProbe(True, True, False, True)
+    probe.setName("power")
+    probe.set_report_total_metabolics_only(False)
+    probe.set_use_Bhargava_recruitment_model(False)
+    probe.set_include_negative_mechanical_work(False)
+    probe.set_forbid_negative_total_power(False)
+    leg.addProbe(probe)
+    for name in MUSCLES:
+        probe.addMuscle(name, 0.4)
+    state = leg.initSystem()
+    coordinates = [leg.getCoordinateSet().get(name) for name in ("hip", "knee")]
+    found = {name: {"length": [], "rate": [], "power": []} for name in MUSCLES}
+    for k, (hip, knee, hip_rate, knee_rate) in enumerate(ANGLES):
+        for coordinate, value, rate in zip(coordinates, (hip, knee), (hip_rate, knee_rate), strict=True):
+            coordinate.setValue(state, value, False)
+            coordinate.setSpeedValue(state, rate)
+        activation, excitation = ENERGETIC[k % len(ENERGETIC)]
+        for name in MUSCLES:
+            osim.Muscle.safeDownCast(leg.getMuscles().get(name)).setActivation(state, activation)
+        leg.realizeVelocity(state)
+        leg.setControls(state, osim.Vector(len(MUSCLES), excitation))
+        leg.realizeDynamics(state)
+        values = probe.computeProbeInputs(state)
+        for index, (name, one) in enumerate(found.items()):
+            force = osim.Muscle.safeDownCast(leg.getMuscles().get(name))
+            one["length"].append(force.getFiberLength(state))
+            one["rate"].append(force.getFiberVelocity(state))
+            one["power"].append(values.get(2 + index))
+    return found
+
+
 if __name__ == "__main__":
     leg = model()
     numbers = {"opensim": osim.GetVersion(), "geometry": geometry(leg)}
     numbers["recruitment"] = recruitment()
     numbers["postures"] = postures()
+    numbers["energetics"] = energetics()
     Path(sys.argv[1]).write_text(json.dumps(numbers) + "\n")

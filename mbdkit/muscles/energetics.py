@@ -1,0 +1,78 @@
+"""Power of fibres, and the energy that muscles consume by the model of Umberger.
+
+Per mass of the muscle, activation and maintenance, shortening or lengthening, and work of the fibres cost
+
+    activation    S A^0.6 (128 fast + 25), times 0.4 + 0.6 f if l > 1
+    shortening    S A^2 (slow min(100, 100 u_slow) + fast 153 u_fast), times f if l > 1       u_slow = 2.5 v / v_max
+    lengthening   S A 0.3 * 100 u_slow,                                times f if l > 1       u_fast = v / v_max
+    work          F v / m in shortening, none in lengthening
+
+with the factor S for aerobic conditions, the shares of slow and fast fibres, their isometric force f at the length l
+in optimal lengths, and their speed v. A is the excitation while it exceeds the activation, and otherwise the mean of
+both. The first three together are at least 1 W/kg.
+
+B. R. Umberger, K. G. M. Gerritsen, P. E. Martin, A model of human muscle energy expenditure, Computer Methods in
+Biomechanics and Biomedical Engineering 6:99-111, 2003; B. R. Umberger, Stance and swing phase costs in human walking,
+Journal of the Royal Society Interface 7:1329-1340, 2010, for 0.3 and for work in lengthening.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.mechanism.muscles import Muscle
+from mbdkit.muscles.force_curves import CURVES
+
+LEAST_HEAT = 1.0
+"""Least rate of heat, at rest as well [W/kg]."""
+LARGEST_SLOW_HEAT = 100.0
+"""Largest rate of heat of slow fibres by shortening [W/kg], which they reach at their largest velocity."""
+FAST_HEAT = 153.0
+"""Rate of heat of fast fibres by shortening at their largest velocity [W/kg]."""
+FAST_OVER_SLOW = 2.5
+"""Ratio of the largest velocities of fast and slow fibres; that of the muscle is that of fast ones."""
+LENGTHENING = 0.3
+"""Rate of heat in lengthening, relative to that of slow fibres in shortening."""
+
+
+def fiber_power(muscle: Muscle, tension: np.ndarray, length: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Return the power (...) [W] that the fibres of a muscle supply.
+
+    Parameters
+    ----------
+    tension
+        (...) tension of the tendon [N].
+    length, rate
+        (...) length of the fibres [m] and its rate [m/s].
+    """
+    along = np.sqrt(np.maximum(length**2 - muscle.thickness**2, 0.0))
+    return np.asarray(-tension * length / np.where(along > 0, along, np.nan) * rate)
+
+
+def metabolic_power(
+    muscle: Muscle, activation: np.ndarray, excitation: np.ndarray, length: np.ndarray, rate: np.ndarray
+) -> np.ndarray:
+    """Return the power (...) [W] that a muscle consumes, as heat and work; nan without `Muscle.metabolics`.
+
+    Parameters
+    ----------
+    activation, excitation
+        (...) activation and excitation, from 0 to 1.
+    length, rate
+        (...) length of the fibres [m] and its rate [m/s].
+    """
+    own, curves = muscle.metabolics, CURVES[muscle.curves]
+    if own is None:
+        return np.full_like(activation, np.nan)
+    slow, fast = own.slow_fibers, 1.0 - own.slow_fibers
+    normal, speed = length / muscle.optimal_length, rate / (muscle.max_velocity * muscle.optimal_length)
+    shortens, is_long = rate <= 0, normal > 1
+    isometric = np.maximum(curves.active(normal)[0], 0.0)
+    scale = np.where(excitation > activation, excitation, 0.5 * (excitation + activation))
+    maintained = scale**0.6 * (128.0 * fast + 25.0) * np.where(is_long, 0.4 + 0.6 * isometric, 1.0)
+    of_slow = LARGEST_SLOW_HEAT * FAST_OVER_SLOW * np.abs(speed)
+    shortening = slow * np.minimum(of_slow, LARGEST_SLOW_HEAT) + fast * FAST_HEAT * np.abs(speed)
+    moved = np.where(shortens, scale**2 * shortening, scale * LENGTHENING * of_slow) * np.where(is_long, isometric, 1.0)
+    heat = np.maximum(own.aerobic_factor * (maintained + moved), LEAST_HEAT)
+    active = muscle.max_force * activation * isometric * np.maximum(curves.velocity(speed)[0], 0.0)
+    return np.asarray(muscle.mass * heat + np.where(shortens, -active * rate, 0.0))
