@@ -53,7 +53,7 @@ _KINDS: tuple[tuple[type[ExpressionError], Kind], ...] = (
 
 RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 
-_NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
+_NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[.\[])")
 """A name that is no part of a quantity; quoted names are matched as well, and left as they are."""

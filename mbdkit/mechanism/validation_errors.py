@@ -216,7 +216,7 @@ def _hint(kind: str, given: Any) -> str:
         return ""
     if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", given):
         return " (write the decimal comma as a point)"
-    if re.fullmatch(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*", given):
+    if re.fullmatch(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?\s*", given):
         return " (leave out the quotes)"
     try:
         program = Expression.parse(given).program

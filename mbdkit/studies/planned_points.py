@@ -90,7 +90,7 @@ class Grid:
         settings: list[Setting] = []
         lacking = ""
         combination, row = divmod(index, self.rows)
-        choices = np.unravel_index(combination, self.shape) if self.axes else ()
+        choices = _choices(combination, self.shape)
         for number, (axis, choice) in enumerate(zip(self.axes, choices, strict=True)):
             for key, values in axis:
                 value = values[choice]
@@ -111,13 +111,25 @@ class Grid:
         """Return the labels of all points on each axis, by dotted key: numbers, or an object array."""
         found = {}
         combinations = np.arange(self.count) // self.rows
-        places = np.unravel_index(combinations, self.shape) if self.axes else ()
+        places = _choices(combinations, self.shape)
         for axis, choices in zip(self.axes, places, strict=True):
             for key, values in axis:
                 labels = [value.label for value in values]
                 is_text = any(isinstance(label, str) for label in labels)
                 found[key] = np.array(labels, object if is_text else None)[choices]
         return found | {key: np.tile(column, math.prod(self.shape)) for key, column in self.table.items()}
+
+
+def _choices(combination: Any, shape: tuple[int, ...]) -> list[Any]:
+    """Return the place on each axis of a combination, or of an array of them; the last axis varies fastest.
+
+    `numpy.unravel_index` allows only 64 axes.
+    """
+    found = []
+    for count in reversed(shape):
+        combination, choice = np.divmod(combination, count)
+        found.append(choice)
+    return found[::-1]
 
 
 def grids(spec: StudySpec) -> tuple[Grid, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import time
 
 import numpy as np
 import pytest
@@ -220,3 +221,12 @@ def test_the_name_of_a_mechanism_is_the_title_of_its_runs():
         mechanism.body("ball", mass=1.0)
         assert load_spec(mechanism, **times).title == title
         assert load_spec(mechanism, **times, title="Drop").title == "Drop"
+
+
+def test_text_of_many_digits_is_refused_at_once():
+    # a pattern that tries each part of them as a number would take minutes
+    mechanism = {"name": "mechanism", "bodies": {"b": {"mass": "1" * 50_000 + "x"}}}
+    begin = time.monotonic()
+    with pytest.raises(SpecError, match="mass: should be a number, not the text"):
+        load_spec({"mbdkit": 1, "model": mechanism, "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.1}})
+    assert time.monotonic() - begin < 10

@@ -21,6 +21,14 @@ def test_axes_multiply_and_the_last_one_changes_fastest(small):
     assert found == [(1, "rk4", 0.02), (2, "rk4", 0.01), (3, "Gauss 2", 0.02), (4, "Gauss 2", 0.01)]
 
 
+def test_a_study_may_have_more_axes_than_numpy_has_dimensions(small):
+    small["axes"] = [{f"parameters.p{i}": [float(i)]} for i in range(70)] + [{"time.step": [0.01, 0.1]}]
+    small["base"] = small["base"] | {"parameters": {f"p{i}": 0.0 for i in range(70)}}
+    planned = points(small)
+    assert [point.axes["time.step"] for point in planned] == [0.01, 0.1]
+    assert planned[1].axes["parameters.p69"] == 69.0
+
+
 def test_the_keys_of_one_axis_go_together(small):
     small["axes"] = [{"integrator": [{"name": "rk4"}, {"name": "gauss", "stages": 2}], "time.step": [0.01, 0.1]}]
     found = [(point.spec.integrator.name, point.spec.time.step) for point in points(small)]
