@@ -23,12 +23,16 @@ from mbdkit.mechanics.reduced import (
     DENSE,
     State,
     at_rest,
+    coupled_states,
+    in_statics,
     least_stiffness,
+    reduce,
     softest_motion,
     softest_scale,
     stiffness_scale,
 )
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanics.states_at_rest import StaticEquations
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.loading import RunSource, Sections
 
@@ -67,6 +71,9 @@ SADDLE = 1e-9
 """A stiffness counts as negative, not as round-off, below minus this fraction of the largest stiffness of a single
 coordinate."""
 
+GROWS = 1e-9
+"""Real parts of the eigenvalues of small motions above this fraction of the largest eigenvalue count as growth."""
+
 NEUTRAL = 1e-11
 """The lowest stiffness counts as zero if it is below this fraction of the terms in its sum."""
 
@@ -103,6 +110,8 @@ class Equilibrium(HtmlView):
         freedom).
     iterations
         Number of Newton steps tried.
+    states, state
+        Names of the first-order states, and their values (Z,).
     mechanism
         The mechanism, from which notebooks draw the equilibrium.
     """
@@ -121,6 +130,8 @@ class Equilibrium(HtmlView):
     stiffness: float
     stability: str
     iterations: int
+    states: tuple[str, ...] = ()
+    state: np.ndarray = field(default_factory=lambda: np.zeros(0))
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, body: str) -> np.ndarray:
@@ -134,12 +145,15 @@ class Equilibrium(HtmlView):
 
 @dataclass(frozen=True)
 class Rest:
-    """Result of a search: position (n,), multipliers (m,), remaining accelerations (n,), number of steps tried."""
+    """Result of a search: position (n,), multipliers (m,), remaining accelerations (n,), number of steps tried, and
+    first-order states (Z,).
+    """
 
     q: np.ndarray
     lam: np.ndarray
     left: np.ndarray
     iterations: int
+    z: np.ndarray
 
 
 def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
@@ -187,10 +201,18 @@ def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
 
 def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
     """Find the static equilibrium of a prepared mechanism; see `equilibrium`."""
+    dynamic, prepared = prepared, in_statics(prepared)
     with prepared.as_spec_errors():
         found = rest(prepared)
         p, compiled = prepared.equations, prepared.workspace.mechanism
-        stiffness, stability = _stability(prepared, at_rest(prepared, found.q, found.lam))
+        at = at_rest(prepared, found.q, found.lam)
+        stiffness, stability = _stability(prepared, at)
+        if compiled.states and stability != "fixed":
+            small = reduce(dynamic, at, found.z)
+            matrix = coupled_states(dynamic, at, small, found.z).matrix(small.stiffness, small.damping)
+            values = np.linalg.eigvals(matrix)
+            if np.max(values.real) > GROWS * np.max(np.abs(values)):
+                stability = "unstable"
         rows = p.recorded_multipliers(p.t0, found.q, found.lam)
         force, torque = joint_reactions(prepared, p.t0, found.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
@@ -209,6 +231,8 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         stiffness=stiffness,
         stability=stability,
         iterations=found.iterations,
+        states=tuple(one.name for one in compiled.states),
+        state=found.z,
         mechanism=prepared.spec.mechanism(),
     )
 
@@ -306,7 +330,8 @@ class _Search:
             damping *= 0.1
             idle = 0 if self.imbalance < 0.5 * before else idle + 1
         if self.is_balanced:
-            return Rest(self.q, self.lam, self.x, self.tried)
+            z = self.p.states.solve(self.p.t0, self.q) if isinstance(self.p, StaticEquations) else np.zeros(0)
+            return Rest(self.q, self.lam, self.x, self.tried, z)
         return None
 
     @property
@@ -434,6 +459,12 @@ def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
     mechanism = spec.mechanism()
     model = mechanism.to_spec()
     places = dict(zip(found.bodies, found.position.tolist(), strict=True))
+    for name, value in zip(found.states, found.state.tolist(), strict=True):
+        if name in model.get("states", {}):
+            model["states"][name]["initial"] = value
+        else:
+            element, _, state = name.rpartition(".")
+            model["forces"][element][state] = value
     for name, body in model["bodies"].items():
         x, y, angle = places[name]
         body |= {"position": [x, y], "angle": angle}

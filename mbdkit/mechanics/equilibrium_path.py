@@ -149,6 +149,7 @@ def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> Equilib
     [('limit point', 0.3018), ('limit point', -0.3018)]
     """
     prepared = PreparedMechanism.of(source, **sections)
+    prepared.workspace.mechanism.refuse_states("a path of equilibria")
     with prepared.as_spec_errors():
         return _Follower(prepared).path()
 

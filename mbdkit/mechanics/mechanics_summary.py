@@ -41,6 +41,9 @@ def equilibrium_text(found: Equilibrium) -> str:
             for j, name in enumerate(found.joints)
         ]
         lines += ["", table(_some([("JOINT", "FORCE X [N]", "FORCE Y [N]", "TORQUE [N m]"), *loads]))]
+    if found.states:
+        values = [(name, f"{value:.9g}") for name, value in zip(found.states, found.state, strict=True)]
+        lines += ["", table(_some([("STATE", "VALUE"), *values]))]
     lines += [note for note in [sharing(found)] if note]
     return "\n".join(lines)
 
@@ -82,6 +85,7 @@ def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
         },
         "multipliers": dict(zip(found.constraints, found.multiplier.tolist(), strict=True)),
         "not_unique": list(found.shared),
+        "states": dict(zip(found.states, found.state.tolist(), strict=True)),
     }
 
 

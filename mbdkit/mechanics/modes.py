@@ -10,8 +10,9 @@ from scipy.linalg import eig, eigh, null_space
 
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanics.equilibrium import rest
-from mbdkit.mechanics.reduced import DENSE, State, at_rest, lowest, reduce
+from mbdkit.mechanics.reduced import DENSE, Reduced, State, at_rest, coupled_states, in_statics, lowest, reduce
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanics.states_at_rest import CoupledStates
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.loading import RunSource, Sections
 
@@ -46,6 +47,8 @@ class Linearization:
         [1/sqrt(kg)].
     stiffness, damping : (f, f) arrays
         Stiffness and damping in this basis, for unit mass [1/s^2, 1/s].
+    states
+        Small motions of the first-order states; None if there are none.
     """
 
     time: float
@@ -56,9 +59,14 @@ class Linearization:
     basis: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
+    states: CoupledStates | None = None
 
     def state_matrix(self) -> np.ndarray:
-        """Return the matrix A (2 f, 2 f) of the first-order form ``x' = A x`` with ``x = (y, y')``."""
+        """Return the matrix A of the first-order form ``x' = A x`` with ``x = (y, y')``, followed by the first-order
+        states.
+        """
+        if self.states is not None:
+            return self.states.matrix(self.stiffness, self.damping)
         f = len(self.stiffness)
         return np.block([[np.zeros((f, f)), np.eye(f)], [-self.stiffness, -self.damping]])
 
@@ -183,8 +191,10 @@ def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpac
             f"(limit: {DENSE // 3} bodies); `modes` finds its lowest modes at rest"
         )
     with prepared.as_spec_errors():
-        small = reduce(prepared, state)
-    return Linearization(state.t, prepared.equations.bodies, *_seen(state), small.basis, small.stiffness, small.damping)
+        small, states = _reduced(prepared, *state)
+    return Linearization(
+        state[0].t, prepared.equations.bodies, *_seen(state[0]), small.basis, small.stiffness, small.damping, states
+    )
 
 
 def modes(
@@ -233,14 +243,19 @@ def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int 
     """Find the modes of a prepared mechanism; see `modes`."""
     if count is not None and count < 1:
         raise prepared.error(f"the number of modes must be at least 1, not {count}", key="")
-    state = state_of(prepared, at)
+    state, z = state_of(prepared, at)
     _require_freedoms(prepared)
     with prepared.as_spec_errors():
         if prepared.equations.n > DENSE:
             values, shapes = _few(prepared, state, count or FEW)
         else:
-            small = reduce(prepared, state)
-            values, shapes = oscillations(small.stiffness, small.damping)
+            small, states = _reduced(prepared, state, z)
+            if states is None:
+                values, shapes = oscillations(small.stiffness, small.damping)
+            else:
+                values, vectors = eig(states.matrix(small.stiffness, small.damping))
+                once = values.imag >= 0
+                values, shapes = values[once], vectors[: len(small.stiffness), once]
             shapes = small.basis @ shapes
     order = np.lexsort((-values.imag, -values.real, np.round(np.abs(values), 12)))[:count]
     values, shapes = values[order], _normalised(shapes[:, order], prepared.equations.mass)
@@ -249,18 +264,29 @@ def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int 
     return Modes(state.t, prepared.equations.bodies, *_seen(state), values, shapes, prepared.freedoms, mechanism)
 
 
-def state_of(prepared: PreparedMechanism, at: Where) -> State:
-    """Return the state to linearise about."""
+def _reduced(prepared: PreparedMechanism, state: State, z: np.ndarray) -> tuple[Reduced, CoupledStates | None]:
+    """Return the equations linearised about a state, and those of its first-order states `z` (Z,)."""
+    if not len(z):
+        return reduce(prepared, state), None
+    small = reduce(prepared, state, z)
+    return small, coupled_states(prepared, state, small, z)
+
+
+def state_of(prepared: PreparedMechanism, at: Where) -> tuple[State, np.ndarray]:
+    """Return the state to linearise about, and its first-order states (Z,)."""
     p = prepared.equations
+    statics = in_statics(prepared)
     if at == "equilibrium":
         with prepared.as_spec_errors():
-            found = rest(prepared)
-            return at_rest(prepared, found.q, found.lam)
+            found = rest(statics)
+            return at_rest(prepared, found.q, found.lam), found.z
     if at != "start":
         raise prepared.error(f"a mechanism is linearised at 'equilibrium' or at 'start', not at {at!r}", key="")
     with prepared.as_spec_errors():
+        z = prepared.workspace.mechanism.initial_states
+        prepared.workspace.take_states(z)
         a, lam = p.accelerations(p.t0, p.q0, p.v0)
-    return State(p.t0, p.q0, p.v0, a, lam)
+    return State(p.t0, p.q0, p.v0, a, lam), z
 
 
 def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -375,8 +401,9 @@ def _normalised(shapes: np.ndarray, mass: np.ndarray) -> np.ndarray:
     """Return shapes (n, K) scaled to unit modal mass, with the largest displacement of each real and positive."""
     largest = np.argmax(np.abs(shapes) * np.sqrt(mass)[:, None], axis=0)
     phase = np.take_along_axis(shapes, largest[None], axis=0)
-    shapes = shapes * (np.abs(phase) / phase)
+    shapes = shapes * (np.abs(phase) / np.where(phase == 0.0, 1.0, phase))
     norm = np.sqrt(np.sum(mass[:, None] * np.abs(shapes) ** 2, axis=0))
+    norm = np.where(norm == 0.0, 1.0, norm)  # a motion of first-order states alone
     normalised: np.ndarray = shapes / norm
     return normalised
 

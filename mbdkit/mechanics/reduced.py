@@ -8,7 +8,7 @@ iteration.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigvalsh_tridiagonal, ldl
@@ -16,6 +16,7 @@ from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from mbdkit.mechanics.source import PreparedMechanism
+from mbdkit.mechanics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
 
 DENSE = 1500
 """Largest number of coordinates for which the equations are reduced with a dense basis."""
@@ -55,15 +56,39 @@ class Reduced:
         Basis of the degrees of freedom, orthonormal in the mass metric [1/sqrt(kg)].
     stiffness, damping : (f, f) arrays
         Stiffness and damping in this basis [1/s^2, 1/s].
+    turning : (n, f) array
+        Derivative of the basis by time.
     """
 
     basis: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
+    turning: np.ndarray
 
 
-def reduce(prepared: PreparedMechanism, at: State) -> Reduced:
-    """Linearise the equations about a state, along the degrees of freedom.
+def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
+    """Return a mechanism for statics: its first-order states, if there are any, follow from its position."""
+    mechanism = prepared.workspace.mechanism
+    if not mechanism.states:
+        return prepared
+    if mechanism.muscles:
+        mechanism.refuse_states("an analysis of muscles at rest")
+    if prepared.equations.n > DENSE:
+        mechanism.refuse_states(f"an analysis of more than {DENSE // 3} bodies")
+    return replace(prepared, equations=StaticEquations(prepared.workspace))
+
+
+def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np.ndarray) -> CoupledStates:
+    """Return the small motions of the first-order states about a state with the values `z` (Z,)."""
+    states = StatesAtRest(prepared.workspace, prepared.equations)
+    force, by_state = states.by_states(at.t, at.q, at.v, z)
+    by_position, by_velocity = states.rates_by_motion(at.t, at.q, at.v, z)
+    moved = by_position @ small.basis + by_velocity @ small.turning
+    return CoupledStates(states.names, small.basis.T @ force, moved, by_velocity @ small.basis, by_state)
+
+
+def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) -> Reduced:
+    """Linearise the equations about a state, along the degrees of freedom; `z` (Z,) are its first-order states.
 
     A deviation ``Z(t) y`` stays tangent to the constraint manifold. The basis Z moves with the mechanism and does not
     rotate within the tangent space, ``Z^T M Z' = 0``. Its derivative ``P = Z'`` is therefore the solution of
@@ -72,6 +97,8 @@ def reduce(prepared: PreparedMechanism, at: State) -> Reduced:
     In a state at rest P is zero.
     """
     p, free = prepared.equations, np.flatnonzero(~prepared.held)
+    if z is not None:
+        prepared.workspace.take_states(z)
     root = np.sqrt(p.mass[free])
     scaled = p.constraint_jacobian(at.t, at.q).toarray()[:, free] / root
     q, r = np.linalg.qr(scaled.T, mode="complete")
@@ -81,9 +108,9 @@ def reduce(prepared: PreparedMechanism, at: State) -> Reduced:
     turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis  # d(Phi_q v + Phi_t)/dq is -gamma_v / 2
     normal = q[:, : p.m] @ np.linalg.solve(r[: p.m].T, turning)  # M^1/2 P
     stiffness = basis.T @ (k @ basis + c @ (normal / root[:, None])) - normal.T @ normal
-    everywhere = np.zeros((p.n, basis.shape[1]))
-    everywhere[free] = basis
-    return Reduced(everywhere, stiffness, basis.T @ c @ basis)
+    everywhere, turned = np.zeros((2, p.n, basis.shape[1]))
+    everywhere[free], turned[free] = basis, normal / root[:, None]
+    return Reduced(everywhere, stiffness, basis.T @ c @ basis, turned)
 
 
 def at_rest(prepared: PreparedMechanism, q: np.ndarray, lam: np.ndarray) -> State:

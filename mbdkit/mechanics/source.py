@@ -31,9 +31,6 @@ class AssembledMechanism:
     workspace: Workspace
     equations: EquationsOfMotion
 
-    def __post_init__(self) -> None:
-        self.workspace.mechanism.refuse_states("an analysis of positions")
-
     @classmethod
     def at(cls, spec: InverseSpec, start: float, end: float) -> AssembledMechanism:
         """Assemble the mechanism of a spec of inverse dynamics for a motion between two times [s].
@@ -47,6 +44,7 @@ class AssembledMechanism:
         try:
             mechanism.check_span(start, end)
             workspace, _ = workspace_at_start(mechanism, start, end)
+            workspace.mechanism.refuse_states("an analysis of positions")
         except SpecError as error:
             raise spec.placed(error if error.key.startswith("model") else error.located(prefix="model")) from error
         return cls(spec, workspace, EquationsOfMotion(workspace))

@@ -12,6 +12,8 @@ from scipy.linalg import expm
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at
+from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.runs.batch import simulate_batch
 from mbdkit.spec import load_spec
 from tests.runs.resuming.killed_runs import killed
@@ -192,6 +194,18 @@ def test_what_does_not_include_states_says_so(more: dict[str, Any], words: str) 
     spec = spec_of(model(), {"name": "rk4"})
     with pytest.raises(SpecError, match=rf"{words}.*does not include first-order states \(motor.current\)"):
         mbdkit.run({**spec, **more})
+
+
+def test_a_state_of_a_law_is_at_rest_in_an_equilibrium() -> None:
+    # expected: the current voltage / resistance, and its torque balanced by a spring
+    sprung = model()
+    sprung["forces"]["spring"] = {"type": "torsion-spring", "bodies": ["ground", "rotor"], "stiffness": 5.0}
+    prepared = PreparedMechanism.of(spec_of(sprung, {"name": "rk4"}))
+    found = equilibrium_of(prepared)
+    assert found.state[0] == pytest.approx(12.0 / 1.5, rel=1e-12)
+    assert found["rotor"][2] == pytest.approx(0.4 * 8.0 / 5.0, rel=1e-12)
+    done = mbdkit.run(spec_at(prepared, found)).check()
+    assert np.ptp(done.states["motor.current"].value) < 1e-12
 
 
 def test_states_are_read_by_name() -> None:

@@ -1,0 +1,201 @@
+"""First-order states in statics and in small motions: their values at rest, and their derivatives.
+
+At rest, the states z satisfy ``g(t, q, 0, z) = 0``, which is solved for every position q that a search for an
+equilibrium tries. The forces are then a function of q alone, with the stiffness
+
+    K = -dQ/dq + Q_z g_z^-1 g_q
+
+The derivatives of Q by z, and those of g, are differences of order 8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from mbdkit.base.errors import SpecError, StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion, Tangents
+from mbdkit.engine.kernels.observe import first_order_rates
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.workspace import Workspace
+
+MOST_ITERATIONS = 50
+"""Largest number of Newton steps for the states at rest."""
+
+SMALL, STALLED, NEGLIGIBLE = 1e-15, 0.5, 1e-9
+"""Relative changes of states: round-off; small enough to be round-off if they shrink by less than the second."""
+
+LEAST = 1e-6
+"""Share of the largest state that the size of each state has at least, for relative changes."""
+
+DISTANCE = 2.0**-10
+"""Distance of the points of differences, as a share of 1 rad, of the size of the mechanism, or of a state."""
+
+PLACES = (-4, -3, -2, -1, 1, 2, 3, 4)
+WEIGHTS = (1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280)
+"""Points and weights of differences of order 8."""
+
+
+class StatesAtRest:
+    """The first-order states of a mechanism, for given positions.
+
+    Parameters
+    ----------
+    workspace
+        The mechanism at its start.
+    equations
+        Its equations of motion.
+    """
+
+    def __init__(self, workspace: Workspace, equations: EquationsOfMotion):
+        mechanism = workspace.mechanism
+        if mechanism.controllers:
+            names = ", ".join(one.name for one in mechanism.controllers)
+            raise SpecError(
+                f"an equilibrium does not include sampled controllers ({names}); write their outputs as loads",
+                key="model.controllers",
+            )
+        self._workspace, self._p = workspace, equations
+        self.names = tuple(state.name for state in mechanism.states)
+        self.z = mechanism.initial_states.copy()
+
+    def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the states by time (Z,)."""
+        y = np.concatenate([q, v, [0.0, 0.0], z])
+        out, workspace = np.empty(len(y)), self._workspace
+        acc = np.zeros((3, workspace.mechanism.size))
+        lam = np.zeros((len(workspace.mechanism.topology.pairs), 2))
+
+        def solve() -> int:
+            return int(first_order_rates(workspace.stepping_engine, False, float(t), y, acc, lam, out))
+
+        if workspace.retry_with_new_pivots(solve) != OK:
+            raise StepError("not-finite", "the rates of the first-order states have no values")
+        return out[2 * len(q) + 2 :]
+
+    def forces(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the generalized applied forces (n,)."""
+        self.use(z)
+        return self._p.forces(t, q, v)
+
+    def use(self, z: np.ndarray) -> None:
+        """Use these states in what is evaluated next."""
+        self._workspace.take_states(z)
+
+    def solve(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Return the states (Z,) at rest in a position (n,).
+
+        Raises
+        ------
+        StepError
+            If there are none, or if they do not follow from the position.
+        """
+        rest, z, before = np.zeros_like(q), self.z.copy(), np.inf
+        for _ in range(MOST_ITERATIONS):
+            rate, slope = self.rates(t, q, rest, z), self.by_states(t, q, rest, z)[1]
+            try:
+                change = -np.linalg.solve(slope, rate)
+            except np.linalg.LinAlgError:
+                break
+            if not np.all(np.isfinite(change)):
+                break
+            z = z + change
+            size = np.maximum(np.abs(z), LEAST * np.max(np.abs(z)))
+            now = float(np.max(np.divide(np.abs(change), size, out=np.zeros_like(z), where=change != 0.0)))
+            if now <= SMALL or (now >= STALLED * before and now <= NEGLIGIBLE):
+                self.z = z
+                return z
+            before = now
+        names = ", ".join(self.names)
+        raise StepError(
+            "newton-failed",
+            f"the first-order states ({names}) have no values at rest that follow from the position, as is the case "
+            "if the rate of a state does not depend on the states",
+        )
+
+    def by_states(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of the forces (n, Z) and of the rates (Z, Z) by the states."""
+        n, size = len(q), np.maximum(np.abs(z), 1.0)
+        both = self._differences(
+            lambda x: np.concatenate([self.forces(t, q, v, x), self.rates(t, q, v, x)]), z, DISTANCE * size
+        )
+        return both[:n], both[n:]
+
+    def rates_by_motion(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of the rates by the positions and by the velocities, (Z, n) each."""
+        length = self._workspace.mechanism.length
+        size = DISTANCE * np.tile([length, length, 1.0], len(q) // 3)
+        by_position = self._differences(lambda x: self.rates(t, x, v, z), q, size)
+        return by_position, self._differences(lambda x: self.rates(t, q, x, z), v, size)
+
+    @staticmethod
+    def _differences(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        """Return the derivatives (..., len(x)) of a function by each entry of `x`."""
+        columns = []
+        for k, unit in enumerate(distance):
+            total: np.ndarray | float = 0.0
+            for place, weight in zip(PLACES, WEIGHTS, strict=True):
+                moved = x.copy()
+                moved[k] += place * unit
+                total = total + weight / unit * function(moved)
+            columns.append(total)
+        return np.array(columns).T
+
+
+@dataclass(frozen=True)
+class CoupledStates:
+    """Small motions of first-order states about a state: ``z' = by_position y + by_velocity y' + by_state z``, with
+    the accelerations ``force z`` of the degrees of freedom y.
+
+    Attributes
+    ----------
+    names
+        Names of the Z states.
+    force : (f, Z) array
+        Accelerations by each state.
+    by_position, by_velocity, by_state : (Z, f), (Z, f) and (Z, Z) arrays
+        Derivatives of the rates.
+    """
+
+    names: tuple[str, ...]
+    force: np.ndarray
+    by_position: np.ndarray
+    by_velocity: np.ndarray
+    by_state: np.ndarray
+
+    def matrix(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """Return the matrix of the first-order form of all, for ``(y, y', z)``."""
+        f, count = len(stiffness), len(self.names)
+        return np.block(
+            [
+                [np.zeros((f, f)), np.eye(f), np.zeros((f, count))],
+                [-stiffness, -damping, self.force],
+                [self.by_position, self.by_velocity, self.by_state],
+            ]
+        )
+
+
+class StaticEquations(EquationsOfMotion):
+    """Equations of motion at rest, in which first-order states have the values of rest at each position."""
+
+    def __init__(self, workspace: Workspace):
+        super().__init__(workspace)
+        self.states = StatesAtRest(workspace, EquationsOfMotion(workspace))
+
+    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """See `EquationsOfMotion.residual`."""
+        self.states.use(self.states.solve(t, q))
+        return super().residual(t, q, v, a, lam)
+
+    def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
+        """See `EquationsOfMotion.tangents`; the stiffness is that of slow motions, which the states follow."""
+        states = self.states
+        z = states.solve(t, q)
+        force, rate = states.by_states(t, q, v, z)
+        by_position, _ = states.rates_by_motion(t, q, v, z)
+        states.use(z)
+        found = super().tangents(t, q, v, a, lam)
+        return replace(found, stiffness=csr_array(found.stiffness + force @ np.linalg.solve(rate, by_position)))
