@@ -109,14 +109,17 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     Returns
     -------
     ErrorBars or None
-        None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
-        stated nor can be estimated from the residuals.
+        None if no error bars are requested, if derivatives are part of the data, if the noise of a column is neither
+        stated nor can be estimated from the residuals, or with activation dynamics.
     """
     begin = time.perf_counter()
     problem, fitted, independent = result.problem, result.fitted, result.independent
     asked = problem.spec.motion.errors
     if asked == "none" or independent is None or not independent.names:
         return None
+    recruiter = problem.recruiter
+    if recruiter is not None and recruiter.asked.dynamics == "activation":
+        return None  # noise of one frame changes others, which the covariance of each frame does not know
     random = np.random.default_rng(asked.seed)
     measured, times = fitted.measured, result.motion.time
     coordinates = independent.quantities.values(fitted.q)

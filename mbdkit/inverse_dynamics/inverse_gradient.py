@@ -48,7 +48,7 @@ from mbdkit.inverse_dynamics.recruitment_gradient import (
     RecruitedChange,
     differentiated_muscles,
     muscle_arrays,
-    require_exponent,
+    require_derivatives_of,
 )
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.quantities.states import Muscles
@@ -123,7 +123,7 @@ def gradient_of_inverse(
     spec = varied_inverse(spec, WITHOUT_BARS)
     problem = InverseProblem.of(spec)
     if problem.recruiter is not None:
-        require_exponent(problem.recruiter)
+        require_derivatives_of(problem.recruiter)
     expressions = expressions_of(spec, definitions)
     for expression in expressions.values():
         require_derivatives(expression)

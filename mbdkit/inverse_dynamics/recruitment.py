@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,11 @@ from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.inverse_dynamics.dynamics import Balance, Dynamics
+from mbdkit.inverse_dynamics.loads_over_time import (
+    ActivationDynamics,
+    share_over_time,
+    smallest_supplement_over_time,
+)
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
 from mbdkit.mechanism.muscles import Muscle
@@ -153,6 +158,10 @@ class Recruiter:
                     "recruitment takes tendons as rigid so far; write `rigid`, or use `capacity: isometric`",
                     key=f"model.muscles.{quoted(name)}.tendon",
                 )
+        if asked.dynamics == "activation" and (asked.exponent == "inf" or asked.exponent == 1):
+            raise SpecError(
+                f"activation dynamics need an exponent of 2 or more, not {asked.exponent}", key="recruitment.exponent"
+            )
         self._joined = np.array([not one.is_residual for one in actuators], dtype=bool)
         self._reserves = reserves_of(asked, actuators)
 
@@ -199,9 +208,10 @@ class Recruiter:
         shared = share_loads(sharing.programme, self.exponent)
         failed = ~np.isfinite(shared.certificate)
         if strict and failed.any():
-            raise self._impossible(
-                sharing.programme, motion.time, failed, [self._actuators[int(k)] for k in np.flatnonzero(driven)]
-            )
+            raise self._impossible(sharing, motion.time, failed)
+        if self.asked.dynamics == "activation" and len(motion.time) > 1:
+            shared = self._over_time(sharing, shared, motion.time, strict=strict)
+            failed = ~np.isfinite(shared.certificate)
         activation = np.where(failed[:, None], np.nan, shared.value[:, : len(self.muscles)])
         force = own.capacity * activation + own.passive
         beside = dynamics.value - (sharing.arms @ force[..., None])[..., 0]
@@ -225,6 +235,20 @@ class Recruiter:
             actuator_power=actuator * speed,
             lam=balance.directions.multipliers(pushed - needed),
         )
+
+    def _over_time(self, sharing: Sharing, shared: Shared, time: np.ndarray, *, strict: bool) -> Shared:
+        """Return the solution with activation dynamics from those of the frames by themselves; see `recruited`."""
+        if not np.all(np.isfinite(shared.certificate)):
+            return replace(shared, certificate=np.full_like(shared.certificate, np.inf))
+        own = [muscle.activation for muscle in self.muscles.values()]
+        fall, rise = (np.array([getattr(one, name) for one in own]) for name in ("fall", "rise"))
+        dynamics = ActivationDynamics.of(time, fall, rise)
+        found = share_over_time(sharing.programme, self.exponent, dynamics, shared.value)
+        if strict and not np.all(np.isfinite(found.certificate)):
+            lacking = smallest_supplement_over_time(sharing.programme, dynamics)
+            failed = np.any(np.abs(lacking) > 1e-9 * sharing.programme.size, axis=1)
+            raise self._impossible(sharing, time, failed, lacking)
+        return found
 
     @property
     def exponent(self) -> float:
@@ -296,11 +320,19 @@ class Recruiter:
         return np.array([muscle.weight for muscle in self.muscles.values()])
 
     def _impossible(
-        self, programme: Programme, time: np.ndarray, failed: np.ndarray, driven: Sequence[NamedActuator]
+        self, sharing: Sharing, time: np.ndarray, failed: np.ndarray, lacking: np.ndarray | None = None
     ) -> RunError:
-        """Return the error for frames without solution, with the smallest reserves that would do."""
-        rows = np.flatnonzero(failed)
-        lacking = np.abs(smallest_supplement(programme.only(rows)))
+        """Return the error for frames without solution, with the smallest reserves that would do.
+
+        Parameters
+        ----------
+        lacking
+            (T, K) these reserves; by default, those of each frame by itself.
+        """
+        rows, programme = np.flatnonzero(failed), sharing.programme
+        driven = [self._actuators[int(k)] for k in np.flatnonzero(sharing.driven)]
+        by_frames = lacking is None
+        lacking = np.abs(smallest_supplement(programme.only(rows)) if lacking is None else lacking[rows])
         largest = np.max(lacking, axis=0)
         told = [
             f"{one.name} {most:.4g} {one.unit} (t = {time[rows[int(np.argmax(lacking[:, k]))]]:.6g} s)"
@@ -311,8 +343,9 @@ class Recruiter:
         more = ", ..." if len(rows) > TIMES_NAMED else ""
         if not told:
             return RunError(f"recruitment was not solved at t = {times}{more} s; use another `exponent`, or reserves")
+        fast = "" if by_frames else " with activations that change as fast as their dynamics allow"
         return RunError(
-            f"the muscles cannot produce the motion in {len(rows)} of {counted(len(time), 'frame')}, at t = "
+            f"the muscles cannot produce the motion{fast} in {len(rows)} of {counted(len(time), 'frame')}, at t = "
             f"{times}{more} s; the smallest reserves with which they can are {listed(told, 'and')}: state "
             "`recruitment.reserves`"
         )

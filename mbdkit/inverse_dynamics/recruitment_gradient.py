@@ -46,8 +46,13 @@ def muscle_arrays(problem: InverseProblem, motion: Motion) -> dict[str, np.ndarr
     return {key_of(name): x for name, x in (every | {"weights": recruiter.weights}).items()}
 
 
-def require_exponent(recruiter: Recruiter) -> None:
-    """Raise SpecError if the solution of recruitment has no derivatives."""
+def require_derivatives_of(recruiter: Recruiter) -> None:
+    """Raise SpecError if the derivatives of the solution of recruitment are not known."""
+    if recruiter.asked.dynamics == "activation":
+        raise SpecError(
+            "gradients are those of frames that are independent of each other, without activation dynamics",
+            key="recruitment.dynamics",
+        )
     if recruiter.exponent == 1 or math.isinf(recruiter.exponent):
         raise SpecError(
             f"gradients need an exponent of 2 or more, not {recruiter.asked.exponent}: the solution of a linear "

@@ -338,6 +338,9 @@ class Recruitment(Section):
     cosine of the pennation, on a rigid tendon; or `isometric`, max_force."""
     passive: bool = False
     """Whether the force of passive fibres is added to that of active ones."""
+    dynamics: Literal["none", "activation"] = "none"
+    """`activation`: from one frame to the next, activations change at most as fast as activation dynamics with the time
+    constants of each muscle allow for excitations between 0 and 1. Otherwise, frames are independent of each other."""
     deviations: MuscleDeviations | None = None
     """How well properties of the muscles are known; samples of them are then part of the error bars. By default, they
     count as exact."""
