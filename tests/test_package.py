@@ -69,7 +69,7 @@ def test_the_version_is_that_of_the_distribution():
 def imported_by(code: str) -> set[str]:
     script = f"{code}\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    return {name.partition(".")[0] for name in json.loads(result.stdout.splitlines()[-1])}
+    return set(json.loads(result.stdout.splitlines()[-1]))
 
 
 HEAVY = {"numpy", "scipy", "sympy", "numba", "h5py", "matplotlib", "pydantic", "typer", "rich", "yaml", "pluggy"}
@@ -88,3 +88,8 @@ def test_asking_for_help_imports_nothing_heavy():
 def test_checking_a_spec_compiles_nothing():
     imported = imported_by("from mbdkit.spec import load_spec; load_spec('pendulum')")
     assert not imported & {"numba", "scipy", "sympy", "matplotlib"}
+
+
+def test_a_run_imports_what_it_needs():
+    imported = imported_by("import mbdkit; mbdkit.run('pendulum').close()")
+    assert not imported & {"sympy", "matplotlib", "numba", "scipy.optimize", "scipy.interpolate", "scipy.integrate"}

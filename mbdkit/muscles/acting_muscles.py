@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
-from scipy.optimize import brentq
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
@@ -105,6 +104,8 @@ class MuscleForce:
                 "`tendon_length` or the path",
                 key=key,
             )
+        from scipy.optimize import brentq  # loaded only if a run has such muscles
+
         return float(brentq(surplus, shortest, longest, xtol=1e-15, rtol=1e-15))
 
 
