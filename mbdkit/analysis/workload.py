@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.analysis.cycles import Normalized, contacts, normalized
+from mbdkit.archive.headlines import ROUND_OFF, plus_minus
 from mbdkit.archive.history import UnknownNameError
-from mbdkit.archive.run_summary import ROUND_OFF, plus_minus
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import table
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.headlines import ROUND_OFF, Headline, headlines, plus_minus
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.spec.named_actuators import RESERVE
@@ -22,12 +22,6 @@ JOINTS_NAMED = 4
 
 #: Number of events listed.
 EVENTS_NAMED = 4
-
-#: Torques [N m] below this share of the largest force [N] or torque of drivers count as zero, and forces likewise.
-ROUND_OFF = 1e-10
-
-#: Decimal places of the first digits of numbers that are printed without an exponent.
-SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
 #: Distance from a singular position below which the summary reports it.
 SINGULAR = 0.1
@@ -58,6 +52,8 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
     spec = run.spec
     lines = [
         *verdict_lines(run),
+        ("run", " ".join(str(spec.get("title") or "").split())),
+        *answer_lines(run),
         ("accuracy", accuracy_sentence(run)),
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
@@ -84,13 +80,10 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("contact", _contact_forces(run)),
         ("reserves", _reserves(run)),
         ("events", _events(run)),
-        *_measures(run),
         *_gradients(run),
         ("counters", _counters(run.stats)),
         ("archive", "in memory" if run.path is None else str(run.path)),
     ]
-    if spec.get("title"):
-        lines.insert(len(verdict_lines(run)), ("run", " ".join(str(spec["title"]).split())))
     return [(label, text) for label, text in lines if text]
 
 
@@ -228,26 +221,6 @@ def asked_sentence(run: Run) -> str:
     until = "" if accuracy.is_complete or math.isnan(accuracy.reached) else f" until {accuracy.known_until:.4g} s"
     text = f"{accuracy.asked:g} of the mechanism's size, reached by estimate {reached}{until}"
     return f"{text}; chosen: {accuracy.chosen}. {accuracy.why}"
-
-
-def plus_minus(value: float, error: float, sign: str = "+-") -> str:
-    """Return a value and its error, such as ``368.2 +- 0.3``: digits to the place of the error's first digit.
-
-    Parameters
-    ----------
-    value, error
-        In one unit; the error may be nan, for unknown.
-    sign
-        Sign between them.
-    """
-    if not math.isfinite(error):
-        return f"{value:.4g} (error unknown)"
-    if error <= 0:
-        return f"{value:.6g} {sign} 0"
-    first, last = math.floor(math.log10(max(abs(value), error))), math.floor(math.log10(error))
-    last = max(last, first - sys.float_info.dig + 1)  # a float has no more digits
-    known = f"{value:.{max(0, -last)}f}" if SMALLEST_PLACE <= first <= LARGEST_PLACE else f"{value:.{first - last}e}"
-    return f"{known} {sign} {error:.2g}"
 
 
 def _time(run: Run) -> str:
@@ -436,17 +409,17 @@ def _events(run: Run) -> str:
     return ", ".join(found[:EVENTS_NAMED]) + (f", {len(found) - EVENTS_NAMED} more" if found[EVENTS_NAMED:] else "")
 
 
-def _measures(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each measure: its value and unit, or why it has none."""
+def answer_lines(run: Run) -> list[tuple[str, str]]:
+    """Return a line for each measure, its value and unit or why it has none; without measures, the headlines."""
     lines: list[tuple[str, str]] = []
     for name, value in run.measures.items():
-        unit, reason = run.measures.units[name], run.measures.reasons.get(name, "undefined")
-        error = run.measure_errors[name]
-        number = f"{value:.6g}" if math.isnan(error) else f"{value:.6g} +- {error:.2g}"
-        text = f"{number} {unit.removesuffix('1')}".rstrip() if math.isfinite(value) else reason
+        text = run.measures.reasons.get(name, "undefined")
+        if math.isfinite(value):
+            text = Headline(name, value, run.measures.units[name], run.measure_errors[name]).text()
         remark = f" ({run.measures.remarks[name]})" if name in run.measures.remarks else ""
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
-    return lines
+    told = "; ".join(f"{one.label} {one.text()}" for one in headlines(run)) if not lines else ""
+    return lines or [("answer", told)]
 
 
 def _elements(run: Run) -> list[str]:

@@ -1,4 +1,4 @@
-"""Progress bars of runs, studies and designs, on a terminal and in Jupyter notebooks."""
+"""Progress of runs, studies and designs: bars on a terminal and in Jupyter notebooks, otherwise lines."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ PATIENCE = 0.5
 """Duration of a run after which its bar appears [s]."""
 _PAUSE = 0.1
 """Least time between two changes of a bar in a notebook [s]."""
+LINES_EVERY = 10.0
+"""Least time before and between lines where there is no terminal [s]."""
 
 
 class _Bar(Protocol):
@@ -25,12 +27,15 @@ class _Bar(Protocol):
 
 
 @contextmanager
-def _drawing(what: str, quiet: bool, patience: float = 0.0) -> Iterator[Callable[[float | None, str], None] | None]:
+def _drawing(
+    what: str, quiet: bool, patience: float = 0.0, lines: bool = False
+) -> Iterator[Callable[[float | None, str], None] | None]:
     """Yield a function that draws a bar from a fraction (None if it is unknown) and a note.
 
-    Yields None if `quiet` is set, or if stderr is not a terminal outside of a notebook.
+    If stderr is not a terminal outside of a notebook, it prints lines if `lines` is set, and None is yielded otherwise.
+    Yields None if `quiet` is set.
     """
-    make = None if quiet else _kind_of_bar()
+    make = None if quiet else _kind_of_bar() or (_Lines if lines else None)
     if make is None:
         yield None
         return
@@ -70,7 +75,7 @@ def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, fl
 @contextmanager
 def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
     """Yield a function of (items done, total items, failed runs) that draws a bar; see `_drawing`."""
-    with _drawing(what, quiet) as draw:
+    with _drawing(what, quiet, lines=True) as draw:
 
         def advance(done: int, total: int, failed: int) -> None:
             assert draw is not None
@@ -82,7 +87,7 @@ def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, in
 @contextmanager
 def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int], None] | None]:
     """Yield a function of (runs done, failed runs) that draws a bar for work of unknown length; see `_drawing`."""
-    with _drawing(what, quiet) as draw:
+    with _drawing(what, quiet, lines=True) as draw:
 
         def advance(done: int, failed: int) -> None:
             assert draw is not None
@@ -134,6 +139,28 @@ class _TerminalBar:
     def close(self) -> None:
         with suppress(OSError):
             self._bar.stop()
+
+
+class _Lines:
+    """Lines on stderr, at most one in `LINES_EVERY` seconds."""
+
+    def __init__(self, what: str):
+        self._what, self._begin = what, time.perf_counter()
+        self._printed, self._first = self._begin, 0.0
+
+    def draw(self, share: float | None, note: str) -> None:
+        now = time.perf_counter()
+        self._first = self._first or share or 0.0  # runs that were known before take no time
+        if now - self._printed < LINES_EVERY:
+            return
+        self._printed, passed = now, now - self._begin
+        made = (share or 0.0) - self._first
+        left = f", about {passed * (1.0 - (share or 0.0)) / made:.0f} s left" if made > 0 else ""
+        with suppress(OSError):  # nobody reads
+            print(f"{self._what}: {note} after {passed:.0f} s{left}", file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        pass
 
 
 class _NotebookBar:

@@ -27,7 +27,7 @@ from mbdkit.cli.pictures import animate, plot, report
 from mbdkit.cli.plugins import plugins_app
 from mbdkit.cli.runs import rerun, run, validate
 from mbdkit.cli.specs import examples_app, guide, schema_app
-from mbdkit.cli.studies import StudyCommand, study
+from mbdkit.cli.studies import StudyCommand, study, watch
 
 app = typer.Typer(cls=Commands, pretty_exceptions_enable=False, **PLAIN)
 
@@ -61,7 +61,7 @@ def mbdkit(
 
 for command in (
     run, validate, inverse, workload, equilibrium, modes, kinematics, study, design, plot, animate, report, rerun,
-    guide,
+    guide, watch,
 ):  # fmt: skip
     app.command(cls=StudyCommand if command is study else None)(command)
 for name, group in {

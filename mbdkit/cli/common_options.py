@@ -52,6 +52,12 @@ Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the spec, such as time.step=0.005; may be repeated."),
 ]
+MotionSet = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set a key of the spec, such as motion.smooth.cutoff=6; may be repeated."
+    ),
+]
 BaseSet = Annotated[
     list[str] | None,
     typer.Option(

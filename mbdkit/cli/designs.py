@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from mbdkit.spec.reading import Document
 
 
+LOADS_SHOWN = 3
+"""Largest number of loads beside the goals whose change is printed."""
+
+
 @grouped
 def design(
     spec: Annotated[
@@ -60,7 +64,9 @@ def design(
 
     Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
+    from mbdkit.designs.gains import costs
     from mbdkit.designs.solve_design import design as carry_out
+    from mbdkit.designs.store import runs_of
     from mbdkit.studies.executors import opened
 
     folder = output if output is not None else Path(stem(spec))
@@ -85,6 +91,9 @@ def design(
         show_json({"path": str(folder), **result.to_dict()} | ({} if page is None else {"report": str(page)}))
     elif not printing.quiet:
         show(result.summary())
+        with runs_of(result, folder) as pairs:
+            for cost in costs(pairs)[:LOADS_SHOWN]:
+                show(f"elsewhere: {cost.text()}")
         show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
     if not result.is_feasible:
         raise typer.Exit(STOPPED_EARLY)

@@ -1,7 +1,8 @@
-"""Studies, which are families of runs: `study`."""
+"""Studies, which are families of runs: `study`, and the state of long work: `watch`."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -139,3 +140,29 @@ def study(
         if printing.as_json or printing.quiet:
             say(f"unfinished: {result.unfinished[0]}")
         raise typer.Exit(STOPPED_EARLY)
+
+
+def watch(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a study or design.")],
+    *,
+    every: Annotated[float, typer.Option("--every", min=0.1, metavar="SECONDS", help="Time between two looks.")] = 10.0,
+    once: Annotated[bool, typer.Option("--once", help="Print the state now, and end.")] = False,
+) -> None:
+    """Show the state of a study or design that runs elsewhere.
+
+    Prints a line whenever the state has changed, until the work is complete, or until
+    no process computes it. Nothing in the folder is changed.
+    """
+    from mbdkit.designs.watching import work_in
+
+    begin, first, printed = time.monotonic(), work_in(folder), ""
+    now = first
+    while True:
+        line = now.line(first, time.monotonic() - begin)
+        if now.text != printed or now.is_complete or not now.owners or once:
+            show(line)
+            printed = now.text
+        if once or now.is_complete or not now.owners:
+            return
+        time.sleep(every)
+        now = work_in(folder)

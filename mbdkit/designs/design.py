@@ -13,6 +13,7 @@ from mbdkit.designs.compared_settings import Comparison, compare, comparison_tab
 from mbdkit.designs.derivatives import told, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.front import front_table, pareto_front
+from mbdkit.designs.gains import Gain, gains, goal_words
 from mbdkit.designs.identifiability import sentence, undetermined
 from mbdkit.designs.point import DesignPoint, Notify, numbers, point_of
 from mbdkit.designs.problem import Problem
@@ -137,7 +138,8 @@ class Design:
                 label = f"{scenario}: {name}" if scenario else name
                 rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", ""))
         at_best, every = self.searches
-        lines = [table(rows), f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
+        lines = [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
+        lines += [f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
         if self.derivatives:
             lines.append(self.derivatives)
         if not self.is_feasible:
@@ -160,6 +162,11 @@ class Design:
         sides = {name: self.side(name) for name in self.best.variables}
         at_bounds = [f"{name} is at its {side} bound." for name, side in sides.items() if side]
         return [*at_bounds, *map(sentence, self.undetermined), *self.unconfirmed, *self.trust.sentences()]
+
+    @property
+    def gains(self) -> list[Gain]:
+        """The gain of each goal from the start to the best point."""
+        return gains(self.spec, self.start, self.best, self.trust)
 
     def side(self, variable: str) -> str:
         """Return ``lower`` or ``upper`` if the best value of a variable is at this bound; otherwise an empty text."""

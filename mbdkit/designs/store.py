@@ -10,9 +10,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
@@ -27,6 +29,9 @@ from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, load_design_spec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import read_file
 from mbdkit.studies.owned_folder import OwnedFolder
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 VERSION = "mbdkit_result"
 """Name of the format version in the result."""
@@ -109,6 +114,17 @@ class DesignFolder(OwnedFolder[DesignSpec]):
                 path.unlink()
                 raise KeyboardInterrupt
             yield path
+
+
+@contextmanager
+def runs_of(design: Design, folder: Path) -> Iterator[dict[str, dict[str, Run]]]:
+    """Open the archives of a design: the runs at the ``start`` and at the ``best`` point by scenario."""
+    store = DesignFolder(folder)
+    with ExitStack() as stack:
+        yield {
+            name: {which: stack.enter_context(load(store.archive(which, name))) for which in WHICH}
+            for name in design.spec.specs
+        }
 
 
 def written_out(spec: DesignSpec) -> dict[str, Any]:

@@ -191,6 +191,8 @@ class Section:
         Drawing above the tables; None if there is none.
     tables
         Tables, each with its title.
+    is_input
+        Whether it shows what the user gave, below the results; its tables are folded.
     """
 
     anchor: str
@@ -198,3 +200,4 @@ class Section:
     sentences: tuple[str, ...] = ()
     drawing: Illustration | None = None
     tables: tuple[Table, ...] = ()
+    is_input: bool = False

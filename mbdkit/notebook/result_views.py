@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_summary import summary_lines
+from mbdkit.archive.run_summary import answer_lines, summary_lines
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
@@ -37,7 +37,7 @@ from mbdkit.plot.mode_shapes import modes_figure
 from mbdkit.plot.style import png
 from mbdkit.report.model_section import composition, drawing, element_tables
 from mbdkit.report.report_page import FILTERS
-from mbdkit.report.run_report import mechanism_of
+from mbdkit.report.run_report import TONES, mechanism_of
 from mbdkit.report.study_report import runs_table, settings
 from mbdkit.report.templating import render
 from mbdkit.studies.study import Study
@@ -97,7 +97,6 @@ class View:
         return render("notebook.html", {"view": self}, FILTERS)
 
 
-_TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
 _CHART = (5.4, 3.3)
 """Width and height of a chart of a run [inch]."""
 
@@ -119,11 +118,13 @@ def view(thing: HtmlView) -> View:
 @view.register
 def _(run: Run) -> View:
     (_, verdict), *lines = summary_lines(run)
-    sentences, tone = [f"Verdict {verdict}"], _TONES.get(run.verdict, "")
+    sentences, tone = [f"Verdict {verdict}"], TONES.get(run.verdict, "")
     while lines and not lines[0][0]:
         sentences.append(lines.pop(0)[1])
     title = f"Run: {caption(run).title}"
-    lines = [line for line in lines if line[0] != "run"]  # the title
+    answers = [text for _, text in answer_lines(run)]
+    sentences += answers
+    lines = [line for line in lines if line[0] != "run" and line[1] not in answers]  # the title
     if not len(run.time):
         return View(title, tuple(sentences), tone, tuple(lines))
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]

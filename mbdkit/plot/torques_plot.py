@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.run_summary import ROUND_OFF
+from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.figures.curves import Bands

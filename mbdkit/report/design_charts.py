@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from mbdkit.designs.gains import goal_words
 from mbdkit.designs.landscape import Cut
 from mbdkit.figures.curves import band_over_time, bands, errors_at
 from mbdkit.figures.page_model import Axis, Figure, Line, Mark
@@ -15,7 +16,7 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import recorded, unit_of
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec import InverseSpec, RunSpec
-from mbdkit.spec.design_spec import GOAL, variable_path
+from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.key_words import key_unit, key_words
 
 if TYPE_CHECKING:
@@ -150,11 +151,6 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
 def _common(units: Mapping[str, str]) -> str:
     found = set(units.values())
     return found.pop() if len(found) == 1 else ""
-
-
-def goal_words(name: str) -> str:
-    """Return a goal in words."""
-    return "goal" if name == GOAL else f"goal {name}"
 
 
 def variable_unit(design: Design, name: str) -> str:

@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.reader import load
 from mbdkit.base.terminal import say
 from mbdkit.designs.compared_settings import compared_with
+from mbdkit.designs.gains import costs, goal_units, goal_words, measure_units, robustness
 from mbdkit.designs.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit.designs.solve_design import WORKER, evaluating
-from mbdkit.designs.store import WHICH, DesignFolder
+from mbdkit.designs.store import WHICH, DesignFolder, runs_of
 from mbdkit.figures.mechanism_drawing import NamedPose
-from mbdkit.figures.page_model import Section
+from mbdkit.figures.page_model import Section, Table
 from mbdkit.report.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts, variable_unit
-from mbdkit.report.design_verdict import design_verdict, goal_units, measure_units
+from mbdkit.report.design_verdict import costs_table, design_verdict, robustness_table
 from mbdkit.report.load_frames import load_drawing
 from mbdkit.report.methods_used import methods
 from mbdkit.report.model_section import drawing
 from mbdkit.report.report_page import ReportPage
-from mbdkit.report.run_report import environment, film_of, mechanism_of
+from mbdkit.report.run_report import TONES, environment, film_of, mechanism_of
 from mbdkit.report.sensitivity_bars import sensitivity_section
 from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml
@@ -50,10 +50,7 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
     folder = DesignFolder(path)
     design = folder.read()
     with ExitStack() as stack:
-        pairs = {
-            name: {which: stack.enter_context(load(folder.archive(which, name))) for which in WHICH}
-            for name in design.spec.specs
-        }
+        pairs = stack.enter_context(runs_of(design, path))
         with folder.locked(), evaluating(design.spec, folder, Engine(workers, None, WORKER), say) as evaluator:
             best = evaluator.point(design.best.variables)
             around = {"": cuts(evaluator, best)}
@@ -61,7 +58,8 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
                 one.name: cuts(compared_with(evaluator, one.name), best) for one in design.compared if one.believed
             }
             changes = sensitivities(evaluator, best)
-        yield _page(design, path, pairs, around, changes)
+            tables = costs_table(costs(pairs)), robustness_table(design, robustness(evaluator, best))
+        yield _page(design, path, pairs, around, changes, tables)
 
 
 def _page(
@@ -70,17 +68,25 @@ def _page(
     pairs: Mapping[str, Pair],
     around: Mapping[str, Sequence[Cut]],
     changes: Sequence[Sensitivity],
+    tables: Sequence[Table],
 ) -> ReportPage:
     first = next(iter(pairs.values()))["best"]
     document = design.spec._document
     data = {} if document is None else dict(document.data)
-    units = goal_units(design)
+    units = goal_units(design.spec)
     words = {name: key_words(name) for name in design.spec.variables}
+    verdict = design_verdict(design)
     figures = (*load_charts(design, pairs), *front_charts(design, units), *landscape_charts(design, around, units))
     return ReportPage(
         title=design.spec.title or path.resolve().name,
         settings=f"{design.counted_runs} \u00b7 {design.spec.optimizer.name} \u00b7 {design.message}",
-        verdict=replace(design_verdict(design), figures=figures),
+        headline=(
+            ("verdict", design.trust.verdict),
+            *((goal_words(one.name), one.text()) for one in design.gains),
+            *((key_words(name), _value(design, design.best, name)) for name in design.best.variables),
+        ),
+        tone=TONES.get(design.trust.verdict, ""),
+        verdict=replace(verdict, figures=figures, tables=(*verdict.tables, *(one for one in tables if one.rows))),
         films=tuple(_films(pairs)),
         methods=methods([pair["best"].spec for pair in pairs.values()]),
         environment=environment(first.provenance, {"created (UTC)": first.created_utc}),
@@ -89,8 +95,8 @@ def _page(
         spec=write_yaml(data),
         spec_file="design.yaml",
         alarm="" if design.is_feasible else "NO POINT SATISFIES ALL LIMITS",
-        sections=(*_devices(design, pairs), sensitivity_section(changes, words, measure_units(design))),
-        beside_verdict=("goals", "variables", "compared"),
+        sections=(*_devices(design, pairs), sensitivity_section(changes, words, measure_units(design.spec))),
+        beside_verdict=("goals", "variables", "compared", "costs", "robustness"),
     )
 
 
@@ -102,11 +108,8 @@ def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
         shown = drawing(NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)))
         where = f" Scenario: {name}." if name else ""
         point: DesignPoint = getattr(design, which)
-        values = ", ".join(
-            " ".join(filter(None, (key_words(key), f"{value:.6g}", variable_unit(design, key))))
-            for key, value in point.variables.items()
-        )
-        sentence = f"{values[:1].upper()}{values[1:]}."
+        values = ", ".join(f"{key_words(key)} {_value(design, point, key)}" for key in point.variables)
+        sentence = f"With {values}."
         title = f"The device {POINT_WORDS[which]}"
         yield Section(f"device-{which}", title, (sentence,), replace(shown, caption=shown.caption + where))
     for index, (scenario, runs) in enumerate(pairs.items()):
@@ -114,6 +117,11 @@ def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
         if frames is not None:
             where = f" in the scenario {scenario}" if scenario else ""
             yield Section(f"work-{index + 1}", f"The device at work{where}", (), frames)
+
+
+def _value(design: Design, point: DesignPoint, name: str) -> str:
+    """Return the value of a variable at a point with its unit."""
+    return f"{point.variables[name]:.6g} {variable_unit(design, name)}".rstrip()
 
 
 def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, Any]]:

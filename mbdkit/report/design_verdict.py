@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.base.text import counted
+from mbdkit.designs.gains import OFF, Cost, goal_units, goal_words, measure_units
 from mbdkit.figures.page_model import Cell, Column, Table
-from mbdkit.measures.take import describe
-from mbdkit.report.design_charts import goal_words, variable_unit
+from mbdkit.report.design_charts import variable_unit
 from mbdkit.spec.key_words import key_words
 from mbdkit.spec.yaml_reader import write_yaml
 
@@ -44,37 +44,16 @@ def design_verdict(design: Design) -> Verdict:
     )
 
 
-def measure_units(design: Design) -> dict[tuple[str, str], str]:
-    """Return the units of goals and limits by scenario and name; empty for numbers without one."""
-    found = {
-        (scenario, measure.name): describe(measure, spec).units
-        for scenario, spec in design.spec.specs.items()
-        for measure in design.spec.defined_measures()
-    }
-    return {place: "" if unit == "1" else unit for place, unit in found.items()}
-
-
-def goal_units(design: Design) -> dict[str, str]:
-    """Return the units of what is minimised by name; empty for a sum of squares, or if scenarios differ."""
-    if design.spec.sums_squares:
-        return dict.fromkeys(design.spec.totals, "")
-    units = measure_units(design)
-    found = {name: {units[scenario, name] for scenario in design.spec.specs} for name in design.spec.totals}
-    return {name: one.pop() if len(one) == 1 else "" for name, one in found.items()}
-
-
 def _gains(design: Design) -> Iterator[Claim]:
     """Yield a claim for each goal: that it gains more than the estimated errors."""
-    units = goal_units(design)
-    for name, best in design.best.goals.items():
-        before, error, is_gain = design.start.goals[name], design.trust.errors[name], design.trust.is_gain[name]
-        share = f" ({100 * (best - before) / abs(before):+.3g} %)" if before else ""
-        unit = f" {units[name]}" if units[name] else ""
-        sentence = f"The {goal_words(name)} changes from {before:.6g} to {best:.6g}{unit}{share}."
-        known = "of unknown error" if np.isnan(error) else f"with an estimated error of {error:.1g}{unit}"
-        answer = Answer.OPEN if is_gain is None else Answer.YES if is_gain else Answer.NO
-        statement = f"The gain of the {goal_words(name)} exceeds the errors of both points."
-        yield Claim(f"gain-{name}", statement, "", f"{before:.6g} to {best:.6g}{unit}, {known}", answer, sentence)
+    for one in design.gains:
+        unit = f" {one.unit}" if one.unit else ""
+        known = "of unknown error" if np.isnan(one.error) else f"with an estimated error of {one.error:.1g}{unit}"
+        answer = Answer.OPEN if one.is_real is None else Answer.YES if one.is_real else Answer.NO
+        statement = f"The gain of the {goal_words(one.name)} exceeds the errors of both points."
+        sentence = f"The {goal_words(one.name)} changes {one.text()}."
+        found = f"{one.start:.6g} to {one.best:.6g}{unit}, {known}"
+        yield Claim(f"gain-{one.name}", statement, "", found, answer, sentence)
 
 
 def _certified(design: Design) -> Claim:
@@ -98,7 +77,7 @@ def _compared(design: Design, one: Comparison) -> Claim:
     if one.believed is None or one.actual is None:
         return Claim(name, statement, "", one.reason, Answer.NO, one.reason)
     (goal,) = design.best.goals
-    unit = f" {units}" if (units := goal_units(design)[goal]) else ""
+    unit = f" {units}" if (units := goal_units(design.spec)[goal]) else ""
     believed, actual, best = (point.goals[goal] for point in (one.believed, one.actual, design.best))
     moved = max(
         abs(one.believed.variables[key] - design.best.variables[key]) / (high - low)
@@ -136,7 +115,7 @@ def _tables(design: Design) -> Iterator[Table]:
 
 
 def _goal_table(design: Design) -> Table:
-    units = measure_units(design)
+    units = measure_units(design.spec)
     rows: list[tuple[Cell, ...]] = []
     for scenario, measures in design.best.measures.items():
         for name, value in measures.items():
@@ -152,6 +131,35 @@ def _goal_table(design: Design) -> Table:
     return Table("goals", "Goals and limits", tuple(map(Column, names)), tuple(rows), text)
 
 
+def costs_table(costs: Sequence[Cost]) -> Table:
+    """Return the table of the loads that the design changes."""
+    rows: list[tuple[Cell, ...]] = [
+        (one.scenario, one.label, one.unit, one.start, one.best, None if np.isinf(one.share) else 100 * one.share)
+        for one in costs
+    ]
+    columns = tuple(map(Column, ("scenario", "load", "unit", "start", "best", "change in %")))
+    if not any(one.scenario for one in costs):
+        rows, columns = [row[1:] for row in rows], columns[1:]
+    return Table(
+        "costs", "Loads elsewhere", columns, tuple(rows), "Largest forces and torques that change by 1 % or more."
+    )
+
+
+def robustness_table(design: Design, goals: Mapping[str, np.ndarray]) -> Table:
+    """Return the table of the goals with each variable a little off its best value."""
+    units = goal_units(design.spec)
+    columns = [Column("variable"), Column("best")]
+    for name in design.best.goals:
+        columns += [Column(f"{goal_words(name)} with {sign}{100 * OFF:g} %", units[name]) for sign in ("-", "+")]
+    rows: list[tuple[Cell, ...]] = [
+        (key_words(name), design.best.variables[name], *(float(value) for value in around.T.ravel()))
+        for name, around in goals.items()
+    ]
+    best = ", ".join(f"{goal_words(name)} {value:.4g}" for name, value in design.best.goals.items())
+    note = f"At the best point: {best}. Values are limited to the bounds of the variables."
+    return Table("robustness", "If a variable is not met exactly", tuple(columns), tuple(rows), note)
+
+
 def _comparison_table(design: Design) -> Table:
     """Return the table of the best points that searches with other settings of the runs find."""
     (goal,) = design.best.goals
@@ -165,7 +173,7 @@ def _comparison_table(design: Design) -> Table:
             actual = None if one.fails else one.actual.goals[goal]
             limits = "a run fails" if one.fails else "yes" if one.is_feasible else "no"
             rows.append((one.name, *one.believed.variables.values(), one.believed.goals[goal], actual, limits))
-    unit = goal_units(design)[goal]
+    unit = goal_units(design.spec)[goal]
     columns = (
         Column("best point with"),
         *(Column(key_words(name), variable_unit(design, name)) for name in best.variables),
@@ -182,7 +190,7 @@ def _comparison_table(design: Design) -> Table:
 
 
 def _front_table(design: Design) -> Table:
-    units = goal_units(design)
+    units = goal_units(design.spec)
     columns = (
         *(Column(name, units[name]) for name in design.best.goals),
         *(Column(key_words(name), variable_unit(design, name)) for name in design.best.variables),

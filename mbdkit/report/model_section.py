@@ -50,7 +50,7 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
     else:
         sentence = f"{composition(shown.mechanism)} Positions in the tables are global, at the start."
         tables += [table for table in [_parameters(run.spec)] if table.rows]
-    return Section("model", "What was modelled", (sentence,), drawing(shown), tuple(tables))
+    return Section("model", "What was modelled", (sentence,), drawing(shown), tuple(tables), is_input=True)
 
 
 def element_tables(shown: NamedPose) -> list[Table]:

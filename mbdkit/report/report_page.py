@@ -30,6 +30,10 @@ class ReportPage:
         Heading, a line with the main settings, and a warning (empty if there is none).
     verdict
         The verdict with its charts and tables.
+    headline
+        Labels and texts of the numbers that answer the run, study or design, shown first.
+    tone
+        ``good``, ``warn`` or ``alarm`` if the first headline, the verdict, has a colour.
     films
         Data of animations, as `film_data` returns them.
     failures
@@ -52,6 +56,8 @@ class ReportPage:
     spec: str
     spec_file: str
     alarm: str = ""
+    headline: tuple[tuple[str, str], ...] = ()
+    tone: str = ""
     sections: tuple[Section, ...] = ()
     beside_verdict: tuple[str, ...] = ()
     films: tuple[dict[str, Any], ...] = ()
@@ -60,18 +66,20 @@ class ReportPage:
     @property
     def contents(self) -> list[tuple[str, str]]:
         """Anchor and title of each section, in order."""
+        parts = [(one.anchor, one.title, one.is_input) for one in self.sections]
         sections = [
+            ("motion", "Motion", bool(self.films)),
+            *((anchor, title, not given) for anchor, title, given in parts),
             ("verdict", "Verdict", True),
             ("failed", "Runs that failed", bool(self.failures.rows)),
-            ("motion", "Motion", bool(self.films)),
             ("figures", "Figures", bool(self.figures(beside=False))),
             ("tables", "Tables", bool(self.tables(beside=False))),
+            *parts,
             ("methods", "Methods", True),
             ("environment", "Environment", True),
             ("reproduce", "Reproduce", True),
         ]
-        above = [(section.anchor, section.title) for section in self.sections]
-        return [*above, *((anchor, title) for anchor, title, there in sections if there)]
+        return [(anchor, title) for anchor, title, there in sections if there]
 
     def figures(self, *, beside: bool) -> tuple[Figure, ...]:
         """Return the charts below the claims of the verdict, or the others."""

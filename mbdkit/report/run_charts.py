@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.run_summary import ROUND_OFF
+from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.figures.curves import bands
 from mbdkit.figures.drawing_geometry import choose_traces, draw_spec
 from mbdkit.figures.page_model import Axis, Figure, Line, Mark

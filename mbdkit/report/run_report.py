@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from mbdkit.archive.headlines import headlines
 from mbdkit.figures.curves import require_rows
 from mbdkit.figures.drawing_geometry import build_mechanism
 from mbdkit.figures.page_model import Cell, Table, columns_of
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.mechanism.mechanism import Mechanism
 
+TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
+"""Colours of verdicts."""
 _NUMBERS = 240_000  # pose values, about 1.5 megabytes
 
 
@@ -44,6 +47,11 @@ def run_report(run: Run) -> ReportPage:
         title=head.title,
         settings=head.settings,
         alarm=_alarm(run, head.alarm),
+        headline=(
+            ("verdict", run.verdict),
+            *((one.label, one.text("\u00b1")) for one in headlines(run)),
+        ),
+        tone=TONES.get(run.verdict, ""),
         verdict=run_verdict(run),
         films=(film_of(run, _NUMBERS),),
         methods=methods([run.spec]),

@@ -179,11 +179,17 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
     dots = known[np.linspace(0, len(known) - 1, min(len(known), _MOST_DOTS)).astype(int)]
     some = f" {len(dots)} of {len(known)} runs." if len(dots) < len(known) else ""
     for key in chosen:
-        axis = Axis(key_words(key), axis_unit(key, one.study.points[:1]), is_wide(table[key]))
+        axis = Axis(key_words(key), axis_unit(key, one.study.points[:1]), _is_logarithmic(one.study, key))
         line = Line(one.quantity.title, table[key][dots].astype(float), one.values[dots], "points")
         title = f"{one.quantity.title} against {axis.label}"
         caption = f"{one.quantity.caption}{some}{one.told}"
         yield Figure(one.slug("over", key), title, caption, axis, one.axis, (line,))
+
+
+def _is_logarithmic(study: Study, key: str) -> bool:
+    """Return whether the axis of a variable is logarithmic, as its distribution is."""
+    sample = study.spec.sample
+    return sample is not None and next(iter(sample.variables[key])).startswith(("log", "reciprocal"))
 
 
 def _convergence(one: _Measured) -> list[Figure]:

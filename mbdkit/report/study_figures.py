@@ -96,13 +96,18 @@ def asked_measures(study: Study) -> Iterator[Quantity]:
     """Yield the measures requested by the study; the most relevant ones if it requests all."""
     asked: Any = study.spec.measures
     usual = _USUAL[:1] if study.spec.in_blocks else _USUAL  # runs in blocks have no reference
-    entries = usual if asked == "all" else asked if isinstance(asked, list | tuple) else [*usual, asked]
-    for name in [name for entry in entries for name in ([entry] if isinstance(entry, str) else entry)]:
+    defined = [measure.name for measure in study.spec.defined_measures()]
+    entries = asked if isinstance(asked, list | tuple) else defined or usual
+    named = [name for entry in entries for name in ([entry] if isinstance(entry, str) else entry)]
+    for name in dict.fromkeys([*defined, *named]):
         units, long_name = study.described(name)
-        words = _measure_words(name)
-        title = words.removeprefix("largest ").capitalize()
+        words = name if name in defined else _measure_words(name)
+        title = words.removeprefix("largest ")
+        if name not in defined:  # names of users keep their capitals
+            title = title.capitalize()
         unit = "" if units == "1" else units
-        yield Quantity((name,), title, Axis(words, unit), caption=f"{long_name[:1].upper()}{long_name[1:]}.")
+        caption = f"{name}: {long_name}." if name in defined else f"{long_name[:1].upper()}{long_name[1:]}."
+        yield Quantity((name,), title, Axis(words, unit), caption=caption)
 
 
 def _measure_words(name: str) -> str:

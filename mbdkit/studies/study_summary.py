@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, shown
+from mbdkit.studies.study_headlines import headlines
 from mbdkit.studies.study_index import STATUSES
 from mbdkit.trust.criteria import LEVELS
 
@@ -35,6 +36,7 @@ def summary(study: Study) -> str:
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}"),
         ("verdicts", verdicts),
+        *(("answer", f"{name}: {told}") for name, told in headlines(study)),
         ("computed", f"{study.computed} now" if study.computed else "nothing now"),
         ("folder", str(study.folder)),
     ]

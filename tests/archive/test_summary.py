@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.archive.headlines import headlines, plus_minus
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_summary import plus_minus
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.errors import MbdkitError
 
@@ -25,10 +25,13 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
         lines = run.summary().splitlines()
     off = np.abs(rows(11, names())["energy/balance"]).max()
     most = rows(11, names())["energy/kinetic"].max()
+    force = np.linalg.norm(rows(11, names())["joints/reaction_force"], axis=2).max(axis=0)
+    told = sorted(((value, f"largest force in J{k + 1} {value:.6g} N") for k, value in enumerate(force)), reverse=True)
     turned = np.abs(rows(11, names())["joints/angle_misalignment"]).max(axis=0)
     assert lines == [
         "verdict       unknown: nothing suspicious seen; error not estimated",
         "run           two rods",
+        f"answer        {'; '.join(text for _, text in told)}",
         "status        complete",
         "model         double-pendulum, 2 bodies, 2 joints",
         "integrator    gauss, stages 2, step 0.01 s, index-1",
@@ -42,6 +45,19 @@ def test_summary_of_a_complete_run(tmp_path: Path) -> None:
         ),
         f"archive       {tmp_path / 'run.h5'}",
     ]
+
+
+def test_a_run_is_answered_by_its_measures_or_by_its_largest_forces() -> None:
+    hanging = {"mbdkit": 1, "model": {"name": "single-pendulum", "mass": 2.0, "angle": -np.pi / 2}}
+    hanging |= {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+    (weight,) = headlines(mbdkit.run(hanging))
+    assert weight.text() == "19.62 N"  # 2 kg at rest
+    assert weight.label == "largest force in J1"
+    measured = mbdkit.run(hanging, measures={"half": "final(t)/2"}, check=True)
+    (half,) = headlines(measured)
+    assert half.label == "half"
+    assert half.text().startswith("0.05")
+    assert "measures      half 0.05" in measured.summary()
 
 
 def test_summary_of_a_failed_run_says_why() -> None:
@@ -101,12 +117,12 @@ def test_summary_says_how_near_a_run_came_to_a_singular_position() -> None:
 @pytest.mark.parametrize(
     ("value", "error", "text"),
     [
-        (185.8112901234567, 4.4e-9, "185.811290123 +- 4.4e-09"),
-        (185.8112901, 4.4e-12, "185.811290100000 +- 4.4e-12"),
+        (185.8112901234567, 4.4e-9, "185.811 +- 4.4e-09"),
+        (185.8112901, 4.4e-12, "185.811 +- 4.4e-12"),
         (368.2, 0.3, "368.2 +- 0.3"),
         (368.2, 30.0, "368 +- 30"),
         (0.3, 0.5, "0.3 +- 0.5"),
-        (-2.0, 1e-30, "-2.00000000000000 +- 1e-30"),
+        (-2.0, 1e-30, "-2.00000 +- 1e-30"),
         (1.234567e-6, 2e-9, "1.235e-06 +- 2e-09"),
         (1.0, math.nan, "1 (error unknown)"),
     ],

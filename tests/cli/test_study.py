@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.base import progress_bars
 from mbdkit.spec import load_study_spec
 from mbdkit.studies.planned_points import plan_points
+from mbdkit.studies.study_folder import StudyFolder
 
 SWEEP = """\
 mbdkit_study: 1
@@ -186,10 +188,30 @@ def test_a_terminal_sees_how_many_runs_a_design_has_made(monkeypatch, capsys):
     assert "12 runs, 2 failed" in captured.err
 
 
-@pytest.mark.parametrize("bar", [progress_bars.count_bar, progress_bars.tally_bar])
-def test_without_a_terminal_there_is_no_bar(bar):
+@pytest.mark.parametrize(("bar", "counts"), [(progress_bars.count_bar, (4, 8, 1)), (progress_bars.tally_bar, (4, 1))])
+def test_without_a_terminal_there_is_at_most_one_line_in_ten_seconds(bar, counts, monkeypatch, capsys):
+    clock = iter([0.0, 1.0, 9.9, 10.1, 15.0, 20.2])
+    monkeypatch.setattr(progress_bars.time, "perf_counter", lambda: next(clock))
     with bar("study") as advance:
-        assert advance is None
+        for _ in range(4):
+            advance(*counts)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("study: 4")
+    assert "1 failed after" in lines[0]
+
+
+def test_a_folder_is_watched_while_it_is_computed_and_afterwards(mbdkit, in_tmp_path):
+    (in_tmp_path / "sweep.yaml").write_text(SWEEP)
+    assert mbdkit("study", "sweep.yaml", "--quiet").exit_code == 0
+    told = mbdkit("watch", "sweep").output
+    assert re.fullmatch(r"(\d+) of \1 runs; complete\n", told)
+    (in_tmp_path / "sweep" / "index.h5").unlink()
+    next((in_tmp_path / "sweep" / "runs").glob("*.h5")).unlink()
+    assert "nothing computes it now; the same command continues it" in mbdkit("watch", "sweep").output
+    with StudyFolder(in_tmp_path / "sweep").locked():
+        assert f"computed by process {os.getpid()} on " in mbdkit("watch", "sweep", "--once").output
+    assert "contains no study" in mbdkit("watch", ".").output
 
 
 def test_a_key_is_set_in_the_base_of_every_run(mbdkit, in_tmp_path):

@@ -104,6 +104,6 @@ def test_a_kernel_shows_results_and_progress(in_tmp_path: Path, monkeypatch: pyt
     assert "<iframe" in film.data["text/html"]
     assert "srcdoc=" in film.data["text/html"]
     drawn = [html for kind, html in told if kind in ("display_data", "update_display_data") and "<progress" in html]
-    assert any("Seated knee with a support spring t = 4 of 4 s" in html for html in drawn)
+    assert any("Seated knee, released from rest t = 4 of 4 s" in html for html in drawn)
     assert not any("<progress" in str(cell.outputs) for cell in code)  # the bar vanishes at the end
     assert (in_tmp_path / "knee.h5").exists()

@@ -134,4 +134,4 @@ def test_device_is_shown_in_motion_and_at_several_times(brace: ReportPage) -> No
     assert work is not None
     assert " s</text>" in work.wide
     assert "measured loads" not in work.caption
-    assert f"Stiffness of {BRACE.rpartition('.')[2]} 20 N m/rad" in brace.sections[0].sentences[0]
+    assert f"With stiffness of {BRACE.rpartition('.')[2]} 20 N m/rad" in brace.sections[0].sentences[0]

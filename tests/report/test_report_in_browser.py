@@ -49,9 +49,10 @@ def test_the_console_is_silent_and_no_request_leaves_the_page(browser, any_path)
     watched.page.context.close()
 
 
-def test_model_and_answer_come_before_the_verdict(page):
+def test_answers_come_first(page):
     headings = page.page.locator("main h2").all_inner_texts()
-    assert headings[:3] == ["What was modelled", "Largest forces and torques", "Verdict"]
+    assert headings[:3] == ["Motion", "Largest forces and torques", "Verdict"]
+    assert page.page.locator("header dt").all_inner_texts()[0] == "verdict"
     assert "The run completed" in page.page.locator("p.verdict").inner_text()
 
 

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import math
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.report.report import report
 from mbdkit.report.report_page import cell_text
@@ -15,7 +17,9 @@ from mbdkit.spec.key_words import key_words
 from mbdkit.studies.carry_out import load_study
 from mbdkit.studies.carry_out import study as run_study
 from mbdkit.studies.folder_lock import Shard
+from mbdkit.studies.study_headlines import headlines
 from mbdkit.studies.study_point import point_words
+from mbdkit.studies.study_summary import summary
 from tests.report.conftest import STUDY
 
 
@@ -208,3 +212,26 @@ def test_a_guide_has_the_slope_of_the_order_of_its_curve():
         assert np.diff(np.log(guide.y)) / np.diff(np.log(guide.x)) == pytest.approx(slope)
     for other in (replace(figure, x=Axis("time", "s", log=True)), replace(figure, y=Axis("error", "m"))):
         assert with_slope_guides(other).guides == ()
+
+
+def test_a_study_answers_with_mean_spread_causes_and_extreme_runs(tmp_path):
+    base = {"mbdkit": 1, "model": {"name": "single-pendulum", "angle": -math.pi / 2}, "integrator": {"name": "rk4"},
+            "time": {"end": 0.02, "step": 0.01}, "measures": {"Weight_N": "max(abs(joints.J1.force))"}}  # fmt: skip
+    variables = {"model.mass": {"uniform": [1.0, 20.0]}, "model.inertia": {"uniform": [0.1, 0.2]}}
+    sample = {"n": 64, "method": "sobol", "seed": 3, "variables": variables}
+    study = mbdkit.study({"mbdkit_study": 1, "base": base, "sample": sample}, out=tmp_path / "s")
+    ((name, told),) = headlines(study)
+    mass = study.to_frame()["model.mass"]  # the force is 9.81 m/s^2 times the mass
+    assert name == "Weight_N"
+    assert told.startswith(f"{9.81 * mass.mean():.4g} N on average, standard deviation {9.81 * mass.std():.3g} N")
+    assert "mass explains 100 % (linear fit)" in told
+    assert "inertia" not in told.partition("explains")[2].partition(";")[0]
+    assert f"smallest in run {mass.argmin() + 1} (" in told
+    page = study_report(study)
+    assert page.headline == ((name, told),)
+    titles = [figure.title for figure in page.verdict.figures]
+    assert titles[0] == "Weight_N: histogram of the runs"
+    assert not any("isalignment" in title for title in titles)  # rounding errors
+    (over,) = [figure for figure in page.verdict.figures if figure.title == "Weight_N against mass"]
+    assert not over.x.log  # the distribution is uniform
+    assert f"answer     Weight_N: {told}" in summary(study)

@@ -1,0 +1,120 @@
+"""The numbers that answer a run: its measures or, without any, its largest forces, torques and activations."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+MOST = 5
+"""Number of headlines of a run."""
+
+MOST_DIGITS = 6
+"""Largest number of significant digits of a headline."""
+
+#: Decimal places of the first digits of numbers that are printed without an exponent.
+SMALLEST_PLACE, LARGEST_PLACE = -3, 8
+
+#: Torques [N m] below this share of the largest force [N] or torque of drivers count as zero, and forces likewise.
+ROUND_OFF = 1e-10
+
+
+class Headline(NamedTuple):
+    """A number of a run with its unit and, if it is known, its estimated error; nan if unknown."""
+
+    label: str
+    value: float
+    unit: str
+    error: float = math.nan
+
+    def text(self, sign: str = "+-") -> str:
+        """Return the number with the digits that its error justifies, its error and its unit."""
+        known = f"{self.value:.{MOST_DIGITS}g}" if math.isnan(self.error) else plus_minus(self.value, self.error, sign)
+        return f"{known} {self.unit.removesuffix('1')}".rstrip()
+
+
+def plus_minus(value: float, error: float, sign: str = "+-") -> str:
+    """Return a value and its error, such as ``368.2 +- 0.3``: digits to the place of the error's first digit.
+
+    Parameters
+    ----------
+    value, error
+        In one unit; the error may be nan, for unknown.
+    sign
+        Sign between them.
+    """
+    if not math.isfinite(error):
+        return f"{value:.4g} (error unknown)"
+    if error <= 0:
+        return f"{value:.{MOST_DIGITS}g} {sign} 0"
+    first, last = math.floor(math.log10(max(abs(value), error))), math.floor(math.log10(error))
+    last = max(last, first - MOST_DIGITS + 1)
+    known = f"{value:.{max(0, -last)}f}" if SMALLEST_PLACE <= first <= LARGEST_PLACE else f"{value:.{first - last}e}"
+    return f"{known} {sign} {error:.2g}"
+
+
+def headlines(run: Run) -> list[Headline]:
+    """Return up to `MOST` numbers of a run with rows, the most important first."""
+    if not len(run.time):
+        return []
+    measured = [
+        Headline(name, value, run.measures.units[name], run.measure_errors[name])
+        for name, value in run.measures.items()
+        if math.isfinite(value)
+    ]
+    return (measured or [*_activations(run), *_actuators(run), *largest_loads(run)])[:MOST]
+
+
+def largest_loads(run: Run) -> list[Headline]:
+    """Return the largest torques of the drivers and the largest forces of the joints, the largest of each first."""
+    if not run.joint_names or not run.records("joints/reaction_force"):
+        return []
+    force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
+    found = _largest("force in", run.joint_names, force, "N", _errors(run, "reaction_error"))
+    if not run.drivers or not run.records("joints/reaction_torque"):
+        return found
+    torque = np.abs(run.array("joints/reaction_torque"))
+    of_drivers = [one for one in _largest("torque of", run.joint_names, torque, "N m", _errors(run, "torque_error"))
+                  if one.label.removeprefix("largest torque of ") in run.drivers]  # fmt: skip
+    floor = ROUND_OFF * max((one.value for one in found), default=0.0)
+    return [*(one for one in of_drivers if one.value > floor), *found]
+
+
+def _actuators(run: Run) -> list[Headline]:
+    if run.kind != "inverse" or not run.records("actuators/value"):
+        return []
+    size = np.abs(run.array("actuators/value"))
+    errors = run.array("actuators/value_error") if run.records("actuators/value_error") else None
+    units = {name: one.units for name, one in run.actuators.items()}
+    found = _largest("", list(run.actuators), size, "", errors)
+    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in found][:2]
+
+
+def _activations(run: Run) -> list[Headline]:
+    if not run.records("muscles/activation"):
+        return []
+    return _largest("activation of", list(run.muscles), run.array("muscles/activation"), "1", None)[:2]
+
+
+def _errors(run: Run, name: str) -> np.ndarray | None:
+    """Return estimated errors (T, J) of a quantity of joints; None without a check of the whole run."""
+    accuracy = run.accuracy
+    return getattr(accuracy, name) if accuracy is not None and accuracy.is_complete else None
+
+
+def _largest(
+    words: str, names: list[str] | tuple[str, ...], size: np.ndarray, unit: str, errors: np.ndarray | None
+) -> list[Headline]:
+    """Return the largest values over time (T, J) of each element, the largest first, without zeros."""
+    rows = np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)
+    found = []
+    for column, row in enumerate(rows):
+        error = math.nan if errors is None else float(errors[row, column])
+        label = f"largest {words} {names[column]}" if words else names[column]
+        found.append(Headline(label, float(size[row, column]), unit, error))
+    most = max((one.value for one in found), default=0.0)
+    return sorted((one for one in found if one.value > ROUND_OFF * most), key=lambda one: -one.value)

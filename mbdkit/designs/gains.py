@@ -1,0 +1,128 @@
+"""What a design gains, what it costs elsewhere, and how much of it is left if a variable is not met exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.archive.headlines import largest_loads
+from mbdkit.measures.take import describe
+from mbdkit.spec.design_spec import GOAL
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.designs.evaluation import Evaluator
+    from mbdkit.designs.point import DesignPoint
+    from mbdkit.designs.trust import Trust
+    from mbdkit.spec.design_spec import DesignSpec
+
+LEAST_CHANGE = 0.01
+"""Smallest relative change of a load that is reported as a cost."""
+OFF = 0.05
+"""Relative deviation of a variable from its best value in the table of robustness."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """The change of a goal from the start to the best point; `error` is nan if unknown, `is_real` then None."""
+
+    name: str
+    unit: str
+    start: float
+    best: float
+    error: float
+    is_real: bool | None
+
+    def text(self) -> str:
+        """Return the change in words, such as ``from 441 to 75.1 N (-83 %), which exceeds the errors``."""
+        unit = f" {self.unit}" if self.unit else ""
+        share = f" ({100 * (self.best - self.start) / abs(self.start):+.3g} %)" if self.start else ""
+        exceeds = {True: ", which exceeds the errors", False: ", which does NOT exceed the errors", None: ""}
+        return f"from {self.start:.4g} to {self.best:.4g}{unit}{share}{exceeds[self.is_real]}"
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The change of the largest force or torque of a joint from the start to the best point."""
+
+    scenario: str
+    label: str
+    unit: str
+    start: float
+    best: float
+
+    @property
+    def share(self) -> float:
+        """Relative change; inf from zero."""
+        return (self.best - self.start) / self.start if self.start else np.inf
+
+    def text(self) -> str:
+        """Return the change in words."""
+        where = f" ({self.scenario})" if self.scenario else ""
+        return f"{self.label}{where} from {self.start:.4g} to {self.best:.4g} {self.unit} ({100 * self.share:+.3g} %)"
+
+
+def goal_words(name: str) -> str:
+    """Return a goal in words."""
+    return "goal" if name == GOAL else f"goal {name}"
+
+
+def measure_units(spec: DesignSpec) -> dict[tuple[str, str], str]:
+    """Return the units of goals and limits by scenario and name; empty for numbers without one."""
+    found = {
+        (scenario, measure.name): describe(measure, one).units
+        for scenario, one in spec.specs.items()
+        for measure in spec.defined_measures()
+    }
+    return {place: "" if unit == "1" else unit for place, unit in found.items()}
+
+
+def goal_units(spec: DesignSpec) -> dict[str, str]:
+    """Return the units of what is minimised by name; empty for a sum of squares, or if scenarios differ."""
+    if spec.sums_squares:
+        return dict.fromkeys(spec.totals, "")
+    units = measure_units(spec)
+    found = {name: {units[scenario, name] for scenario in spec.specs} for name in spec.totals}
+    return {name: one.pop() if len(one) == 1 else "" for name, one in found.items()}
+
+
+def gains(spec: DesignSpec, start: DesignPoint, best: DesignPoint, trust: Trust) -> list[Gain]:
+    """Return the gain of each goal from the start to the best point."""
+    units = goal_units(spec)
+    return [
+        Gain(name, units[name], start.goals[name], value, trust.errors[name], trust.is_gain[name])
+        for name, value in best.goals.items()
+    ]
+
+
+def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
+    """Return the largest loads of joints that the design changes, the largest increase first.
+
+    Parameters
+    ----------
+    pairs
+        Runs at the ``start`` and at the ``best`` point, by scenario.
+    """
+    found = []
+    for scenario, pair in pairs.items():
+        before = {one.label: one for one in largest_loads(pair["start"])}
+        for one in largest_loads(pair["best"]):
+            start = before[one.label].value if one.label in before else 0.0
+            cost = Cost(scenario, one.label, one.unit, start, one.value)
+            if abs(cost.share) >= LEAST_CHANGE:
+                found.append(cost)
+    return sorted(found, key=lambda cost: -cost.share)
+
+
+def robustness(evaluator: Evaluator, best: np.ndarray) -> dict[str, np.ndarray]:
+    """Return goals (2, G) with each variable `OFF` below and above its best value, within its bounds; nan where runs
+    fail.
+    """
+    values = evaluator.variables(best)
+    return {
+        name: np.array([evaluator.totals(evaluator.point({**values, name: value * (1 + off)})) for off in (-OFF, OFF)])
+        for name, value in values.items()
+    }

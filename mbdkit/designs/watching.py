@@ -1,0 +1,118 @@
+"""The state of a study or design that another process computes, from the files in its folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, listed
+from mbdkit.designs.store import DesignFolder
+from mbdkit.spec import load_design_spec, load_study_spec
+from mbdkit.studies.folder_lock import LOCK, Owner
+from mbdkit.studies.planned_points import PlannedPoints
+from mbdkit.studies.study_blocks import StudyBlocks
+from mbdkit.studies.study_folder import StudyFolder
+
+_RUN = re.compile(r"[0-9a-f]{16}\.h5")
+_BLOCK = re.compile(r"block-[0-9]{6,}\.h5")
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is done of a study or design.
+
+    Parameters
+    ----------
+    text
+        What is done, in words.
+    done, total
+        Numbers of runs or blocks; the total is nan for a design, which ends when its search does.
+    is_complete
+        Whether the result is there.
+    owners
+        The processes that compute it, in words.
+    """
+
+    text: str
+    done: int
+    total: float
+    is_complete: bool
+    owners: tuple[str, ...]
+
+    def line(self, before: Work | None = None, seconds: float = math.nan) -> str:
+        """Return the state as one line, with the time left at the rate since an earlier state, `seconds` ago."""
+        parts = [self.text]
+        if self.is_complete:
+            parts.append("complete")
+        elif not self.owners:
+            parts.append("nothing computes it now; the same command continues it")
+        else:
+            parts.append(f"computed by {listed(self.owners, 'and')}")
+            made = self.done - before.done if before is not None else 0
+            if made > 0 and math.isfinite(self.total):
+                parts.append(f"about {_duration((self.total - self.done) * seconds / made)} left")
+        return "; ".join(parts)
+
+
+def work_in(folder: Path) -> Work:
+    """Return the state of the study or design in a folder.
+
+    Raises
+    ------
+    SpecError
+        If the folder contains neither.
+    """
+    if (folder / "design.yaml").is_file():
+        return _of_design(folder)
+    if (folder / "study.yaml").is_file():
+        return _of_study(folder)
+    raise SpecError("this folder contains no study (study.yaml) and no design (design.yaml)", file=str(folder))
+
+
+def _of_study(folder: Path) -> Work:
+    paths, spec = StudyFolder(folder), load_study_spec(folder / "study.yaml")
+    names = [path.name for path in paths.runs.iterdir()] if paths.runs.is_dir() else []
+    points = PlannedPoints(spec)
+    blocks = sum(bool(_BLOCK.fullmatch(name)) for name in names)
+    runs = sum(bool(_RUN.fullmatch(name)) for name in names)
+    done, total, noun = (runs, len(points), "run")
+    if blocks or spec.in_blocks:
+        done, total, noun = blocks, StudyBlocks.of(spec, points).count, "block"
+    owners = tuple(_owners(folder))
+    return Work(f"{done} of {counted(total, noun)}", done, total, paths.index.is_file() and not owners, owners)
+
+
+def _of_design(folder: Path) -> Work:
+    paths, spec = DesignFolder(folder), load_design_spec(folder / "design.yaml")
+    values = []
+    lines = paths.points.read_text("utf-8").splitlines()[1:] if paths.points.is_file() else []
+    goal = next(iter(spec.goals))
+    for line in lines:
+        try:
+            values.append(json.loads(line)["values"][goal])
+        except (ValueError, KeyError, TypeError):  # the line is being written
+            continue
+    known = [value for value in values if isinstance(value, int | float)]
+    least = f", least {goal} of a run {min(known):.4g}" if known else ""
+    return Work(
+        f"{counted(len(values), 'run')}{least}", len(values), math.nan, paths.result.is_file(), tuple(_owners(folder))
+    )
+
+
+def _owners(folder: Path) -> Iterator[str]:
+    """Yield the processes that hold a lock of the folder, in words."""
+    for lock in sorted(folder.glob(f"{LOCK}*")):
+        owner = Owner.of(lock)
+        if owner is not None and not owner.is_dead:
+            yield f"process {owner.pid} on {owner.host} since {owner.since}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,93 @@
+"""The answer of a study: mean, spread and quantiles of each measure, what explains them, and the extreme runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import listed
+from mbdkit.spec.key_words import key_words
+from mbdkit.studies.sample_groups import SampleGroup, measured, sample_groups
+from mbdkit.studies.study_point import axis_unit, point_words
+
+if TYPE_CHECKING:
+    from mbdkit.studies.study import Study
+
+MOST = 5
+"""Number of measures, and of samples of a study, that the headline has."""
+
+LEAST_SHARE = 0.05
+"""Smallest share of a variance that the headline names."""
+
+ROUND_OFF = 1e-12
+"""Relative range of a measure below which its values differ by rounding errors."""
+
+
+def headlines(study: Study) -> list[tuple[str, str]]:
+    """Return the name of each measure that the study or its base defines, with sentences on its values."""
+    names = [measure.name for measure in study.spec.defined_measures()][:MOST]
+    groups = sample_groups(study)[:MOST] if study.spec.has_table else [SampleGroup("", {}, range(len(study.points)))]
+    return [
+        (f"{name} ({group.words})" if group.words else name, told)
+        for name in names
+        for group in groups
+        if (told := _told(study, group, name))
+    ]
+
+
+def _told(study: Study, group: SampleGroup, name: str) -> str:
+    try:
+        values = measured(study, name, group.places)
+    except MbdkitError:  # no run has a value
+        return ""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return ""
+    unit = study.described(name)[0].removesuffix("1")
+    unit = f" {unit}" if unit else ""
+    if np.ptp(known) <= ROUND_OFF * np.max(np.abs(known)):
+        return f"{known[0]:.6g}{unit} in all runs"
+    if not study.spec.has_table or len(known) < 3:
+        return f"{known.min():.4g} to {known.max():.4g}{unit}; {_extremes(study, group, values)}"
+    low, high = np.quantile(known, (0.05, 0.95))
+    text = (
+        f"{np.mean(known):.4g}{unit} on average, standard deviation {np.std(known, ddof=1):.3g}{unit}, "
+        f"5 % to 95 %: {low:.4g} to {high:.4g}{unit}"
+    )
+    return "; ".join(filter(None, [text, _explained(study, group, name, values), _extremes(study, group, values)]))
+
+
+def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) -> str:
+    """Return which variables explain the variance: by first-order Sobol indices or, without them, linearly."""
+    sample = study.spec.sample
+    where = ({"family": group.family} if group.family else {}) | dict(group.axes)
+    if sample is not None and sample.design == "saltelli":
+        try:
+            sobol = study.sensitivity(name, where=where or None, resamples=1)
+        except MbdkitError:  # too few members have a value
+            return ""
+        shares, how = dict(zip(sobol.variables, np.nan_to_num(sobol.first), strict=True)), ""
+    else:
+        known, table = np.isfinite(values), study.grid(group.family).table
+        columns = {key: column[known] for key, column in table.items() if column.dtype.kind in "fi"}
+        of = values[known]
+        shares = {key: np.corrcoef(one, of)[0, 1] ** 2 for key, one in columns.items() if np.ptp(one) > 0}
+        how = " (linear fit)"
+    least = max(LEAST_SHARE, 4 / len(values))  # the share that variables without an effect reach by chance
+    ranked = sorted(((share, key) for key, share in shares.items() if share >= least), reverse=True)[:3]
+    if not ranked:
+        return ""
+    return f"{listed([f'{key_words(key)} explains {100 * share:.0f} %' for share, key in ranked], 'and')}{how}"
+
+
+def _extremes(study: Study, group: SampleGroup, values: np.ndarray) -> str:
+    """Return the runs with the smallest and the largest value in words."""
+    told = []
+    for word, place in (("smallest", int(np.nanargmin(values))), ("largest", int(np.nanargmax(values)))):
+        point = study.points[group.places[place]]
+        units = {key: axis_unit(key, [point]) for key in point.axes}
+        words = point_words(point, units)
+        told.append(f"{word} in run {point.number}{f' ({words})' if words else ''}")
+    return ", ".join(told)
