@@ -110,7 +110,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     -------
     ErrorBars or None
         None if no error bars are requested, if derivatives are part of the data, if the noise of a column is neither
-        stated nor can be estimated from the residuals, or with activation dynamics.
+        stated nor can be estimated from the residuals, or if recruitment couples the frames.
     """
     begin = time.perf_counter()
     problem, fitted, independent = result.problem, result.fitted, result.independent
@@ -118,7 +118,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
     if asked == "none" or independent is None or not independent.names:
         return None
     recruiter = problem.recruiter
-    if recruiter is not None and recruiter.asked.dynamics == "activation":
+    if recruiter is not None and recruiter.couples_frames:
         return None  # noise of one frame changes others, which the covariance of each frame does not know
     random = np.random.default_rng(asked.seed)
     measured, times = fitted.measured, result.motion.time

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError
-from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.inverse_dynamics.dynamics import Balance, Dynamics
+from mbdkit.inverse_dynamics.elastic_tendons import ElasticMuscles, in_equilibrium
 from mbdkit.inverse_dynamics.loads_over_time import (
     ActivationDynamics,
     share_over_time,
@@ -142,7 +142,8 @@ class Recruiter:
     Raises
     ------
     SpecError
-        If the mechanism has no muscles, a muscle has an elastic tendon, or a reserve refers to an unknown actuator.
+        If the mechanism has no muscles, a reserve refers to an unknown actuator, or the section has options that are
+        not possible together.
     """
 
     def __init__(self, asked: Recruitment, names: QuantityNames, actuators: Sequence[NamedActuator]):
@@ -152,18 +153,41 @@ class Recruiter:
         self.asked, self._actuators = asked, actuators
         self.muscles: Mapping[str, Muscle] = own
         self._paths = {name: MusclePath(name, muscle, names) for name, muscle in own.items()}
-        for name, muscle in own.items():
-            if muscle.tendon == "elastic" and (asked.capacity == "full" or asked.passive):
-                raise SpecError(
-                    "recruitment takes tendons as rigid so far; write `rigid`, or use `capacity: isometric`",
-                    key=f"model.muscles.{quoted(name)}.tendon",
-                )
+        uses_fibers = asked.capacity == "full" or asked.passive
+        elastic = {name: muscle for name, muscle in own.items() if uses_fibers and muscle.tendon == "elastic"}
+        self._is_elastic = np.array([name in elastic for name in own])
+        if elastic:
+            self._require_simple(next(iter(elastic)))
         if asked.dynamics == "activation" and (asked.exponent == "inf" or asked.exponent == 1):
             raise SpecError(
                 f"activation dynamics need an exponent of 2 or more, not {asked.exponent}", key="recruitment.exponent"
             )
         self._joined = np.array([not one.is_residual for one in actuators], dtype=bool)
         self._reserves = reserves_of(asked, actuators)
+
+    def _require_simple(self, name: str) -> None:
+        """Raise SpecError if recruitment has options that need rigid tendons; `name` is that of an elastic muscle."""
+        wrong = {
+            "exponent": self.asked.exponent in (1, "inf"),
+            "dynamics": self.asked.dynamics == "activation",
+            "capacity": self.asked.capacity == "isometric",
+        }
+        for key in (key for key, is_wrong in wrong.items() if is_wrong):
+            raise SpecError(
+                f"should not be {getattr(self.asked, key)}, which needs rigid tendons; that of muscle '{name}' is "
+                "elastic",
+                key=f"recruitment.{key}",
+            )
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether muscles have elastic tendons."""
+        return bool(self._is_elastic.any())
+
+    @property
+    def couples_frames(self) -> bool:
+        """Whether the muscles of a frame depend on other frames."""
+        return self.is_elastic or self.asked.dynamics == "activation"
 
     def with_muscles(self, muscles: Mapping[str, Muscle]) -> Recruiter:
         """Return a recruiter of muscles with other properties on the same paths."""
@@ -204,6 +228,10 @@ class Recruiter:
             )
         own = self.contraction(motion)
         sharing = self.sharing(own, balance, dynamics.value)
+        if self.is_elastic:
+            own = self._in_equilibrium(own, sharing, dynamics.value, motion.time)
+            programme = self._programme(sharing.arms, sharing.driven, dynamics.value, own.capacity, own.passive)
+            sharing = replace(sharing, programme=programme)
         driven = sharing.driven
         shared = share_loads(sharing.programme, self.exponent)
         failed = ~np.isfinite(shared.certificate)
@@ -297,6 +325,12 @@ class Recruiter:
         driven = self._joined & np.any(np.abs(arms) > NO_ARM, axis=(0, 2))
         if not driven.any():
             raise SpecError("no muscle acts on an actuator: muscles must cross joints that move", key="recruitment")
+        return Sharing(arms, driven, self._programme(arms, driven, value, own.capacity, own.passive))
+
+    def _programme(
+        self, arms: np.ndarray, driven: np.ndarray, value: np.ndarray, capacity: np.ndarray, passive: np.ndarray
+    ) -> Programme:
+        """Return the convex programmes of T frames; see `Sharing` and `Contraction`."""
         rows = np.flatnonzero(driven)
         spare = [reserve for reserve in self._reserves if driven[reserve.of]]
         frames, count = len(value), len(self.muscles)
@@ -305,14 +339,43 @@ class Recruiter:
             reserves[:, np.flatnonzero(rows == reserve.of), column] = reserve.optimal
         low, high = np.full((frames, count), self.asked.minimum), np.ones((frames, count))
         without = np.full((frames, len(spare)), np.inf)
-        programme = Programme(
-            np.concatenate([arms[:, driven] * own.capacity[:, None], reserves], axis=2),
-            value[:, driven] - (arms[:, driven] @ own.passive[..., None])[..., 0],
+        return Programme(
+            np.concatenate([arms[:, driven] * capacity[:, None], reserves], axis=2),
+            value[:, driven] - (arms[:, driven] @ passive[..., None])[..., 0],
             np.hstack([low, -without]),
             np.hstack([high, without]),
             np.concatenate([self.weights, np.ones(len(spare))]),
         )
-        return Sharing(arms, driven, programme)
+
+    def _in_equilibrium(self, own: Contraction, sharing: Sharing, value: np.ndarray, time: np.ndarray) -> Contraction:
+        """Return the muscles with fibres that are in equilibrium with elastic tendons.
+
+        Parameters
+        ----------
+        own, sharing
+            The muscles with rigid tendons, and what they share.
+        value
+            (T, U) values of the actuators without muscles.
+        """
+        which, count = self._is_elastic, len(self.muscles)
+        muscles = {name: one for (name, one), is_one in zip(self.muscles.items(), which, strict=True) if is_one}
+        elastic = ElasticMuscles(muscles, with_passive=self.asked.passive)
+        capacity, passive = own.capacity.copy(), own.passive.copy()
+
+        def share(frame: int, slope: np.ndarray, offset: np.ndarray) -> np.ndarray:
+            capacity[frame, which], passive[frame, which] = slope, offset
+            one = slice(frame, frame + 1)
+            programme = self._programme(sharing.arms[one], sharing.driven, value[one], capacity[one], passive[one])
+            found = share_loads(programme, self.exponent)
+            solved = np.isfinite(found.certificate[0])
+            return np.asarray(np.where(solved, found.value[0, :count][which], np.nan))
+
+        found = in_equilibrium(elastic, time, own.length[:, which], own.rate[:, which], share)
+        length, rate = own.fiber_length.copy(), own.fiber_rate.copy()
+        length[:, which], rate[:, which] = (
+            np.array([getattr(one, name) for one in found]) for name in ("length", "rate")
+        )
+        return replace(own, fiber_length=length, fiber_rate=rate, capacity=capacity, passive=passive)
 
     @property
     def weights(self) -> np.ndarray:

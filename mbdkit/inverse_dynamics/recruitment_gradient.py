@@ -53,6 +53,8 @@ def require_derivatives_of(recruiter: Recruiter) -> None:
             "gradients are those of frames that are independent of each other, without activation dynamics",
             key="recruitment.dynamics",
         )
+    if recruiter.is_elastic:
+        raise SpecError("gradients take the tendons of muscles as rigid so far", key="recruitment")
     if recruiter.exponent == 1 or math.isinf(recruiter.exponent):
         raise SpecError(
             f"gradients need an exponent of 2 or more, not {recruiter.asked.exponent}: the solution of a linear "

@@ -33,6 +33,9 @@ class ForceCurves(Protocol):
     def tendon(self, length: np.ndarray) -> Curve:
         """Return the force of the tendon."""
 
+    def stretch(self, force: np.ndarray) -> Curve:
+        """Return the length of the tendon with a positive force."""
+
 
 @dataclass(frozen=True)
 class DeGrooteFregly:
@@ -79,6 +82,12 @@ class DeGrooteFregly:
         grown = c1 * np.exp(stiffness * (length - 1.0))
         return grown - c3, grown * stiffness
 
+    def stretch(self, force: np.ndarray) -> Curve:
+        """Return the length of the tendon with a positive force, the inverse of `tendon`."""
+        c1, c3, strain = 0.2, 0.2, 0.049
+        stiffness = np.log((1.0 + c3) / c1) / strain
+        return 1.0 + np.log((force + c3) / c1) / stiffness, 1.0 / (stiffness * (force + c3))
+
 
 _GAUSSIANS = (
     (0.8150671134243542, 1.055033428970575, 0.162384573599574, 0.063303448465465),
@@ -119,6 +128,11 @@ class Millard:
     def tendon(self, length: np.ndarray) -> Curve:
         """Return the force of the tendon, which is 1 at a strain of 0.049 and zero below length 1."""
         return self.curves["tendon"].at(length)
+
+    def stretch(self, force: np.ndarray) -> Curve:
+        """Return the length of the tendon with a positive force, the inverse of `tendon`."""
+        curve = self.curves["tendon"]
+        return BezierCurve(curve.y, curve.x, (0.0, 1.0 / curve.slopes[1])).at(force)
 
 
 def _active() -> BezierCurve:

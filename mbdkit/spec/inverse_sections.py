@@ -335,7 +335,7 @@ class Recruitment(Section):
     default. The smaller it is, the less the reserve is used."""
     capacity: Literal["full", "isometric"] = "full"
     """Largest active tension of a muscle: `full`, max_force times the curves of force by length and velocity times the
-    cosine of the pennation, on a rigid tendon; or `isometric`, max_force."""
+    cosine of the pennation; or `isometric`, max_force, which is for rigid tendons."""
     passive: bool = False
     """Whether the force of passive fibres is added to that of active ones."""
     dynamics: Literal["none", "activation"] = "none"
