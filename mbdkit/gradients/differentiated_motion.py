@@ -167,7 +167,7 @@ class DifferentiatedPart:
 
     def _evaluated(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> DifferentiatedStates:
         self._use()
-        return self._evaluator.states(np.clip(time, *self._sides), _whole(q), _whole(v))
+        return self._evaluator.states(np.clip(time, *self._sides), _whole(q), _whole(v), new_duals(len(time), 0))
 
 
 def states_of(motions: Sequence[DifferentiatedMotion], number: int, time: np.ndarray) -> DifferentiatedStates:

@@ -26,7 +26,8 @@ from mbdkit.runs.preparation import build, guards, make_method, size_at_start, t
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.differentiated_stepper import DifferentiatedStepper
 from mbdkit.stepping.dual_run import NO_SEEDS, Seeds, constants
-from mbdkit.stepping.interface import Stepper, Stretch, joined
+from mbdkit.stepping.interface import Moment, Stepper, Stretch, joined
+from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import NoDerivativeError, compiled_method, require_derivatives, start_method
 
 
@@ -150,8 +151,11 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
     none = np.zeros(1)
     stretches = [
-        Stretch(np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)))
-    ]
+        Stretch(
+            np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
+            z=states_at_start(workspace)[None],
+        )
+    ]  # fmt: skip
     while not (stepper.finished or stepper.failure):
         stretches.append(stepper.advance())
     if stepper.failure:
@@ -160,12 +164,13 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     workspace.clamp_motions(-np.inf, np.inf)
     observer = StateObserver(workspace.with_own_pivots())
     observed = observer.arrays(len(rows.time))
-    q, v = np.ascontiguousarray(rows.q), np.ascontiguousarray(rows.v)
-    if observer.observe(rows.time, q, v, observed) is not None:
+    assert rows.z is not None
+    q, v, z = (np.ascontiguousarray(x) for x in (rows.q, rows.v, rows.z))
+    if observer.observe(rows.time, q, v, observed, z=z) is not None:
         raise RunError("a recorded state has no unique accelerations")
     energy = np.stack([rows.work, rows.dissipated], axis=-1)
-    q, v, energy, *values = (x[..., None] for x in (q, v, energy, *observed))
-    states = DifferentiatedStates.of(workspace.mechanism, rows.time, q, v, Observed(*values), energy)
+    q, v, z, energy, *values = (x[..., None] for x in (q, v, z, energy, *observed))
+    states = DifferentiatedStates.of(workspace.mechanism, rows.time, q, v, Observed(*values), energy, z=z)
     return DifferentiatedRun(states, None, np.zeros(0), (), None)
 
 
@@ -206,7 +211,10 @@ def _stepper(
     """
     method = make_method(spec)
     workspace, _ = build(spec)
-    workspace.mechanism.refuse_states("the gradient of a run")
+    if needs != Needs():
+        workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")
+    if not method.traits.is_explicit:
+        workspace.mechanism.refuse_states("the gradient of a run by an implicit method")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     table = replace(table, single=table.single or needs.ends)
     if table.impacts:
@@ -230,10 +238,9 @@ def _stepper(
 
 @dataclass(frozen=True)
 class _AtEvent:
-    """Positions and velocities with derivatives at an event, and the sides of force laws there."""
+    """The state with derivatives at an event, and the sides of force laws there."""
 
-    q: np.ndarray
-    v: np.ndarray
+    state: Moment
     sides: np.ndarray | None
 
 
@@ -261,7 +268,7 @@ class _Pass:
         """Take all steps, and return the states with their derivatives."""
         stepper, times = self.stepper, [np.array([self.workspace.t0])]
         waiting, at_events = list(events), []
-        last: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None = None
+        last: tuple[float, Moment, np.ndarray] | None = None
         while not (stepper.finished or stepper.failure):
             sides = None if self._sided is None else self._sided.sides
             stretch = stepper.advance()
@@ -273,15 +280,15 @@ class _Pass:
                 self._use(sides)
                 if event.stops:
                     last = stepper.cut_with_derivatives(theta)
-                    at_events.append(_AtEvent(*last[1:3], sides))
+                    at_events.append(_AtEvent(last[1], sides))
                 else:
-                    at_events.append(_AtEvent(*stepper.derivatives_within(theta), sides))
+                    at_events.append(_AtEvent(stepper.derivatives_within(theta), sides))
                     self._use(now)
             times.append(stretch.time if last is None else stretch.time[stretch.time < last[0]])
             if self.motion is not None and last is None:
                 self.motion.add()
             elif self.motion is not None and last is not None:
-                self.motion.end_at(*last[:3])
+                self.motion.end_at(last[0], *last[1][:2])
         if stepper.failure:
             text = f"{stepper.failure.code}: {stepper.failure.sentence}"
             raise RunError(f"a run that stops early has no gradient: {text}")
@@ -295,7 +302,7 @@ class _Pass:
     def _observed(
         self,
         time: np.ndarray,
-        last: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None,
+        last: tuple[float, Moment, np.ndarray] | None,
         events: Sequence[Event],
         at_events: Sequence[_AtEvent],
     ) -> DifferentiatedRun:
@@ -304,8 +311,8 @@ class _Pass:
         """
         workspace = self.workspace
         q0, v0 = (constants(x, self.seeds.get(name))[None] for name, x in (("q", workspace.q0), ("v", workspace.v0)))
-        q, v, energy = self.steps.recorded(len(time) - 1)
-        q, v = np.concatenate([q0, q]), np.concatenate([v0, v])
+        q, v, z, energy = self.steps.recorded(len(time) - 1)
+        q, v, z = (np.concatenate([x0, x]) for x0, x in ((q0, q), (v0, v), (self.stepper.z0[None], z)))
         energy = np.concatenate([np.zeros((1, *energy.shape[1:])), energy])
         workspace.clamp_motions(-np.inf, np.inf)
         crossings = [self._crossing(event, at) for event, at in zip(events, at_events, strict=False)]
@@ -313,12 +320,12 @@ class _Pass:
         if last is not None:  # the end depends on the parameters
             moved = crossings[-1].slope
             time = np.append(time, last[0])
-            q, v, energy = (
+            q, v, z, energy = (
                 np.concatenate([x, end[None]])
-                for x, end in zip((q, v, energy), self._moving_end(last, moved), strict=True)
+                for x, end in zip((q, v, z, energy), self._moving_end(last, moved), strict=True)
             )
         history = [] if self._sided is None else self._sided.history
-        rows = self._evaluated([(one.rows + 1, one.sides) for one in history], time, q, v, None, energy)
+        rows = self._evaluated([(one.rows + 1, one.sides) for one in history], time, q, v, z, None, energy)
         nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
         sizes = self.stepper.sizes_taken if self.stepper.controlled else None
         motions = () if self.motion is None else (self.motion,)
@@ -349,7 +356,8 @@ class _Pass:
         The parts of an integral before and after a discontinuity meet at a time that depends on the parameters; two
         nodes of weight zero add this dependence to the derivatives.
         """
-        time, weight, *state = self.steps.nodes()
+        time, weight, q, v = self.steps.nodes()
+        state = q, v, np.zeros((len(time), 0, q.shape[-1]))  # there are no nodes with first-order states
         fixed = np.column_stack([weight, np.zeros((len(weight), self.width - 1))])
         parts = [self._evaluated(history, time, *state, fixed, None)]
         for one in [] if self._sided is None else self._sided.corners:
@@ -362,7 +370,7 @@ class _Pass:
     ) -> DifferentiatedStates:
         """Return states with the quantities computed from them, using the sides that were valid at each of them.
 
-        The `arrays` are positions, velocities, weights and energies.
+        The `arrays` are positions, velocities, first-order states, weights and energies.
         """
         if not history:
             return self._evaluator.states(time, *arrays)  # type: ignore[arg-type]
@@ -376,23 +384,22 @@ class _Pass:
                 parts.append(self._evaluator.states(time[part], *some))  # type: ignore[arg-type]
         return one_after_another(parts)
 
-    def _moving_end(
-        self, last: tuple[float, np.ndarray, np.ndarray, np.ndarray], moved: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """Return positions, velocities and energies of the last state with derivatives that include the change of its
-        time.
+    def _moving_end(self, last: tuple[float, Moment, np.ndarray], moved: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return positions, velocities, first-order states and energies of the last state with derivatives that include
+        the change of its time.
         """
-        t, q, v, energy = last
-        state = self._evaluator.states(np.array([t]), q[None], v[None])
-        ends = q.copy(), v.copy(), energy.copy()
-        for end, rate in zip(ends, (v[:, 0], state.observed.acc[0, :, 0], state.power[0, :, 0]), strict=True):
+        t, (q, v, z), energy = last
+        state = self._evaluator.states(np.array([t]), q[None], v[None], z[None])
+        ends, observed = (q.copy(), v.copy(), z.copy(), energy.copy()), state.observed
+        rates = v[:, 0], observed.acc[0, :, 0], observed.state_rates[0, :, 0], state.power[0, :, 0]
+        for end, rate in zip(ends, rates, strict=True):
             end[:, 1 : self.width] += np.outer(rate, moved)
         return ends
 
     def _crossing(self, event: Event, at: _AtEvent) -> Crossing:
         """Return the time of an event and its derivatives, ``-g_p / g_t`` for the expression g that crosses zero."""
         self._use(at.sides)
-        here = self._evaluator.states(np.array([event.time]), at.q[None], at.v[None])
+        here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
         slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))
         value = series_of(event.expression, here, slopes)
         around, distance = self._evaluator.around(here, self.spec.time.step or 1e-3)

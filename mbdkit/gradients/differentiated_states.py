@@ -132,7 +132,7 @@ def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates
     return _together(parts, joined, (*_ARRAYS, "start_energy"))
 
 
-_ARRAYS = ("q", "v", "work", "dissipated", "weight", "power", "actuators")
+_ARRAYS = ("q", "v", "z", "work", "dissipated", "weight", "power", "actuators")
 """Arrays with one row per state and derivatives."""
 
 

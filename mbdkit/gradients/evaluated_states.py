@@ -16,7 +16,7 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.number_arrays import Duals
-from mbdkit.gradients.differentiated_states import DifferentiatedStates
+from mbdkit.gradients.differentiated_states import DifferentiatedStates, one_after_another
 from mbdkit.gradients.parameter_differences import CENTRAL, weights
 from mbdkit.stepping.differentiated_stepper import DifferentiatedSteps
 from mbdkit.stepping.dual_run import constants, dual_states
@@ -41,6 +41,7 @@ class StateEvaluator:
         time: np.ndarray,
         q: np.ndarray,
         v: np.ndarray,
+        z: np.ndarray,
         weight: np.ndarray | None = None,
         energy: np.ndarray | None = None,
     ) -> DifferentiatedStates:
@@ -52,6 +53,14 @@ class StateEvaluator:
             If the accelerations of a state are not unique.
         """
         self.steps.take_up_solver()
+        if z.shape[1] and len(time) != 1:  # the kernels evaluate states with the same first-order states together
+            arrays = (q, v, z, weight, energy)
+            rows = range(len(time))
+            return one_after_another(
+                [self.states(time[k : k + 1], *(None if x is None else x[k : k + 1] for x in arrays)) for k in rows]  # type: ignore[arg-type]
+            )
+        if z.shape[1]:
+            self.steps.use_states(np.asarray(z)[0])
         states = dual_states(self.steps.run, self.workspace, time, q.view(Duals), v.view(Duals))
         done = 0
         renewed = -1
@@ -67,12 +76,15 @@ class StateEvaluator:
             if status != OK:
                 self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
                 renewed = done
+        if z.shape[1]:
+            given = np.asarray(states.observed.forces)[0]
+            np.asarray(states.observed.state_rates)[0] = self.steps.laws.state_rates(float(time[0]), given)
         some = slice(self.width)
         observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
         energy = None if energy is None else np.asarray(energy[..., some])
-        q, v, power = (np.asarray(x[..., some]) for x in (q, v, states.power))
+        q, v, z, power = (np.asarray(x[..., some]) for x in (q, v, z, states.power))
         return DifferentiatedStates.of(
-            self.workspace.mechanism, time, q, v, observed, energy, weight=weight, power=power
+            self.workspace.mechanism, time, q, v, observed, energy, z=z, weight=weight, power=power
         )
 
     def around(self, here: DifferentiatedStates, unit: float) -> tuple[DifferentiatedStates, float]:
@@ -83,7 +95,8 @@ class StateEvaluator:
         distance = unit / 32.0
         offsets = distance * np.array(CENTRAL)
         q, v, acc = here.q[0, :, 0], here.v[0, :, 0], here.observed.acc[0, :, 0]
-        moved = (constants(x + offsets[:, None] * rate) for x, rate in ((q, v), (v, acc)))
+        z, z_rate = here.z[0, :, 0], here.observed.state_rates[0, :, 0]
+        moved = (constants(x + offsets[:, None] * rate) for x, rate in ((q, v), (v, acc), (z, z_rate)))
         return self.states(here.time[0] + offsets, *moved), distance
 
     def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:

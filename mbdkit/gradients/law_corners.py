@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw
@@ -139,6 +140,11 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
                 values += given.tolist()
             rows[row, 1] = begins[begin]
             continue
+        if np.sum(top.laws[:, 1] == begin) > 1:
+            raise SpecError(
+                f"the law of the force '{name}' has first-order states and a discontinuity, and has no derivatives",
+                key="gradients",
+            )
         rows[row, 1] = len(values)
         sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
         bound, _ = bind_law(own.law, _named(compiled, given) | sides, name)
@@ -153,9 +159,15 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             side = first + names.index(SIDE.format(i))
             conditions.append(Condition(name, elements[row], first + own_places, side, function))
         values += [float(len(held)), *held.tolist()]
-    inputs = top.inputs.copy()
-    inputs[:, 2] = places[inputs[:, 2]]
-    own_top = top._replace(laws=rows, law_parameters=np.array(values), inputs=inputs)
+    for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that no law has
+        places[place - 1 : place + 1] = len(values), len(values) + 1
+        values += top.law_parameters[place - 1 : place + 1].tolist()
+    inputs, states, state_places = (x.copy() for x in (top.inputs, top.states, top.state_places))
+    for indices, column in ((inputs, 2), (states, 1), (state_places, 1)):
+        indices[:, column] = places[indices[:, column]]
+    own_top = top._replace(
+        laws=rows, law_parameters=np.array(values), inputs=inputs, states=states, state_places=state_places
+    )
     return SidedMechanism(replace(mechanism, topology=own_top, laws=tuple(laws)), tuple(conditions), places)
 
 

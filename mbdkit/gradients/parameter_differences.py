@@ -131,6 +131,13 @@ class Preparation(ABC):
                     f"the structure of the mechanism depends on '{parameter.name}': it changes for {value!r}",
                     key="gradients",
                 )
+        for one, other in zip(self.mechanism.controllers, mechanism.controllers, strict=True):
+            if (one.period, one.delay) != (other.period, other.delay):
+                raise SpecError(
+                    f"the times of the samples of the controller '{one.name}' depend on '{parameter.name}'; there are "
+                    "no derivatives by such a parameter",
+                    key="gradients",
+                )
 
     def require_same_form(self, arrays: Arrays, parameter: Parameter) -> None:
         """Raise SpecError if expressions contain other numbers than those of the spec; see `numbers_of`."""

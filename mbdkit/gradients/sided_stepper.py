@@ -195,9 +195,9 @@ class SidedStepper(DifferentiatedStepper):
 
     def _values(self, times: Sequence[float], states: Sequence[Moment]) -> np.ndarray:
         """Return the functions of the conditions (N, C) in N states."""
-        q, v = (np.ascontiguousarray([state[i] for state in states]) for i in range(2))
+        q, v, z = (np.ascontiguousarray([state[i] for state in states]) for i in range(3))
         observed = self._observer.arrays(len(q))
-        self._observer.observe(np.array(times), q, v, observed)
+        self._observer.observe(np.array(times), q, v, observed, z=z)
         return np.array(
             [
                 [
@@ -213,7 +213,7 @@ class SidedStepper(DifferentiatedStepper):
     def _here(self) -> DifferentiatedStates:
         assert self.steps is not None
         run = self.steps.run
-        return self._evaluator.states(np.array([self.time]), np.array(run.q)[None], np.array(run.v)[None])
+        return self._evaluator.states(np.array([self.time]), *(np.array(x)[None] for x in (run.q, run.v, run.z)))
 
     def _conditions(self, here: DifferentiatedStates) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the functions (C,) of the conditions in a state, their derivatives (C, K), and their rates (C,)."""
@@ -263,6 +263,8 @@ class SidedStepper(DifferentiatedStepper):
         run, some = self.steps.run, slice(1, 1 + len(moved))
         jump = before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0]
         run.v[:, some] += np.outer(jump, moved)
+        rates = before.observed.state_rates[0, :, 0] - after.observed.state_rates[0, :, 0]
+        run.z[:, some] += np.outer(rates, moved)
         run.energy[:, some] += np.outer(before.power[0, :, 0] - after.power[0, :, 0], moved)
         self.corners.append(Corner(before, after, moved, self.sides))
         self._note()

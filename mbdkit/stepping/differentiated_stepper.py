@@ -18,6 +18,8 @@ from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.differentiated_laws import DifferentiatedLaws
+from mbdkit.stepping.differentiated_sampling import DifferentiatedSampler
 from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
 from mbdkit.stepping.dual_steps import constrained_step, dual_explicit, dual_stages, explicit_step, index1_step
 from mbdkit.stepping.explicit import CompiledExplicit
@@ -29,6 +31,9 @@ if TYPE_CHECKING:
 
 _CAUSES = {DIVERGED: "the iteration for them does not converge", NOT_FINITE: "a number overflows"}
 """Reasons why the derivatives of a step are unknown, by status of the kernel."""
+
+NODES = ("node_time", "node_weight", "node_q", "node_v")
+"""Arrays of a `DualRun` with the stages that are kept as nodes of integrals."""
 
 ANY_ERROR = 1e30
 """Factor of the tolerances of the local error with which every step is accepted."""
@@ -62,6 +67,11 @@ class DifferentiatedSteps:
         Derivatives of mechanism and start by parameters.
     rows, nodes
         Number of recorded states except the first, and of stored stages.
+
+    Attributes
+    ----------
+    laws
+        The laws of first-order states and controllers.
     """
 
     def __init__(
@@ -70,6 +80,8 @@ class DifferentiatedSteps:
         self.method, self.workspace = method, workspace
         self.run: DualRun = new_dual_run(workspace, seeds, dual_laws(workspace), rows, nodes)
         self._pinned = PinnedBundle(self.run)
+        self.laws = DifferentiatedLaws(workspace.mechanism, np.asarray(self.run.w.law_values))
+        self._row_z: list[np.ndarray] = []
         self._solver = workspace.solver
         self._plain: Any = None
         self._take_up_method()
@@ -128,6 +140,9 @@ class DifferentiatedSteps:
                 f"the derivatives of the step from t = {t:.6g} s by parameters cannot be computed: {why}; "
                 "a smaller time.step may help",
             )
+        if row >= 0:
+            del self._row_z[row:]
+            self._row_z.append(np.array(self.run.z))
 
     def take_up_solver(self) -> None:
         """Use the current solver of the workspace."""
@@ -148,7 +163,7 @@ class DifferentiatedSteps:
             self._enlarge(("row_q", "row_v", "row_energy"), row + 1)
         used = int(run.nodes[1])
         if run.nodes[0] and used + self._stage_count > len(run.node_time):
-            self._enlarge(("node_time", "node_weight", "node_q", "node_v"), used + self._stage_count)
+            self._enlarge(NODES, used + self._stage_count)
 
     def _enlarge(self, names: tuple[str, ...], rows: int) -> None:
         self._renew(**{name: _enlarged(getattr(self.run, name), rows) for name in names})
@@ -163,18 +178,26 @@ class DifferentiatedSteps:
         """Keep the nodes of the last step, which another attempt at it overwrites."""
         end = int(self.run.nodes[1])
         some = slice(max(0, end - self._stage_count), end)
-        names = ("node_time", "node_weight", "node_q", "node_v")
-        before = [np.copy(getattr(self.run, name)[some]) for name in names]
+        before = [np.copy(getattr(self.run, name)[some]) for name in NODES]
         yield
-        for name, values in zip(names, before, strict=True):
+        for name, values in zip(NODES, before, strict=True):
             getattr(self.run, name)[some] = values
 
-    def recorded(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the first recorded positions, velocities and energies after the start, with their derivatives."""
-        run = self.run
-        return np.asarray(run.row_q[:count]), np.asarray(run.row_v[:count]), np.asarray(run.row_energy[:count])
+    def use_states(self, z: np.ndarray) -> None:
+        """Use first-order states (Z, 1 + K) with their derivatives in what is evaluated next."""
+        state, place = self.workspace.mechanism.topology.state_places.T
+        np.asarray(self.run.w.law_values)[place] = z[state]
 
-    def nodes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def recorded(self, count: int) -> tuple[np.ndarray, ...]:
+        """Return the first recorded positions, velocities, first-order states and energies after the start, with their
+        derivatives.
+        """
+        run = self.run
+        q, v, energy = (np.asarray(x[:count]) for x in (run.row_q, run.row_v, run.row_energy))
+        z = np.array(self._row_z[:count]).reshape(count, *np.asarray(run.z).shape)
+        return q, v, z, energy
+
+    def nodes(self) -> tuple[np.ndarray, ...]:
         """Return times, weights, positions and velocities of the stages that were kept."""
         run, some = self.run, slice(int(self.run.nodes[1]))
         return run.node_time[some], run.node_weight[some], np.asarray(run.node_q[some]), np.asarray(run.node_v[some])
@@ -200,6 +223,8 @@ class DifferentiatedStepper(CompiledStepper):
         Number of states recorded so far, without the first.
     sizes_taken
         Sizes of the steps so far [s].
+    z0
+        First-order states at the start, with their derivatives.
     """
 
     def __init__(
@@ -222,10 +247,19 @@ class DifferentiatedStepper(CompiledStepper):
         super().__init__(method, workspace, timetable, control)
         rows = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
         self.steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
+        self._dual_sampler = DifferentiatedSampler(self.steps, self.sampler)
+        self._dual_sampler.passed(timetable.start, self.run_state.z)
+        self.z0 = np.copy(self.steps.run.z)
 
     def _memory(self) -> tuple[np.ndarray, ...]:
         own = () if self.steps is None else self.steps.memory
         return (*super()._memory(), *own)
+
+    def _begin_after_stop(self) -> None:
+        super()._begin_after_stop()
+        progress = self.run_state.progress
+        if self.steps is not None and progress.after_stop[0] and not progress.pending[0]:
+            self._dual_sampler.passed(self.timetable.stops[int(progress.passed[0]) - 1], self.run_state.z)
 
     def _retake(self, step: StepTaken, theta: float) -> bool:
         recorded, taken, sizes = self.recorded, self.sizes_taken, self._sizes
@@ -240,8 +274,8 @@ class DifferentiatedStepper(CompiledStepper):
         with self.steps.last_nodes_kept():
             return super().within(theta)
 
-    def derivatives_within(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions and velocities with their derivatives at the share `theta` of the last step.
+    def derivatives_within(self, theta: float) -> Moment:
+        """Return the state with its derivatives at the share `theta` of the last step.
 
         Raises
         ------
@@ -254,15 +288,15 @@ class DifferentiatedStepper(CompiledStepper):
         after = [np.copy(x) for x in self._memory()]
         with steps.last_nodes_kept():
             done = theta >= 1.0 or self._retake(step, theta)
-        q, v = np.copy(steps.run.q), np.copy(steps.run.v)
+        q, v, z = (np.copy(x) for x in (steps.run.q, steps.run.v, steps.run.z))
         self._recall(after)
         self._count()
         if not done:
             raise StepError("newton-failed", f"the step from t = {step.t0:.6g} s cannot be shortened")
-        return q, v
+        return q, v, z
 
-    def cut_with_derivatives(self, theta: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """End the run at the share `theta` of the last step; return time, positions, velocities and energies there.
+    def cut_with_derivatives(self, theta: float) -> tuple[float, Moment, np.ndarray]:
+        """End the run at the share `theta` of the last step; return time, state and energies there.
 
         Raises
         ------
@@ -274,7 +308,8 @@ class DifferentiatedStepper(CompiledStepper):
         assert steps is not None
         if not np.array_equal(steps.run.q[:, 0], self.run_state.q):
             raise StepError("newton-failed", f"the step to t = {self.time:.6g} s cannot be shortened")
-        return self.time, np.copy(steps.run.q), np.copy(steps.run.v), np.copy(steps.run.energy)
+        run = steps.run
+        return self.time, (np.copy(run.q), np.copy(run.v), np.copy(run.z)), np.copy(run.energy)
 
     def _drive(self, plan: PinnedBundle, budget: int) -> tuple[int, int]:
         """Attempt up to `budget` steps of a plan, one after another, and differentiate those that are accepted."""

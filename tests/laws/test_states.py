@@ -208,6 +208,25 @@ def test_a_state_of_a_law_is_at_rest_in_an_equilibrium() -> None:
     assert np.ptp(done.states["motor.current"].value) < 1e-12
 
 
+def test_a_gradient_is_that_of_the_matrix_exponential() -> None:
+    # expected: complex steps of the exact solution
+    measures = ["final(rotor.angular_velocity)", 'final(states["motor.current"].rate)']
+    keys = [f"model.forces.motor.{name}" for name in OPTIONS]
+    found = mbdkit.gradient(spec_of(model(), {"name": "dop853"}), measures, keys, check=False)
+
+    def at_end(p: np.ndarray) -> np.ndarray:
+        voltage, resistance, inductance, constant, current = p
+        matrix = np.zeros((3, 3), dtype=complex)
+        matrix[0, 1] = constant / INERTIA
+        matrix[1] = np.array([-constant, -resistance, voltage]) / inductance
+        state = expm(END * matrix) @ np.array([-3.0, current, 1.0])
+        return np.array([state[0], (matrix @ state)[1]])
+
+    numbers = np.array([*OPTIONS.values()], dtype=complex)
+    wanted = np.array([at_end(numbers + 1e-20j * np.eye(5)[k]).imag / 1e-20 for k in range(5)]).T
+    np.testing.assert_allclose(found.jacobian, wanted, rtol=1e-8, atol=1e-8)
+
+
 def test_states_are_read_by_name() -> None:
     done = run({"name": "rk4"})
     assert list(done.states) == ["motor.current"]

@@ -1,0 +1,96 @@
+"""Derivatives of expressions of the state by parameters: the chain rule over the parameters of their laws.
+
+The inputs of an expression are parameters of its law (`mbdkit.engine.state_expressions`), of which an evaluation of a
+state with dual numbers leaves the values and derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.force_law import ExpressionLaw
+
+if TYPE_CHECKING:
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.engine.force_laws import CompiledLaw
+
+
+class DifferentiatedLaws:
+    """Evaluates laws of states and controllers with their derivatives.
+
+    Parameters
+    ----------
+    mechanism
+        The mechanism.
+    values
+        (N, 1 + K) parameters of all laws, with their derivatives, as the last evaluation has left them.
+
+    Raises
+    ------
+    SpecError
+        If the rate of a state is not an expression.
+    """
+
+    def __init__(self, mechanism: CompiledMechanism, values: np.ndarray):
+        self._mechanism, self._values = mechanism, values
+        rows = {int(row) for row in mechanism.topology.states[:, 2] if row >= 0}
+        rows |= {row for one in mechanism.controllers for _, row in (*one.outputs, *one.states)}
+        self._laws = {row: _with_slopes(*mechanism.laws[row]) for row in sorted(rows)}
+
+    def value(self, row: int, t: float, arguments: np.ndarray | None = None) -> np.ndarray:
+        """Return the value of the law in a row of ``Topology.laws`` with its derivatives, (1 + K,).
+
+        Parameters
+        ----------
+        arguments
+            (2, 1 + K) length and rate of the pathway; None if the law has none.
+        """
+        evaluated, count = self._laws[row]
+        first = int(self._mechanism.topology.laws[row, 1]) + 1
+        given = np.zeros((2, self._values.shape[-1])) if arguments is None else arguments
+        numbers = np.concatenate([given, self._values[first : first + count]])
+        value, *slopes = evaluated(*numbers[:, 0].tolist(), t)
+        found = np.array(slopes, dtype=float) @ numbers
+        found[0] = value
+        return np.asarray(found)
+
+    def state_rates(self, t: float, forces: np.ndarray) -> np.ndarray:
+        """Return the derivatives of all states by time with their derivatives by parameters, (Z, 1 + K).
+
+        Parameters
+        ----------
+        forces
+            (F, 5, 1 + K) values of the force elements, of which the first two are length and rate.
+        """
+        top = self._mechanism.topology
+        found = np.zeros((len(top.states), self._values.shape[-1]))
+        for state, (segment, _, row) in enumerate(top.states.tolist()):
+            if row >= 0:
+                own = None if segment < 0 else forces[top.force_place[segment], :2]
+                found[state] = self.value(row, t, own)
+        return found
+
+
+def _with_slopes(name: str, compiled: CompiledLaw) -> tuple[Callable[..., list[float]], int]:
+    """Return a law and its derivatives by length, rate and parameters, as a function of these and the time, and the
+    number of parameters.
+    """
+    import sympy as sp
+
+    from mbdkit.symbolic.symbolic_law import smooth_pieces
+
+    if not isinstance(compiled.law, ExpressionLaw):
+        raise SpecError(
+            f"the rates of the states of '{name}' are functions, which have no derivatives by parameters; write them "
+            "as SymPy expressions",
+            key="gradients",
+        )
+    names = [name for name, _ in compiled.parameters]
+    symbols = [sp.Symbol(name, real=True) for name in ("length", "rate", *names)]
+    force, _ = smooth_pieces(compiled.law, names)
+    slopes = [force.diff(one) for one in symbols]
+    return sp.lambdify([*symbols, sp.Symbol("time", real=True)], [force, *slopes], modules="math"), len(names)
