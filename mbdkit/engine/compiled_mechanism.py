@@ -230,11 +230,13 @@ class CompiledMechanism:
         }
         return min(slack, key=slack.__getitem__, default="")
 
-    def refuse_states(self, what: str) -> None:
-        """Raise SpecError if the mechanism has first-order states, for something that does not include them."""
+    def refuse_states(self, what: str, hint: str = "") -> None:
+        """Raise SpecError if the mechanism has first-order states, for something that does not include them; `hint` says
+        what does.
+        """
         if self.states:
             names = listed([state.name for state in self.states], "and")
-            raise SpecError(f"{what} does not include first-order states ({names})", key="model")
+            raise SpecError(f"{what} does not include first-order states ({names}){hint and '; ' + hint}", key="model")
 
     def beam_elements(self, name: str) -> slice:
         """Return the numbers of the elements of a beam among those of all beams."""

@@ -308,7 +308,8 @@ def _prepared(
     check_disk_space(spec, workspace.mechanism, path)
     functionals = functionals_of(spec, measures)
     if any(not one.is_extremum for one in functionals):
-        workspace.mechanism.refuse_states("the integration of measures over time")
+        hint = "a state of the model whose rate is the integrand has the integral as its value"
+        workspace.mechanism.refuse_states("the integration of measures over time", hint)
     if workspace.mechanism.states:
         functionals = ()  # extrema and values are those of the recorded times
     noted: list[bool] = []

@@ -358,6 +358,15 @@ def test_events_see_states_and_what_controllers_hold(integrator: dict[str, Any])
     assert held.events[0].time == pytest.approx(0.02, abs=1e-9)  # the torque jumps from 0 to -1.9 N m there
 
 
+@pytest.mark.parametrize("integrator", [{"name": "rk4"}, {"name": "gauss", "stages": 2}], ids=str)
+def test_a_state_whose_rate_is_an_integrand_is_the_integral_of_the_method(integrator: dict[str, Any]) -> None:
+    model = leg("-Kp*leg.angle - Kd*leg.angular_velocity + t") | {"states": {}}
+    measured = mbdkit.run(spec_of(integrator, model=model, measures={"total": "integral(leg.angle**2)"})).measures
+    model["states"] = {"total": {"rate": "leg.angle**2"}}
+    run = mbdkit.run(spec_of(integrator, model=model))
+    assert run.states["total"].value[-1] == pytest.approx(measured["total"], rel=1e-13)
+
+
 def test_measures_contain_states_and_what_controllers_hold() -> None:
     measures = {"most": "max(states.i)", "rate": "final(states.i.rate)", "cooled": "1000*min(states.i)"}
     run = mbdkit.run(spec_of({"name": "rk4"}, measures=measures))
