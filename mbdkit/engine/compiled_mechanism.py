@@ -231,8 +231,9 @@ class CompiledMechanism:
         return min(slack, key=slack.__getitem__, default="")
 
     def refuse_states(self, what: str, hint: str = "") -> None:
-        """Raise SpecError if the mechanism has first-order states, for something that does not include them; `hint` says
-        what does.
+        """Raise SpecError if the mechanism has first-order states, for something that does not include them.
+
+        The `hint` says what includes them.
         """
         if self.states:
             names = listed([state.name for state in self.states], "and")

@@ -107,9 +107,8 @@ class PythonStepper:
         self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
         self.has_power = workspace.mechanism.has_power
         workspace.clamp_motions(*timetable.sides(0))
-        workspace.mechanism.refuse_states(
-            "a method that takes its steps in Python, with positions and velocities only,", "gauss and dop853 include them"
-        )
+        what = "a method that takes its steps in Python, with positions and velocities only,"
+        workspace.mechanism.refuse_states(what, "gauss and dop853 include them")
         self.equations = EquationsOfMotion(workspace)
         self.equations.counters = self.counters
         self.stabilized = StabilizedSteps(self._own_step, self.equations)

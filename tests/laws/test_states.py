@@ -186,7 +186,6 @@ def test_runs_in_lanes_have_the_states_of_single_runs() -> None:
     ("more", "words"),
     [
         ({"integrator": {"name": "rattle"}, "formulation": "index-3"}, "Lobatto"),
-        ({"accuracy": 1e-6}, "choice of its method"),
         ({"measures": {"turned": "integral(rotor.angle)"}}, "integration"),
     ],
 )

@@ -153,6 +153,13 @@ def test_errors_name_the_key(event: dict[str, Any], key: str, sentence: str) -> 
     assert str(caught.value.key) == "events.fires" + (f".{key}" if key else "")
 
 
+def test_a_method_is_not_chosen() -> None:
+    spec = spec_of(RK4) | {"accuracy": 1e-6}
+    del spec["integrator"]
+    with pytest.raises(SpecError, match="not chosen for runs in which events set states: give both"):
+        mbdkit.run(spec)
+
+
 def test_a_value_that_is_not_finite_stops_the_run() -> None:
     events = {"fires": FIRES["fires"] | {"set": {"charge": "1/(states.charge - states.charge)"}}}
     run = mbdkit.run(spec_of(RK4, 0.01, events=events))

@@ -335,6 +335,26 @@ def test_the_error_bars_of_a_run_with_states_contain_its_errors(integrator: dict
     assert error < run.accuracy.position_error[-1, 0, 2]
 
 
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-7])
+@pytest.mark.parametrize(
+    "sections", [{}, {"integrator": {"name": "rk4"}, "choose": "step"}, {"integrator": {"name": "gauss"}}], ids=str
+)
+def test_a_chosen_method_and_step_reach_the_accuracy(sections: dict[str, Any], accuracy: float) -> None:
+    spec = spec_of({}, None) | {"accuracy": accuracy}
+    del spec["integrator"]
+    run = mbdkit.run(spec | sections).check()
+    assert run.accuracy is not None
+    error = abs(at_end(run)[0] - EXACT[0])  # times 0.2 m, from the hip to the centre of mass, which is the leg's size
+    assert error <= run.accuracy.reached <= accuracy
+
+
+def test_the_accuracy_of_a_run_with_a_controller() -> None:
+    run = mbdkit.run(rotor(0.013), time={"end": 1.0}, accuracy=1e-8).check()
+    assert run.accuracy is not None
+    assert run.accuracy.is_reached
+    assert run["rotor"].angle[-1] == pytest.approx(exact_rotor(0.013, 1.0), abs=1e-9)
+
+
 @pytest.mark.parametrize(
     "integrator",
     [{"name": "rk4"}, {"name": "gauss", "stages": 2}, {"name": "scipy-dop853", "rtol": 1e-11, "atol": 1e-11}],

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import canonical
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
@@ -213,10 +214,13 @@ def choose_method(
     progress
         Called with (time reached, end time) [s] of each pilot.
     """
-    workspace.mechanism.refuse_states("the choice of its method or step")
+    if spec.settings():
+        message = "its method and step are not chosen for runs in which events set states: give both"
+        raise spec.placed(SpecError(message, key="accuracy"))
     first = Candidate.of(spec)
     search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)
-    if first.adaptive and not spec.events and can_be_recorded(first.applied_to(spec, LOOSEST, search.measure.size)):
+    recordable = first.adaptive and not spec.events and not workspace.mechanism.states
+    if recordable and can_be_recorded(first.applied_to(spec, LOOSEST, search.measure.size)):
         found = search.ladder(first)
         if found is not None:
             return found
