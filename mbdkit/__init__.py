@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
     from mbdkit.designs.solve_design import design, load_design
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
+    from mbdkit.exploration.server import explore
     from mbdkit.gradients.gradient import Gradient, gradient
     from mbdkit.inverse_dynamics.inverse_gradient import inverse_gradient
     from mbdkit.inverse_dynamics.inverse_run import inverse
@@ -83,6 +84,7 @@ __all__ = [
     "ensemble",
     "equilibrium",
     "equilibrium_path",
+    "explore",
     "gradient",
     "hookimpl",
     "inverse",
@@ -139,6 +141,7 @@ _HOME = {
     "StudySpec": "mbdkit.spec",
     "equilibrium": "mbdkit.mechanics.equilibrium",
     "equilibrium_path": "mbdkit.mechanics.equilibrium_path",
+    "explore": "mbdkit.exploration.server",
     "gradient": "mbdkit.gradients.gradient",
     "hookimpl": "mbdkit.registry.hookspecs",
     "inverse": "mbdkit.inverse_dynamics.inverse_run",

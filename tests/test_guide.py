@@ -43,6 +43,12 @@ def test_a_page_is_printed_as_it_is(topic: str) -> None:
     assert PAGES[topic].text.startswith("# ")
 
 
+def test_words_that_are_no_page_are_searched_for() -> None:
+    found = printed("gas spring")
+    assert "spec: `law: gas-spring`\n    " in found
+    assert found == printed("gas-spring")
+
+
 def test_a_wrong_topic_is_answered_with_the_nearest_one() -> None:
     done = CliRunner().invoke(app, ["guide", "studeis"], prog_name="mbdkit")
     assert done.exit_code == 2

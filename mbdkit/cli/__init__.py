@@ -21,6 +21,7 @@ from mbdkit.base.terminal import Commands, PlainStream, keep_results_apart, open
 from mbdkit.cli.archives import archive_app
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.designs import design
+from mbdkit.cli.exploring import explore
 from mbdkit.cli.inverse import inverse, workload
 from mbdkit.cli.mechanics import equilibrium, kinematics, modes
 from mbdkit.cli.pictures import animate, plot, report
@@ -61,7 +62,7 @@ def mbdkit(
 
 for command in (
     run, validate, inverse, workload, equilibrium, modes, kinematics, study, design, plot, animate, report, rerun,
-    guide, watch,
+    guide, explore, watch,
 ):  # fmt: skip
     app.command(cls=StudyCommand if command is study else None)(command)
 for name, group in {

@@ -92,7 +92,8 @@ Scheduler = Annotated[
         "--scheduler",
         metavar="ADDRESS",
         help=(
-            "With dask: the address of the scheduler, or its scheduler file. With submitit: slurm (default), or "
+            "With dask: the address of the scheduler, or its scheduler file; by default, one on this machine. With "
+            "submitit: slurm (default), or "
             "local, to test with jobs on this machine."
         ),
     ),

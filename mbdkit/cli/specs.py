@@ -129,20 +129,31 @@ def examples_copy(
         show(target)
 
 
+HITS = 12
+"""Largest number of sections that a search of the guide prints."""
+
+
 def guide(
     topic: Annotated[
-        str | None, typer.Argument(metavar="TOPIC", help="Name of a page; without it, the pages are listed.")
+        str | None,
+        typer.Argument(metavar="TOPIC", help="Name of a page, or words to search for; by default, pages are listed."),
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """List the pages of the guide, or print one.
+    """List the pages of the guide, print one, or search them.
 
     Pages are Markdown. A pager helps with long ones, as in
-    `mbdkit guide spec | less`.
+    `mbdkit guide spec | less`. Words that are not the name of a page
+    are searched for, as in `mbdkit guide "gas spring"`.
     """
-    from mbdkit.guide.pages import find_page, pages
+    from mbdkit.guide.pages import find_page, pages, search
 
     if topic is None:
         show(table([("TOPIC", "CONTENTS"), *((page.topic, page.summary) for page in pages().values())]))
+    elif topic not in pages() and (hits := search(topic)):
+        for hit in hits[:HITS]:
+            show(f"{hit.topic}: {hit.heading}\n    {hit.line}")
+        if len(hits) > HITS:
+            show(f"and {len(hits) - HITS} more sections")
     else:
         show(find_page(topic).text.rstrip("\n"))

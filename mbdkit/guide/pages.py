@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+import re
 from dataclasses import dataclass
 
 from mbdkit.base.errors import SpecError
@@ -40,6 +41,36 @@ def pages() -> dict[str, Page]:
     return {topic: Page(topic, file.read_text(encoding="utf-8")) for topic, file in topics.items()}
 
 
+@dataclass(frozen=True)
+class Hit:
+    """A section of the guide that contains the words of a search, with the line that has most of them."""
+
+    topic: str
+    heading: str
+    line: str
+
+
+def search(words: str) -> list[Hit]:
+    """Return the sections of the guide that contain all words; those with the words side by side come first."""
+    wanted = _plain(words).split()
+    found: list[tuple[bool, int, Hit]] = []
+    for page in pages().values():
+        for section in re.split(r"^(?=#+ )", page.text, flags=re.MULTILINE):
+            text = _plain(section)
+            if not wanted or not all(word in text for word in wanted):
+                continue
+            heading, *lines = section.splitlines()
+            best = max(lines or [""], key=lambda line: sum(word in _plain(line) for word in wanted))
+            away = sum(word not in _plain(heading) for word in wanted)
+            found.append((" ".join(wanted) not in text, away, Hit(page.topic, heading.lstrip("# "), best.strip())))
+    return [hit for *_, hit in sorted(found, key=lambda one: one[:2])]
+
+
+def _plain(text: str) -> str:
+    """Return text in lower case with single spaces in place of hyphens and line ends."""
+    return " ".join(text.lower().replace("-", " ").split())
+
+
 def find_page(topic: str) -> Page:
     """Return the page on a topic.
 
@@ -50,5 +81,8 @@ def find_page(topic: str) -> Page:
     """
     known = pages()
     if topic not in known:
-        raise SpecError(f"the guide has no page '{topic}'{did_you_mean(topic, known)}; its pages: {listed(known)}")
+        raise SpecError(
+            f"the guide has no page '{topic}'{did_you_mean(topic, known)}, and no section with this word; its pages: "
+            f"{listed(known)}"
+        )
     return known[topic]

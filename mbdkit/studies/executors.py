@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
 import shutil
 import tempfile
 import threading
@@ -15,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.text import one_line, shown
+from mbdkit.base.text import counted, one_line, shown
 from mbdkit.studies.owned_folder import JOBS
 
 MOST_JOBS = 100
@@ -130,7 +132,7 @@ class Asked:
     Parameters
     ----------
     scheduler
-        Address or file of the Dask scheduler; for submitit ``slurm`` or ``local``.
+        Address or file of the Dask scheduler, by default one on this machine; for submitit ``slurm`` or ``local``.
     slurm
         Options of sbatch, each as ``key=value``.
     workers
@@ -148,13 +150,10 @@ class Asked:
             raise SpecError("--slurm is for --executor submitit")
         if self.scheduler is not None and self.name == "local":
             raise SpecError("--scheduler is for --executor dask or submitit")
-        if self.name == "dask" and not self.scheduler:
+        if self.name == "dask" and self.scheduler and self.workers is not None:
             raise SpecError(
-                "--executor dask needs --scheduler ADDRESS: the address that `dask scheduler` prints, "
-                "such as tcp://node1:8786, or its scheduler file"
+                "--workers is not for --executor dask with --scheduler, whose workers are started by `dask worker`"
             )
-        if self.name == "dask" and self.workers is not None:
-            raise SpecError("--workers is not for --executor dask, whose workers are started by `dask worker`")
         if self.name == "submitit" and self.scheduler not in (None, "slurm", "local"):
             raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(self.scheduler)}")
 
@@ -180,7 +179,7 @@ def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterato
         case "local":
             yield None
         case "dask":
-            with _dask(str(asked.scheduler), notify) as executor:
+            with _dask(asked, notify) as executor:
                 yield executor
         case "submitit":
             with _submitit(asked, folder, notify) as executor:
@@ -197,18 +196,27 @@ def _package(name: str, extra: str) -> Any:
 
 
 @contextlib.contextmanager
-def _dask(scheduler: str, notify: Callable[[str], None]) -> Iterator[Executor]:
+def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
     distributed = _package("distributed", "dask")
-    place = {"scheduler_file": scheduler} if Path(scheduler).is_file() else {"address": scheduler}
-    try:
-        if "address" in place:  # a client with a wrong one ends with a traceback
-            distributed.comm.resolve_address(scheduler)
-        client = distributed.Client(**place, timeout=TIMEOUT, set_as_default=False)
-    except Exception as error:  # a scheduler of another version, or another server, may answer
-        raise SpecError(
-            f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
-        ) from error
-    with client:
+    with contextlib.ExitStack() as stack:
+        scheduler = asked.scheduler
+        if not scheduler:
+            count = asked.workers or os.cpu_count() or 1
+            local = distributed.LocalCluster(
+                count, 1, host="127.0.0.1", dashboard_address=None, silence_logs=logging.ERROR
+            )
+            scheduler = str(stack.enter_context(local).scheduler_address)
+            notify(f"without --scheduler, Dask runs on this machine, with {counted(count, 'worker')}")
+        place = {"scheduler_file": scheduler} if Path(scheduler).is_file() else {"address": scheduler}
+        try:
+            if "address" in place:  # a client with a wrong one ends with a traceback
+                distributed.comm.resolve_address(scheduler)
+            client = distributed.Client(**place, timeout=TIMEOUT, set_as_default=False)
+        except Exception as error:  # a scheduler of another version, or another server, may answer
+            raise SpecError(
+                f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
+            ) from error
+        stack.enter_context(client)
         if not client.scheduler_info()["workers"]:
             notify("the Dask cluster has no workers yet; the study waits for them (`dask worker ADDRESS`)")
         yield client.get_executor(pure=False)

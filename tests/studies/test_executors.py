@@ -283,7 +283,6 @@ def test_what_is_no_executor_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--executor dask", "needs --scheduler ADDRESS"),
         ("--executor dask --scheduler x://y", "no Dask scheduler answers at x://y"),
         ("--executor dask --scheduler tcp://127.0.0.1:9 --workers 2", "--workers is not for --executor dask"),
         ("--executor submitit --scheduler there", "--scheduler is slurm or local, not there"),

@@ -1,0 +1,68 @@
+"""Pages of the documentation site, as hooks of MkDocs: the Markdown of the repository, and the API reference.
+
+Every file keeps its path in the repository, so that links between pages hold here and there; only pictures in `.github`
+move to `pictures`, because hosts of static pages leave out folders with a dot.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files, InclusionLevel
+
+import mbdkit
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = "mbdkit/models/examples"
+FILES = (
+    "README.md", "CITATION.cff", "LICENSE", "mbdkit/README.md", "mbdkit/guide/*.md", f"{EXAMPLES}/*.*", "schemas/*",
+    "mbdkit/testing/README.md", "mbdkit/testing/*.py", "plugins/*/src/*/__init__.py", "mbdkit/studies/packaged/*/*.md",
+    "plugins/README.md", "plugins/*/README.md",
+    ".github/*.png", ".github/gallery/*.png",
+)  # fmt: skip
+"""Files of the site, as patterns of paths in the repository."""
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Return the files of the site, with those of the theme."""
+    found = [one for one in files if one.src_dir != config.docs_dir]
+    for path in sorted(path for pattern in FILES for path in ROOT.glob(pattern) if path.suffix != ".pyc"):
+        uri = _moved(path.relative_to(ROOT).as_posix())
+        found.append(File.generated(config, uri, abs_src_path=str(path), inclusion=InclusionLevel.INCLUDED))
+    found.append(File.generated(config, "api.md", content=_reference(), inclusion=InclusionLevel.INCLUDED))
+    return Files(found)
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Return a page with the new addresses of pictures, and the gallery with the specs."""
+    markdown = re.sub(r"(\]\(|src=\")([./]*)\.github/", r"\1\2pictures/", markdown)
+    if page.file.src_uri == "plugins/README.md":
+        markdown = re.sub(r"\]\((mbdkit-[\w-]+)\)", r"](\1/README.md)", markdown)
+    if page.file.src_uri == f"{EXAMPLES}/README.md":
+        markdown = re.sub(r"\* Run: (`[^`]+`).*?\[([\w-]+\.yaml)\]\(\2\).*", _with_spec, markdown)
+    return markdown
+
+
+def _moved(uri: str) -> str:
+    return uri.replace(".github/", "pictures/", 1)
+
+
+def _with_spec(found: re.Match[str]) -> str:
+    """Return the line of an example with its spec beneath it, folded."""
+    text = (ROOT / EXAMPLES / found[2]).read_text(encoding="utf-8")
+    lines = "\n".join(f"    {line}".rstrip() for line in ["```yaml", *text.splitlines(), "```"])
+    return f'{found[0]}\n\n??? example "{found[2]}"\n\n{lines}\n'
+
+
+def _reference() -> str:
+    """Return the page of the public names of mbdkit, in the order of the package."""
+    parts = ["# API reference", "The names that `import mbdkit` offers."]
+    for name in mbdkit.__all__:
+        thing = getattr(mbdkit, name)
+        if inspect.isclass(thing) or inspect.isfunction(thing):
+            parts += [f"## {name}", f"::: {thing.__module__}.{thing.__qualname__}"]
+    return "\n\n".join(parts)

@@ -1,0 +1,46 @@
+"""Sliders in the browser: `explore`."""
+
+from __future__ import annotations
+
+import webbrowser
+from typing import Annotated
+
+import typer
+
+from mbdkit.base.terminal import say, show
+from mbdkit.cli.common_options import Debug, Set, SpecName
+
+
+def explore(
+    spec: SpecName,
+    assignments: Set = None,
+    *,
+    parameters: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--parameters",
+            metavar="NAME",
+            help="A slider for this parameter, or dotted key of a number; may be repeated. By default for the named "
+            "parameters or, without any, for numbers of the model.",
+        ),
+    ] = None,
+    port: Annotated[
+        int, typer.Option("--port", min=0, max=65535, metavar="N", help="Port of the page; by default a free one.")
+    ] = 0,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address only.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Turn sliders in the browser, which motion and forces follow.
+
+    The page is served on this machine only, to those who know the token in its address,
+    until Ctrl-C. Needs `pip install "mbdkit[explore]"`.
+    """
+    from mbdkit.exploration.explorer import explorer_of
+    from mbdkit.exploration.server import Exploration
+
+    with Exploration(explorer_of(spec, parameters, assignments or ()), port) as exploration:
+        show(exploration.url)
+        say("Press Ctrl-C to end.")
+        if not no_browser:
+            webbrowser.open(exploration.url)
+        exploration.wait()

@@ -1,0 +1,110 @@
+"""Runs of a spec with values of sliders: the motion, the forces and the verdict for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbdkit.archive.headlines import headlines
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import plain
+from mbdkit.base.text import shown
+from mbdkit.exploration.sliders import sliders
+from mbdkit.inverse_dynamics.inverse_run import inverse
+from mbdkit.report.run_report import TONES, film_of, yaml_text
+from mbdkit.runs.simulation import run
+from mbdkit.spec import load_inverse_spec, load_spec
+from mbdkit.spec.inverse_spec import InverseSpec
+from mbdkit.spec.loading import read_source
+from mbdkit.spec.reading import put
+from mbdkit.spec.spec_kinds import is_inverse
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.spec.run_spec import RunSpec
+
+NUMBERS = 20_000
+"""Pose values of a motion."""
+ROWS = 300
+"""Largest number of points of a curve."""
+CURVES = 6
+"""Number of joints whose forces are drawn, those with the largest."""
+
+
+class Explorer:
+    """A spec with sliders.
+
+    Parameters
+    ----------
+    spec
+        The spec of a run or of inverse dynamics, whose values are the reference.
+    names
+        See `mbdkit.exploration.sliders.sliders`.
+    """
+
+    def __init__(self, spec: RunSpec | InverseSpec, names: Sequence[str] | None = None):
+        self.spec, self.sliders = spec, sliders(spec, names)
+        self._by_key = {one.key: one for one in self.sliders}
+        self.title = str(spec.title or plain(read_source(spec).data["model"])["name"])
+
+    def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Return what the page shows for values of the sliders, by key; a value that the spec refuses gives an
+        ``error``.
+        """
+        document = read_source(self.spec)
+        document.data = plain(document.data)
+        for key, value in values.items():
+            if key in self._by_key and value != self._by_key[key].value:
+                put(document.data, self._by_key[key].path, float(value))
+        try:
+            if isinstance(self.spec, InverseSpec):
+                made = inverse(load_inverse_spec(document))
+            else:
+                made = run(load_spec(document))
+            with made:
+                return self._shown(made, document.data)
+        except MbdkitError as error:
+            return {"error": shown(str(error)), "spec": yaml_text(document.data)}
+
+    def _shown(self, made: Run, data: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            "film": film_of(made, NUMBERS),
+            "verdict": made.verdict if made.status == "complete" else f"{made.status}: {made.status_reason}",
+            "reasons": [shown(one) for one in made.verdict_reasons],
+            "tone": TONES.get(made.verdict, "") if made.status == "complete" else "alarm",
+            "headlines": [[shown(one.label), one.text("\u00b1")] for one in headlines(made)],
+            "curves": _curves(made),
+            "spec": yaml_text(data),
+        }
+
+
+def _curves(made: Run) -> dict[str, Any]:
+    """Return the largest forces of joints over time, or the values of actuators."""
+    time = np.asarray(made.time)
+    if made.kind == "inverse":
+        names, unit = list(made.actuators), "N or N m"
+        values = made.array("actuators/value")
+    elif made.records("joints/reaction_force") and made.joint_names:
+        names, unit = list(made.joint_names), "N"
+        values = np.linalg.norm(made.array("joints/reaction_force"), axis=2)
+    else:
+        return {"time": [], "names": [], "values": [], "unit": ""}
+    order = np.argsort(-np.max(np.abs(np.nan_to_num(values)), axis=0), kind="stable")[:CURVES]
+    rows = np.unique(np.linspace(0, len(time) - 1, min(ROWS, len(time))).astype(int))
+    lines = [[float(f"{value:.5g}") for value in np.nan_to_num(values[rows, column])] for column in order]
+    return {"time": time[rows].tolist(), "names": [shown(names[k]) for k in order], "values": lines, "unit": unit}
+
+
+def explorer_of(source: Any, names: Sequence[str] | None = None, assignments: Iterable[str] = ()) -> Explorer:
+    """Return the explorer of a run spec or an inverse spec from any source.
+
+    Raises
+    ------
+    SpecError
+        If the spec is wrong, or a name is not that of one of its numbers.
+    """
+    document = read_source(source)
+    load = load_inverse_spec if is_inverse(document.data) else load_spec
+    return Explorer(load(document, assignments), names)

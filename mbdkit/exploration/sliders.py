@@ -1,0 +1,111 @@
+"""Numbers of a spec that sliders change, with their ranges."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.spec.key_words import key_unit, key_words
+from mbdkit.spec.model_spec import ModelSpec
+
+MOST = 12
+"""Number of sliders that are chosen by default."""
+TURN = math.radians(30)
+"""Half of the range of an angle [rad]."""
+_LEFT_OUT = ("gravity", "name", "assembly", "pitches", "points", "point", "axis", "position", "velocity", "elements",
+             "at", "from", "to", "a", "b", "radii")  # fmt: skip
+"""Keys of a model whose numbers get no slider by default."""
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A number of a spec with its range.
+
+    Parameters
+    ----------
+    path
+        Key path in the spec.
+    words, unit
+        Name and unit for readers.
+    low, high, value
+        Range, and value in the spec, in the unit.
+    """
+
+    path: Path
+    words: str
+    unit: str
+    low: float
+    high: float
+    value: float
+
+    @property
+    def key(self) -> str:
+        """The key path as text."""
+        return path_text(self.path)
+
+
+def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]:
+    """Return the sliders of a spec.
+
+    Parameters
+    ----------
+    names
+        Named parameters or dotted keys of numbers; by default all named parameters or, without any, numbers of the
+        model, angles of which only those of bodies and of the model.
+
+    Raises
+    ------
+    SpecError
+        If a name is not that of a number of the spec, or there is nothing to change.
+    """
+    data = json.loads(spec.canonical_json())
+    if names:
+        return [_slider(spec, data, _path_of(spec, name)) for name in names]
+    paths: list[Path] = [("parameters", name) for name, value in spec.parameters.items() if not isinstance(value, str)]
+    found = [_slider(spec, data, path) for path in paths or _numbers(data["model"], ("model",))]
+    chosen = [one for one in found if one.low < one.high][:MOST]
+    if not chosen:
+        raise SpecError("the spec has no number that a slider could change; name some with --parameters")
+    return chosen
+
+
+def _path_of(spec: ModelSpec, name: str) -> Path:
+    return ("parameters", name) if name in spec.parameters else parse_path(name)
+
+
+def _numbers(holder: Any, path: Path) -> Iterator[Path]:
+    """Yield the paths of the numbers in plain data, except those of positions and settings."""
+    if isinstance(holder, dict):
+        for key, value in holder.items():
+            if key not in _LEFT_OUT:
+                yield from _numbers(value, (*path, key))
+    elif isinstance(holder, list):
+        for index, value in enumerate(holder):
+            yield from _numbers(value, (*path, index))
+    elif isinstance(holder, int | float) and not isinstance(holder, bool):
+        yield path
+
+
+def _slider(spec: ModelSpec, data: Any, path: Path) -> Slider:
+    holder = data
+    for part in path:
+        known = list(holder) if isinstance(holder, dict) else []
+        try:
+            holder = holder[int(part) if isinstance(holder, list) else part]
+        except (KeyError, IndexError, TypeError, ValueError):
+            hint = did_you_mean(str(part), known) or f"; there are {listed(known)}"
+            raise SpecError(f"the spec has no number '{path_text(path)}'{hint}") from None
+    if isinstance(holder, bool) or not isinstance(holder, int | float):
+        raise SpecError(f"'{path_text(path)}' is not a number of the spec")
+    value, unit = float(holder), key_unit(path, [spec])
+    if unit == "rad":
+        low, high = value - TURN, value + TURN
+    else:
+        low, high = sorted((0.5 * value, 2.0 * value))
+    return Slider(path, key_words(path), unit, low, high, value)

@@ -1,0 +1,170 @@
+"use strict";
+(() => {
+const { sliders, reference } = JSON.parse(document.getElementById("data").textContent);
+const token = new URLSearchParams(location.search).get("token");
+const element = id => document.getElementById(id);
+const [verdict, headlines, curves, key, spec] = ["verdict", "headlines", "curves", "key", "spec"].map(element);
+const ghost = new Stage(element("ghost")), stage = new Stage(element("stage"));
+const inputs = [...document.querySelectorAll("input[type=range]")];
+const short = value => String(Number(value.toPrecision(4)));
+let shown = reference, begin = performance.now(), asked = false, changed = false;
+
+// --- sliders: 1000 steps from end to end ---
+const place = one => Math.round(1000 * (one.value - one.low) / (one.high - one.low));
+function valueOf(index) {
+  const one = sliders[index], at = Number(inputs[index].value);
+  return at === place(one) ? one.value : Number((one.low + (one.high - one.low) * at / 1000).toPrecision(6));
+}
+function label(index) {
+  const value = short(valueOf(index)), { unit } = sliders[index];
+  inputs[index].previousElementSibling.textContent = value;
+  inputs[index].setAttribute("aria-valuetext", unit ? `${value} ${unit}` : value);
+}
+function reset() {
+  sliders.forEach((one, index) => {
+    inputs[index].value = place(one);
+    label(index);
+  });
+}
+const values = () => Object.fromEntries(sliders.map((one, index) => [one.key, valueOf(index)]));
+
+// --- a run for each state of the sliders; states in between are skipped while one is computed ---
+async function ask() {
+  changed = true;
+  if (asked) return;
+  asked = true;
+  try {
+    while (changed) {
+      changed = false;
+      const reply = await fetch("answer", {
+        method: "POST", headers: { "x-token": token, "content-type": "application/json" }, body: JSON.stringify(values()),
+      });
+      if (!reply.ok) throw new Error(String(reply.status));
+      show(await reply.json());
+    }
+  } catch {
+    verdict.textContent = "The program that computes this page has ended.";
+    verdict.className = "verdict alarm";
+  }
+  asked = false;
+}
+
+// --- an answer ---
+function show(answer) {
+  spec.textContent = answer.spec;
+  if (answer.error) {
+    verdict.textContent = answer.error;
+    verdict.className = "verdict alarm";
+    return;
+  }
+  shown = answer;
+  verdict.textContent = [`Verdict: ${answer.verdict}`, ...answer.reasons].join(". ");
+  verdict.className = `verdict ${answer.tone}`;
+  headlines.replaceChildren(...answer.headlines.map(([name, text]) => {
+    const item = document.createElement("div"), term = document.createElement("dt"), number = document.createElement("dd");
+    term.textContent = name;
+    number.textContent = text;
+    item.append(term, number);
+    return item;
+  }));
+  if (reference.film) {
+    const views = [reference.film.view, answer.film.view];
+    const view = [0, 1, 2, 3].map(k => (k % 2 ? Math.max : Math.min)(...views.map(one => one[k])));
+    const placed = film => ({ ...film, view, poses: moved(film, view) });
+    ghost.show(placed(reference.film));
+    stage.show(placed(answer.film));
+  } else stage.show(answer.film);
+  key.replaceChildren(...answer.curves.names.map((name, k) => {
+    const item = document.createElement("li"), swatch = document.createElement("span");
+    swatch.style.background = `var(--c${k % 6})`;
+    item.append(swatch, name);
+    return item;
+  }));
+  draw();
+}
+
+/* Poses are relative to the centre of the view. */
+function moved(film, view) {
+  const [grain] = film.grain, own = film.view;
+  const x = ((own[0] + own[1]) - (view[0] + view[1])) / 2 / grain, y = ((own[2] + own[3]) - (view[2] + view[3])) / 2 / grain;
+  return film.poses.map((value, k) => value === null || k % 3 === 2 ? value : value + (k % 3 ? y : x));
+}
+
+// --- curves ---
+function plot(seconds) {
+  const ratio = window.devicePixelRatio || 1, width = curves.clientWidth, height = curves.clientHeight, { colors } = stage;
+  curves.width = width * ratio;
+  curves.height = height * ratio;
+  const pen = curves.getContext("2d"), sets = [reference.curves ?? shown.curves, shown.curves];
+  const all = sets.flatMap(one => one.values.flat()), times = shown.curves.time;
+  if (!all.length || !times.length) return;
+  const low = Math.min(0, ...all), high = Math.max(...all, low + 1e-12), left = 48, bottom = 18;
+  const X = t => left + (width - left - 4) * (t - times[0]) / (times.at(-1) - times[0] || 1);
+  const Y = v => (height - bottom) - (height - bottom - 6) * (v - low) / (high - low);
+  pen.scale(ratio, ratio);
+  pen.font = "12px system-ui";
+  pen.fillStyle = colors.faint;
+  pen.strokeStyle = colors.grid;
+  for (const value of [low, (low + high) / 2, high]) {
+    pen.fillText(short(value), 0, Math.max(10, Y(value) + 4));
+    pen.beginPath(); pen.moveTo(left, Y(value)); pen.lineTo(width, Y(value)); pen.stroke();
+  }
+  pen.fillText(`${short(times[0])} s`, left, height - 4);
+  const end = `${short(times.at(-1))} s, ${shown.curves.unit}`;
+  pen.fillText(end, width - pen.measureText(end).width - 2, height - 4);
+  sets.forEach((set, which) => set.values.forEach((line, k) => {
+    const nth = which ? k : shown.curves.names.indexOf(set.names[k]);
+    pen.globalAlpha = which ? 1 : 0.3;
+    pen.strokeStyle = colors[`c${(nth < 0 ? k : nth) % 6}`];
+    pen.lineWidth = 1.6;
+    pen.beginPath();
+    line.forEach((value, i) => pen[i ? "lineTo" : "moveTo"](X(set.time[i]), Y(value)));
+    pen.stroke();
+  }));
+  pen.globalAlpha = 1;
+  pen.strokeStyle = colors.ink;
+  pen.beginPath(); pen.moveTo(X(seconds), 0); pen.lineTo(X(seconds), height - bottom); pen.stroke();
+}
+
+// --- motion ---
+function frameAt(film, seconds) {
+  const count = film.time.length, start = film.time[0], end = film.time[count - 1];
+  return Math.min(count - 1, Math.max(0, Math.round((seconds - start) / (end - start || 1) * (count - 1))));
+}
+function draw() {
+  const { film } = shown;
+  if (!film) return;
+  const start = film.time[0], length = film.time.at(-1) - start;
+  const seconds = calm.matches ? start + length : start + (performance.now() - begin) / 1000 * film.speed % (length || 1);
+  if (reference.film) ghost.draw(frameAt(reference.film, seconds), false, 1);
+  stage.draw(frameAt(film, seconds), false, 1);
+  plot(seconds);
+}
+const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
+function tick() {
+  if (!calm.matches) draw();
+  requestAnimationFrame(tick);
+}
+function fit() {
+  if (!shown.film) return;
+  stage.fit();
+  if (reference.film) ghost.fit();
+  draw();
+}
+
+inputs.forEach((input, index) => input.addEventListener("input", () => { label(index); ask(); }));
+element("reset").addEventListener("click", () => { reset(); ask(); });
+element("copy").addEventListener("click", () => navigator.clipboard.writeText(spec.textContent));
+element("save").addEventListener("click", () => {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([spec.textContent], { type: "text/yaml" }));
+  link.download = "spec.yaml";
+  link.click();
+  URL.revokeObjectURL(link.href);
+});
+window.addEventListener("resize", fit);
+window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { stage.tint(); ghost.tint(); fit(); });
+reset();
+show(reference);
+tick();
+})();

@@ -1,0 +1,125 @@
+"""Sliders in the browser: answers, the server and its guards, and the page in a headless Chromium."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Iterator
+
+import pytest
+
+import mbdkit
+from mbdkit.base.errors import SpecError
+from mbdkit.exploration.explorer import explorer_of
+from mbdkit.exploration.server import Exploration
+from tests.report.browser import executable, launched, until
+
+httpx = pytest.importorskip("httpx")
+pytest.importorskip("uvicorn")
+
+HANGING = {
+    "mbdkit": 1,
+    "model": {"name": "single-pendulum", "mass": 2.0, "angle": -math.pi / 2},
+    "integrator": {"name": "rk4"},
+    "time": {"end": 0.1, "step": 0.01},
+}
+BROWSER = executable()
+MOVE = """value => {
+    const slider = document.querySelector("input[data-key='model.body_mass']");
+    slider.value = value;
+    slider.dispatchEvent(new Event("input"));
+    window.began = performance.now();
+}"""
+
+
+def test_the_force_follows_the_mass_and_the_spec_keeps_it() -> None:
+    explorer = explorer_of(HANGING, ["model.mass"])
+    (mass,) = explorer.sliders
+    assert (mass.low, mass.high, mass.words, mass.unit) == (1.0, 4.0, "mass", "kg")
+    assert explorer.answer({})["headlines"] == [["largest force in J1", "19.62 N"]]  # 2 kg at rest
+    heavier = explorer.answer({"model.mass": 3.0})
+    assert heavier["headlines"] == [["largest force in J1", "29.43 N"]]
+    assert "mass: 3.0" in heavier["spec"]
+    assert explorer.answer({"model.length": 9.0, "time.end": 99.0})["headlines"] == [["largest force in J1", "19.62 N"]]
+    assert "should be greater than 0" in explorer.answer({"model.mass": -1.0})["error"]
+
+
+def test_sliders_are_the_parameters_of_the_spec_or_numbers_of_its_model() -> None:
+    named = {**HANGING, "parameters": {"m": 2.0, "twice": "2*m"}, "model": {**HANGING["model"], "mass": "m"}}
+    assert [one.key for one in explorer_of(named).sliders] == ["parameters.m"]
+    assert explorer_of(named).answer({"parameters.m": 4.0})["headlines"][0][1] == "39.24 N"
+    keys = {one.key: one for one in explorer_of("knee").sliders}
+    assert {"model.body_mass", "model.springs.support.stiffness", "model.flexion"} <= keys.keys()
+    assert keys["model.flexion"].high - keys["model.flexion"].low == pytest.approx(math.radians(60))
+    with pytest.raises(SpecError, match=r"no number 'model.mas' \(did you mean 'mass'\?\)"):
+        explorer_of(HANGING, ["model.mas"])
+
+
+def test_a_device_changes_the_loads_of_inverse_dynamics() -> None:
+    explorer = explorer_of("walking", ["model.body_mass"])
+    (mass,) = explorer.sliders
+    (name, usual), *_ = explorer.answer({})["headlines"]
+    (same, heavier), *_ = explorer.answer({mass.key: 1.2 * mass.value})["headlines"]
+    assert name == same == "hip_force"
+    assert heavier != usual
+
+
+@pytest.fixture(scope="module")
+def knee() -> Iterator[Exploration]:
+    with mbdkit.explore("knee", ["model.body_mass", "model.springs.support.stiffness"]) as exploration:
+        end = time.monotonic() + 30
+        while True:
+            try:
+                httpx.get(exploration.url, timeout=30)
+                break
+            except httpx.ConnectError:
+                assert time.monotonic() < end
+                time.sleep(0.05)
+        yield exploration
+
+
+def test_only_this_machine_with_the_token_is_served(knee: Exploration) -> None:
+    base, _, token = knee.url.partition("/?token=")
+    assert base.startswith("http://127.0.0.1:")
+    assert httpx.get(base).status_code == 403
+    assert httpx.get(f"{base}/?token={token[:-1]}").status_code == 403
+    assert httpx.post(f"{base}/answer", json={}).status_code == 403
+    assert httpx.get(knee.url, headers={"host": "evil.example"}).status_code == 400
+    page = httpx.get(knee.url)
+    assert "http" not in page.text.replace("http-equiv", "").replace("http://www.w3.org", "")
+    assert httpx.post(f"{base}/answer", headers={"x-token": token}, json=[1]).status_code == 400
+    assert knee.url.replace("&", "&amp;") in knee._repr_html_()
+
+
+@pytest.mark.skipif(BROWSER is None, reason="there is no Chromium")
+def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    assert BROWSER is not None
+    with launched(BROWSER) as browser:
+        pages = []
+        for width in (1400, 390):
+            page = browser.new_page(viewport={"width": width, "height": 900}, reduced_motion="reduce")
+            asked: list[str] = []
+            page.on("request", lambda request, asked=asked: asked.append(request.url))
+            page.goto(knee.url)
+            until(page, "document.querySelectorAll('#headlines dd').length > 0")
+            pages.append((page, asked))
+        page, asked = pages[0]
+        before, drawn = page.inner_text("#headlines"), page.evaluate("document.getElementById('stage').toDataURL()")
+        took = []
+        for value in (800, 200, 900):
+            shown = page.inner_text("#headlines dd")
+            page.evaluate(MOVE, value)
+            until(page, f"document.querySelector('#headlines dd').textContent !== {shown!r}", 30)
+            took.append(page.evaluate("performance.now() - window.began"))
+        assert page.inner_text("#headlines") != before
+        assert page.evaluate("document.getElementById('stage').toDataURL()") != drawn
+        assert "body_mass: 1" in page.evaluate("document.getElementById('spec').textContent")
+        assert pages[1][0].inner_text("#headlines") == before  # the other window has sliders of its own
+        assert all(url.startswith((knee.url.partition("?")[0], "data:")) for _, urls in pages for url in urls)
+        for page, _ in pages:
+            found = Axe().run(page)
+            assert found.violations_count == 0, found.generate_report()
+        print(f"answers after {statistics.median(took):.0f} ms")
