@@ -17,6 +17,7 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import MotionPart, Peak, observed_at, sampled, steps_of_extremum
 from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
 from mbdkit.stepping.interface import SAME_TIME, StepTaken, Timetable
+from mbdkit.stepping.sampled_control import states_at_start
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -29,25 +30,28 @@ BESIDE = NODES_WITHOUT_ACCELERATIONS // 2
 
 @dataclass
 class _Ends:
-    """Ends of consecutive steps (N,): times, positions and velocities, and the discontinuities at both sides."""
+    """Ends of consecutive steps (N,): times, positions, velocities and first-order states, and the discontinuities at
+    both sides.
+    """
 
     time: list[float] = field(default_factory=list)
     q: list[np.ndarray] = field(default_factory=list)
     v: list[np.ndarray] = field(default_factory=list)
+    z: list[np.ndarray] = field(default_factory=list)
     begin: float = -math.inf
     """Earliest time at which motions and loads are evaluated [s]."""
     end: float = math.inf
     done: int = 0
     """Number of steps that have been evaluated."""
 
-    def add(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
+    def add(self, time: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
         self.time.append(float(time))
-        self.q.append(np.array(q))
-        self.v.append(np.array(v))
+        for own, given in ((self.q, q), (self.v, v), (self.z, z)):
+            own.append(np.array(given))
 
     def drop(self, count: int) -> None:
         """Discard ends that are not needed any more."""
-        del self.time[:count], self.q[:count], self.v[:count]
+        del self.time[:count], self.q[:count], self.v[:count], self.z[:count]
         self.done -= count
 
 
@@ -83,13 +87,13 @@ class ContinuousFunctionals:
         self._times = {one.text: one.time({}, (np.nan, np.nan), no_events) for one in self._direct if one.is_value}
         self._peaks = {one.text: Peak(math.nan, math.nan) for one in self._direct if one.is_extremum}
         self._keeps = len(self._direct) < len(functionals)
-        self._ends = self._new_part(workspace.t0, workspace.q0, workspace.v0)
+        self._ends = self._new_part(workspace.t0, workspace.q0, workspace.v0, states_at_start(workspace))
         self._parts: list[_Ends] = [self._ends] if self._keeps else []
         self._begun = False
 
-    def _new_part(self, time: float, q: np.ndarray, v: np.ndarray) -> _Ends:
+    def _new_part(self, time: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> _Ends:
         part = _Ends(begin=self._beside_stop(time, 1.0))
-        part.add(time, q, v)
+        part.add(time, q, v, z)
         return part
 
     def _beside_stop(self, time: float, side: float) -> float:
@@ -99,24 +103,25 @@ class ContinuousFunctionals:
                 return stop + side * margin
         return -side * math.inf
 
-    def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> None:
+    def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
         """Add the ends (T,) of further steps, of a run without discontinuities."""
         for row in range(len(time)):
             if time[row] > self._ends.time[-1]:
-                self._ends.add(time[row], q[row], v[row])
+                self._ends.add(time[row], q[row], v[row], z[row])
         self._take(whole=True)
 
     def add_steps(self, steps: Sequence[StepTaken]) -> None:
         """Add further steps."""
         for step in steps:
             ends = self._ends
-            continues = np.array_equal(step.v0, ends.v[-1]) and math.isinf(self._beside_stop(step.t0, 1.0))
+            is_same = np.array_equal(step.v0, ends.v[-1]) and np.array_equal(step.z0, ends.z[-1])
+            continues = is_same and math.isinf(self._beside_stop(step.t0, 1.0))
             if not continues and len(ends.time) > 1:
                 self._close()
-                self._ends = self._new_part(step.t0, step.q0, step.v0)
+                self._ends = self._new_part(step.t0, step.q0, step.v0, step.z0)
                 if self._keeps:
                     self._parts.append(self._ends)
-            self._ends.add(step.t1, step.q1, step.v1)
+            self._ends.add(step.t1, step.q1, step.v1, step.z1)
         self._take(whole=True)
 
     def _close(self) -> None:
@@ -146,11 +151,13 @@ class ContinuousFunctionals:
         """Return the motion over `count` steps, with ends beside them."""
         begin, end = max(0, first - BESIDE), min(len(ends.time), first + count + 1 + BESIDE)
         some = slice(begin, end)
-        time, q, v = np.array(ends.time[some]), np.array(ends.q[some]), np.array(ends.v[some])
-        sides = ends.begin, ends.end
+        time, q, v, z = (np.array(x[some]) for x in (ends.time, ends.q, ends.v, ends.z))
+        sides, has_states = (ends.begin, ends.end), z.shape[1] > 0
         accelerations = None
-        if self._uses_accelerations:
-            accelerations = observed_at(self._observer, np.clip(time, *sides), q, v).acc
+        if self._uses_accelerations or has_states:
+            observed = observed_at(self._observer, np.clip(time, *sides), q, v, z)
+            accelerations = None if has_states else observed.acc  # second derivatives of the states are not known
+            q, v = np.column_stack([q, z]), np.column_stack([v, observed.state_rates])
         steps = range(first - begin, first - begin + count)
         return MotionPart(self._observer, self._names, StepEnds(time, q, v, accelerations), steps, sides)
 
@@ -208,7 +215,10 @@ class ContinuousFunctionals:
             "sums": self._sums,
             "values": self._values,
             "peaks": {text: [peak.value, peak.time] for text, peak in self._peaks.items()},
-            "parts": [[np.array(x.time), np.array(x.q), np.array(x.v), [x.begin, x.end, float(x.done)]] for x in parts],
+            "parts": [
+                [*(np.array(values) for values in (x.time, x.q, x.v, x.z)), [x.begin, x.end, float(x.done)]]
+                for x in parts
+            ],
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -216,11 +226,12 @@ class ContinuousFunctionals:
         own: dict[str, Mapping[str, Any]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
         if any(state[name].keys() != one.keys() for name, one in own.items()):
             raise ValueError("it has other integrals")
-        size, parts = len(self._workspace.q0), []
-        for time, q, v, (begin, end, done) in state["parts"]:
-            if not len(time) or q.shape != (len(time), size) or v.shape != q.shape or not 0 <= done < len(time):
+        size, states, parts = len(self._workspace.q0), len(self._workspace.mechanism.states), []
+        for time, q, v, z, (begin, end, done) in state["parts"]:
+            shapes = [(len(time), size), (len(time), size), (len(time), states)]
+            if not len(time) or [x.shape for x in (q, v, z)] != shapes or not 0 <= done < len(time):
                 raise ValueError("its steps have other shapes")
-            parts.append(_Ends(time.tolist(), list(q), list(v), float(begin), float(end), int(done)))
+            parts.append(_Ends(time.tolist(), list(q), list(v), list(z), float(begin), float(end), int(done)))
         if not parts or (len(parts) > 1 and not self._keeps):
             raise ValueError("its steps have other shapes")
         self._sums, self._values = (

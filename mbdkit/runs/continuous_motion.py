@@ -91,7 +91,8 @@ class MotionPart:
     names
         Names of the elements.
     ends
-        The ends of the steps (N,), and more of them on both sides if there are more.
+        The ends of the steps (N,), and more of them on both sides if there are more; positions are followed by
+        first-order states, and velocities by their rates.
     steps
         The steps, as indices of their starts in `ends`.
     sides
@@ -129,15 +130,17 @@ class MotionPart:
         return self._series_of(self.ends.time[some], self.ends.q[some], self.ends.v[some])
 
     def _series_of(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Series:
-        q, v, seen = np.ascontiguousarray(q), np.ascontiguousarray(v), np.clip(time, *self.sides)
-        states = States(self._observer.workspace.mechanism, seen, q, v, lambda: observed_at(self._observer, seen, q, v))
+        mechanism, seen = self._observer.workspace.mechanism, np.clip(time, *self.sides)
+        n = mechanism.size
+        q, v, z = (np.ascontiguousarray(x) for x in (q[:, :n], v[:, :n], q[:, n:]))
+        states = States(mechanism, seen, q, v, lambda: observed_at(self._observer, seen, q, v, z), z=z)
         return Series(seen, lambda quantity: quantity.taker(self._names)(states).T)
 
 
-def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Observed:
+def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
     """Return the values of states; nan from a state on that has no unique accelerations."""
     found = observer.arrays(len(time))
-    singular = observer.observe(time, q, v, found)
+    singular = observer.observe(time, q, v, found, z=z)
     if singular is not None:
         for values in found:
             values[singular.row :] = np.nan

@@ -78,7 +78,8 @@ class RunIntegrals:
     ):
         self.functionals = functionals
         self._workspace = workspace.with_own_pivots()
-        others = [one for one in functionals if not one.is_of_stages]
+        has_states = bool(workspace.mechanism.states)  # their values at the stages are not kept
+        others = [one for one in functionals if has_states or not one.is_of_stages]
         #: Integrals and extrema of the motion between the ends of steps; None if there are none.
         self.continuous: ContinuousFunctionals | None = None
         if others:
@@ -87,7 +88,7 @@ class RunIntegrals:
         mechanism = workspace.mechanism
         self._names = archive_names(mechanism)
         self._waiting = [Nodes.none(mechanism.size)]
-        of_stages = [one for one in functionals if one.is_of_stages]
+        of_stages = [] if has_states else [one for one in functionals if one.is_of_stages]
         self._direct = [one for one in of_stages if not one.is_nested]
         self._nested = [one for one in of_stages if one.is_nested]
         self._sums: list[np.ndarray] | None = None

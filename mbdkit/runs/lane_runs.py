@@ -114,6 +114,9 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         return "the ranges of their force laws are watched between the recorded states"
     if functionals and not steps_are_rows(spec):
         return "their measures contain extrema or `at`, and they do not record every step"
+    mechanism = spec.mechanism()
+    if functionals and (mechanism.state_names() or mechanism.controllers or mechanism.muscles):
+        return "their measures contain extrema or `at`, and their mechanism has first-order states"
     method = make_method(spec)
     if not method.traits.has_lanes or spec.claims.adaptive != (method.traits.tolerances is not None):
         return f"{spec.integrator_item.id} cannot be vectorized with these options"
@@ -250,7 +253,7 @@ class LaneRuns:
 def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
     """Return a run with the extrema and values that measures need, from its rows, which are the ends of all steps."""
     start, functionals = member.start, functionals_of(member.spec, measures)
-    if not functionals or start.mechanism.states:
+    if not functionals:
         return run
     time = run.arrays["trajectory/time"] if "trajectory/time" in run.arrays else run.arrays["time"]
     q, v = np.tile(start.q0, (len(time), 1)), np.tile(start.v0, (len(time), 1))
@@ -261,7 +264,7 @@ def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[s
     stiff = member.method.traits.suits_stiff
     integrals = RunIntegrals(workspace, functionals, member.table, suits_stiff=stiff)
     assert integrals.continuous is not None
-    integrals.continuous.add_ends(time, q, v)
+    integrals.continuous.add_ends(time, q, v, np.zeros((len(time), 0)))
     return replace(run, integrals=integrals.totals())
 
 

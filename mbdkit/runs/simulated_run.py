@@ -252,7 +252,8 @@ class SimulatedRun:
         if continuous is not None and self.watch is not None:
             continuous.add_steps(steps)
         elif continuous is not None:
-            continuous.add_ends(stretch.time, stretch.q, stretch.v)
+            z = np.zeros((len(stretch.time), 0)) if stretch.z is None else stretch.z
+            continuous.add_ends(stretch.time, stretch.q, stretch.v, z)
         if not self.keeps_nodes:
             return
         nodes = stepper.taken_nodes()

@@ -307,11 +307,6 @@ def _prepared(
         _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
     check_disk_space(spec, workspace.mechanism, path)
     functionals = functionals_of(spec, measures)
-    if any(not one.is_extremum for one in functionals):
-        hint = "a state of the model whose rate is the integrand has the integral as its value"
-        workspace.mechanism.refuse_states("the integration of measures over time", hint)
-    if workspace.mechanism.states:
-        functionals = ()  # extrema and values are those of the recorded times
     noted: list[bool] = []
     noting = interrupts_noted if begun is not _begun_arrays else _not_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed

@@ -186,7 +186,6 @@ def test_runs_in_lanes_have_the_states_of_single_runs() -> None:
     ("more", "words"),
     [
         ({"integrator": {"name": "rattle"}, "formulation": "index-3"}, "Lobatto"),
-        ({"measures": {"turned": "integral(rotor.angle)"}}, "integration"),
     ],
 )
 def test_what_does_not_include_states_says_so(more: dict[str, Any], words: str) -> None:

@@ -255,7 +255,7 @@ def test_a_resumed_run_has_the_same_integrals() -> None:
         stretch = stepper.advance()
         integrals.add(stepper.taken_nodes())
         assert integrals.continuous is not None
-        integrals.continuous.add_ends(stretch.time, stretch.q, stretch.v)
+        integrals.continuous.add_ends(stretch.time, stretch.q, stretch.v, np.zeros((len(stretch.time), 0)))
         state, integrals = integrals.stored(), begun()
         integrals.restore(state)
     assert integrals.totals() == whole.integrals
