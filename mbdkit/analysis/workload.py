@@ -13,6 +13,7 @@ from mbdkit.analysis.cycles import Normalized, contacts, normalized
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.base.errors import SpecError
+from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ class _Series:
 
 
 @dataclass(frozen=True)
-class Workload:
+class Workload(HtmlView):
     """Workload of a run.
 
     Attributes

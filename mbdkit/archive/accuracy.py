@@ -13,6 +13,7 @@ import numpy as np
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import ACCURACY, BY_PATH
 from mbdkit.archive.measured_values import ComparedMeasures, compared_from_json, compared_json
+from mbdkit.base.html_view import HtmlView
 from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 
@@ -74,7 +75,7 @@ class AccuracyFigures:
 
 
 @dataclass(frozen=True, eq=False)
-class Accuracy:
+class Accuracy(HtmlView):
     """Estimated errors of the T recorded rows; nan where unknown.
 
     After a check of a run they are envelopes, which never decrease with time; in inverse dynamics, each is a bound that

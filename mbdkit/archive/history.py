@@ -12,6 +12,7 @@ import numpy as np
 from mbdkit.archive.layout import BY_PATH, FORMAT_VERSION, later
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError
+from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
@@ -507,7 +508,7 @@ class BodyHistories(Histories[BodyHistory]):
     """The bodies of a run by name."""
 
 
-class JointHistories(Histories[JointHistory]):
+class JointHistories(Histories[JointHistory], HtmlView):
     """The joints of a run by name."""
 
 

@@ -74,6 +74,14 @@ def plot(
         str | None,
         typer.Option("--size", metavar="MMxMM", help="A figure for a paper, without heading: 85mm wide, or 85mmx60mm."),
     ] = None,
+    x_limits: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--x-limits", metavar="LOW HIGH", help="Ends of the horizontal axis: a time window [s], usually."),
+    ] = None,
+    y_limits: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--y-limits", metavar="LOW HIGH", help="Ends of the vertical axis."),
+    ] = None,
     output: Annotated[Path | None, output_to("FILE.png", "A PNG, SVG or PDF file; by default FILE-KIND.png.")] = None,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -95,7 +103,8 @@ def plot(
         target = output or archives[0].with_name(f"{archives[0].stem}-{kind}.png")
         for archive in archives:
             check_output(target, overwrite=True, source=archive)
-        target = draw(runs, kind, target, size=None if size is None else size_in_mm(size), **options)
+        place = None if size is None else size_in_mm(size)
+        target = draw(runs, kind, target, size=place, x_limits=x_limits, y_limits=y_limits, **options)
     if not quiet:
         show(target)
 

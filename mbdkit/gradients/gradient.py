@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.html_view import HtmlView
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
 from mbdkit.gradients.differentiated_expressions import (
@@ -52,7 +53,7 @@ REFERENCE_STEPS = 2_000
 
 
 @dataclass(frozen=True)
-class Gradient:
+class Gradient(HtmlView):
     """Measures of a run, and their derivatives by parameters.
 
     Attributes

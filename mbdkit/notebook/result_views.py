@@ -10,6 +10,9 @@ from functools import singledispatch
 import numpy as np
 from matplotlib.figure import Figure
 
+from mbdkit.analysis.workload import Workload
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.history import JointHistories
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import answer_lines, summary_lines
 from mbdkit.base.errors import MbdkitError
@@ -17,8 +20,9 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import shown
 from mbdkit.figures.curves import take
 from mbdkit.figures.mechanism_drawing import NamedPose
-from mbdkit.figures.page_model import Cell, Illustration, Table, columns_of
+from mbdkit.figures.page_model import Cell, Column, Illustration, Table, columns_of
 from mbdkit.figures.plane_geometry import Array
+from mbdkit.gradients.gradient import Gradient
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.mechanics_summary import (
     clean,
@@ -41,6 +45,7 @@ from mbdkit.report.run_report import TONES, mechanism_of
 from mbdkit.report.study_report import runs_table, settings
 from mbdkit.report.templating import render
 from mbdkit.studies.study import Study
+from mbdkit.studies.study_headlines import headlines
 
 
 @dataclass(frozen=True)
@@ -150,7 +155,8 @@ def _(mechanism: Mechanism) -> View:
 @view.register
 def _(study: Study) -> View:
     title = " ".join(study.spec.title.split()) or study.folder.resolve().name
-    return View(f"Study: {title}", (settings(study),), tables=(runs_table(study),))
+    answers = [f"{name}: {told}" for name, told in headlines(study)]
+    return View(f"Study: {title}", (settings(study), *answers), tables=(runs_table(study),))
 
 
 @view.register
@@ -198,3 +204,56 @@ def _(found: Modes) -> View:
         pictures = (Picture(figure, "Shapes of the slowest modes, displaced in both directions"),)
     table = Table("modes", "All modes", tuple(columns), tuple(rows))
     return View("Modes", facts=tuple(modes_facts(found)), pictures=pictures, tables=(table,))
+
+
+@view.register
+def _(found: Gradient) -> View:
+    columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]
+    rows: list[tuple[Cell, ...]] = [
+        (name, unit, float(value), *map(float, slopes))
+        for name, unit, value, slopes in zip(found.measures, found.units, found.value, found.jacobian, strict=True)
+    ]
+    check = () if found.check is None else (str(found.check),)
+    note = "In the unit of the measure for each SI unit of the parameter."
+    table = Table("gradient", "Derivatives", tuple(columns), tuple(rows), note)
+    return View("Gradient", (*found.doubts, *check), tables=(table,))
+
+
+@view.register
+def _(found: Workload) -> View:
+    rows: list[tuple[Cell, ...]] = [
+        (one.name, one.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
+        for one in found.elements
+        for load in (one.load, one.torque)
+        if load is not None
+    ]
+    columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")
+    table = Table("workload", "Loads", columns, tuple(rows))
+    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.",), tables=(table,))
+
+
+@view.register
+def _(found: Accuracy) -> View:
+    largest = [
+        ("position", "m", found.position_error_max),
+        ("angle", "rad", found.angle_error_max),
+        ("reaction force", "N", _largest(found.reaction_error, found.rows_known)),
+        ("reaction torque", "N m", _largest(found.torque_error, found.rows_known)),
+    ]
+    until = "of all rows" if found.is_complete else f"until {found.known_until:.4g} s"
+    table = Table("errors", f"Largest estimated errors {until}", columns_of("quantity; unit; error"), tuple(largest))
+    return View("Accuracy", (found.method,), tables=(table,))
+
+
+@view.register
+def _(joints: JointHistories) -> View:
+    rows: list[tuple[Cell, ...]] = []
+    for name, joint in joints.items():
+        force, torque = np.linalg.norm(joint.reaction_force, axis=1), np.abs(joint.reaction_torque)
+        rows.append((name, " - ".join(joint.bodies), _largest(force), _largest(torque), joint.misalignment_max))
+    columns = columns_of("joint; between; largest force [N]; largest torque [N m]; largest misalignment [m]")
+    return View("Joints", tables=(Table("joints", "Largest values", columns, tuple(rows)),))
+
+
+def _largest(values: Array, rows: int | None = None) -> float:
+    return float(np.max(values[:rows], initial=0.0))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
+import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -80,6 +81,8 @@ def plot(
     path: str | os.PathLike[str],
     *,
     size: tuple[float, float] | None = None,
+    x_limits: tuple[float, float] | None = None,
+    y_limits: tuple[float, float] | None = None,
     **options: Any,
 ) -> Path:
     """Write a plot of a run, or of several runs, to a file, whose path is returned. An existing file is replaced.
@@ -92,13 +95,16 @@ def plot(
         File to write. Its suffix, .png, .svg or .pdf, selects the format.
     size
         Width and height [mm] of a figure for a paper, which has no heading; so have figures of several runs.
+    x_limits, y_limits
+        Ends of the axes, in their units: a time window [s] of plots over time. By default, all values are shown.
     **options
         As for `figure`.
 
     Raises
     ------
     SpecError
-        The kind, an option or the suffix is unknown, a run has no rows, or the file cannot be written.
+        The kind, an option or the suffix is unknown, limits are equal, a run has no rows, or the file cannot be
+        written; or there are limits of several vertical axes.
     UnknownNameError
         A name among the options is unknown.
     MbdkitError
@@ -107,10 +113,26 @@ def plot(
     target = check_suffix(path, FORMATS, "a plot")
     found = list(runs) if isinstance(runs, Sequence) else [runs]
     if size is None and len(found) == 1:
-        save(figure(found[0], kind, **options), target)
+        picture = figure(found[0], kind, **options)
     else:
-        save(paper_figure(found, kind, size, **options), target)
+        picture = paper_figure(found, kind, size, **options)
+    _limit(picture, x_limits, y_limits)
+    save(picture, target)
     return target
+
+
+def _limit(picture: Figure, x: tuple[float, float] | None, y: tuple[float, float] | None) -> None:
+    """Set the ends of the axes; raise SpecError where they make no sense."""
+    for name, limits in (("x", x), ("y", y)):
+        if limits is not None and not (np.all(np.isfinite(limits)) and limits[0] != limits[1]):
+            raise SpecError(f"the {name} limits should be two different numbers, not {limits[0]:g} and {limits[1]:g}")
+    if y is not None and len(picture.axes) > 1:
+        raise SpecError(f"the figure has {len(picture.axes)} panels, each with a vertical axis of its own: draw one")
+    for axes in picture.axes:
+        for name, limits in (("x", x), ("y", y)):
+            if limits is not None and getattr(axes, f"get_{name}scale")() == "log" and min(limits) <= 0:
+                raise SpecError(f"the {name} axis is logarithmic, so its limits should be positive")
+        axes.set(**{f"{name}lim": limits for name, limits in (("x", x), ("y", y)) if limits is not None})
 
 
 WIDTH = 183.0

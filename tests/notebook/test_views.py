@@ -165,3 +165,17 @@ def test_an_animation_is_a_frame_without_access_to_the_notebook(knee: mbdkit.Run
     assert (tmp_path / "knee.html").read_text("utf-8") == attributes["srcdoc"]  # a short run is shown in full
     with pytest.raises(mbdkit.SpecError, match=r"must end in .gif, .mp4 or .html"):
         film.save(tmp_path / "knee.avi")
+
+
+def test_joints_accuracy_workload_and_gradient_are_tables() -> None:
+    hanging = {"mbdkit": 1, "model": {"name": "single-pendulum", "mass": 2.0, "angle": -np.pi / 2}}
+    hanging |= {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}, "check": True}
+    run = mbdkit.run(hanging)
+    joints = elements(run.joints)
+    assert "J1" in joints.text
+    assert "19.62" in joints.text  # 2 kg at rest
+    assert "reaction force" in elements(run.accuracy).text
+    assert "1.962" in elements(mbdkit.workload(run)).text  # for 0.1 s
+    gradient = mbdkit.gradient(hanging, {"force": "max(abs(joints.J1.force))"}, "model.mass")
+    assert "by model.mass" in elements(gradient).text
+    assert "9.81" in elements(gradient).text

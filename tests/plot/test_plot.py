@@ -255,3 +255,16 @@ def test_drawing_needs_neither_pyplot_nor_sympy_nor_numba():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_axes_end_at_the_limits(make_run, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(save_plot, "save", lambda picture, target: drawn.append(picture))
+    plot(make_run(), "drift", tmp_path / "a.png", size=(85.0, 60.0), x_limits=(0.01, 0.02), y_limits=(1e-9, 1.0))
+    (axes,) = drawn[0].axes
+    assert axes.get_xlim() == (0.01, 0.02)
+    assert axes.get_ylim() == (1e-9, 1.0)
+    with pytest.raises(SpecError, match="the x limits should be two different numbers, not 1 and 1"):
+        plot(make_run(), "drift", tmp_path / "a.png", x_limits=(1.0, 1.0))
+    with pytest.raises(SpecError, match="the y axis is logarithmic"):
+        plot(make_run(), "drift", tmp_path / "a.png", size=(85.0, 60.0), y_limits=(0.0, 1.0))

@@ -140,7 +140,7 @@ def test_the_keyboard_reaches_every_control_in_the_order_of_the_page(page):
         name = tab.evaluate("document.activeElement.id || document.activeElement.dataset.figure || ''")
         if name and name not in seen:
             seen.append(name)
-    order = ["misalignment", "scrub", "play", "back", "next", "speed", "whole", "magnify", "trajectory"]
+    order = ["scrub", "play", "back", "next", "speed", "whole", "magnify", "misalignment", "trajectory"]
     assert [name for name in seen if name in order] == order
 
 

@@ -41,6 +41,7 @@ def test_a_table_is_saved_as_csv_with_all_digits_and_without_formulas(browser, t
         path = tmp_path / "page.html"
         path.write_text(run_report(run).html(), encoding="utf-8")
     watched = opened(browser, path)
+    watched.page.get_by_text("Bodies", exact=True).first.click()  # inputs are folded
     with watched.page.expect_download() as begun:
         watched.page.get_by_role("button", name="Download CSV: Bodies").click()
     assert begun.value.suggested_filename == "bodies.csv"
