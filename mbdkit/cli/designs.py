@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -64,6 +65,7 @@ def design(
 
     Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
+    from mbdkit.base.errors import MbdkitError
     from mbdkit.designs.gains import costs
     from mbdkit.designs.solve_design import design as carry_out
     from mbdkit.designs.store import runs_of
@@ -91,7 +93,7 @@ def design(
         show_json({"path": str(folder), **result.to_dict()} | ({} if page is None else {"report": str(page)}))
     elif not printing.quiet:
         show(result.summary())
-        with runs_of(result, folder) as pairs:
+        with suppress(MbdkitError), runs_of(result, folder) as pairs:  # archives may have been removed
             for cost in costs(pairs)[:LOADS_SHOWN]:
                 show(f"elsewhere: {cost.text()}")
         show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
