@@ -16,7 +16,8 @@ from mbdkit.inverse_dynamics.fit import Fitter
 from mbdkit.inverse_dynamics.loads import Loads, LoadSeries, loads_on, read_loads
 from mbdkit.inverse_dynamics.manifold import Manifold
 from mbdkit.inverse_dynamics.measured import Measured, read_motion
-from mbdkit.inverse_dynamics.recruitment import Recruited, Recruiter
+from mbdkit.inverse_dynamics.recruited import Recruited
+from mbdkit.inverse_dynamics.recruitment import Recruiter
 from mbdkit.inverse_dynamics.reduced_motion import (
     Independent,
     Motion,

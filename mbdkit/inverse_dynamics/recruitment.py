@@ -14,11 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.inverse_dynamics.dynamics import Balance, Dynamics
 from mbdkit.inverse_dynamics.elastic_tendons import ElasticMuscles, in_equilibrium
@@ -27,6 +28,7 @@ from mbdkit.inverse_dynamics.loads_over_time import (
     share_over_time,
     smallest_supplement_over_time,
 )
+from mbdkit.inverse_dynamics.recruited import Contraction, Recruited, Sharing
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.shared_loads import Programme, Shared, share_loads, smallest_supplement
 from mbdkit.mechanism.muscles import Muscle
@@ -40,86 +42,6 @@ NO_ARM = 1e-9
 """Moment arm [m, or 1 for lengths] below which a muscle does not act on a coordinate."""
 
 TIMES_NAMED = 6
-
-
-@dataclass(frozen=True)
-class Contraction:
-    """Muscles of a motion in T frames: geometry, and what they can exert, all (T, M) but `pull`.
-
-    Attributes
-    ----------
-    length, rate
-        Lengths of the paths [m] and their rates [m/s].
-    fiber_length, fiber_rate
-        Lengths of the fibres [m] and their rates [m/s]; nan where they are not needed.
-    capacity, passive
-        Active tension per activation, and tension without activation [N].
-    pull
-        (T, n, M) generalized forces of unit tensions.
-    """
-
-    length: np.ndarray
-    rate: np.ndarray
-    fiber_length: np.ndarray
-    fiber_rate: np.ndarray
-    capacity: np.ndarray
-    passive: np.ndarray
-    pull: np.ndarray
-
-
-@dataclass(frozen=True)
-class Sharing:
-    """What muscles and reserves share in T frames, and how they can.
-
-    Attributes
-    ----------
-    arms
-        (T, U, M) values of the actuators with the effect of unit tensions.
-    driven
-        (U,) whether muscles act on an actuator.
-    programme
-        The convex programmes. The unknowns are activations of the M muscles and shares of the reserves that take part;
-        the equations are those of the driven actuators.
-    """
-
-    arms: np.ndarray
-    driven: np.ndarray
-    programme: Programme
-
-
-@dataclass(frozen=True)
-class Recruited:
-    """Muscles that produce a motion in T frames.
-
-    Attributes
-    ----------
-    contraction, sharing, shared
-        The muscles, what they share, and the solution.
-    activation, force, power
-        (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
-    beside
-        (T, U) values that actuators and reserves exert beside the muscles.
-    reserve, reserve_power
-        (T, R) values of the reserves [N, N m] and their powers [W].
-    actuator, actuator_power
-        (T, U) values of the actuators and their powers. Muscles and reserves produce those of joints that muscles act
-        on; the others act beside them.
-    lam
-        (T, m) multipliers of the independent rows, with the forces of the muscles.
-    """
-
-    contraction: Contraction
-    sharing: Sharing
-    shared: Shared
-    activation: np.ndarray
-    force: np.ndarray
-    power: np.ndarray
-    beside: np.ndarray
-    reserve: np.ndarray
-    reserve_power: np.ndarray
-    actuator: np.ndarray
-    actuator_power: np.ndarray
-    lam: np.ndarray
 
 
 class Recruiter:
@@ -156,8 +78,13 @@ class Recruiter:
         uses_fibers = asked.capacity == "full" or asked.passive
         elastic = {name: muscle for name, muscle in own.items() if uses_fibers and muscle.tendon == "elastic"}
         self._is_elastic = np.array([name in elastic for name in own])
-        if elastic:
-            self._require_simple(next(iter(elastic)))
+        for name, muscle in elastic.items():
+            self._require_simple(name)
+            if not muscle.tendon_length:
+                raise SpecError(
+                    "should be greater than 0: an elastic tendon has a length",
+                    key=f"model.muscles.{quoted(name)}.tendon_length",
+                )
         if asked.dynamics == "activation" and (asked.exponent == "inf" or asked.exponent == 1):
             raise SpecError(
                 f"activation dynamics need an exponent of 2 or more, not {asked.exponent}", key="recruitment.exponent"
@@ -407,8 +334,9 @@ class Recruiter:
         if not told:
             return RunError(f"recruitment was not solved at t = {times}{more} s; use another `exponent`, or reserves")
         fast = "" if by_frames else " with activations that change as fast as their dynamics allow"
+        about = "about " if self.is_elastic else ""  # at the tensions to which tendons were stretched last
         return RunError(
             f"the muscles cannot produce the motion{fast} in {len(rows)} of {counted(len(time), 'frame')}, at t = "
-            f"{times}{more} s; the smallest reserves with which they can are {listed(told, 'and')}: state "
+            f"{times}{more} s; the smallest reserves with which they can are {about}{listed(told, 'and')}: state "
             "`recruitment.reserves`"
         )

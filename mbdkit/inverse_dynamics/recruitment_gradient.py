@@ -18,7 +18,8 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.inverse_dynamics.compute import InverseProblem
 from mbdkit.inverse_dynamics.dynamics import Balance
-from mbdkit.inverse_dynamics.recruitment import Recruited, Recruiter
+from mbdkit.inverse_dynamics.recruited import Recruited
+from mbdkit.inverse_dynamics.recruitment import Recruiter
 from mbdkit.inverse_dynamics.reduced_motion import Motion
 from mbdkit.inverse_dynamics.shared_loads_derivative import ProgrammeChange, change_of_shares
 from mbdkit.quantities.states import Muscles

@@ -20,7 +20,7 @@ from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import ForceLawPlugin
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.choices import law_element
-from mbdkit.spec.run_spec import spec_type
+from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.testing.check import Skip, check
 from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.testing.options_under_test import options_result, validated, variants
@@ -108,7 +108,18 @@ class ForceLawUnderTest:
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
         """Return force, derivatives by length and rate, and potential (N, 4) at lengths, rates and times (N, 3)."""
-        bound, numbers = self.compiled
+        return self._values(places, *self.compiled)
+
+    def rates(self, places: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the rates (N,) of its first-order states at their initial values, by name; see `__call__`."""
+        found = {}
+        for state in self.plugin.law.states:
+            bound, numbers = bind_law(state.rate, self.element, self.item.id)
+            found[state.name] = self._values(places, bound, np.array(numbers))[:, 0]
+        return found
+
+    @staticmethod
+    def _values(places: np.ndarray, bound: Any, numbers: np.ndarray) -> np.ndarray:
         out = np.zeros((len(places), 4))
         function = LAW(bound.address)
         given, to, width = numbers.ctypes.data, out.ctypes.data, out.strides[0]
@@ -329,10 +340,38 @@ def _climb(merit: Callable[[np.ndarray], np.ndarray], places: np.ndarray, span: 
     return float(here[top]), there[top]
 
 
-@check("law.energy")
-def energy(law: ForceLawUnderTest) -> Result:
-    """The energy balance of a mass on it converges to zero with the step."""
-    spec = spec_type(law.installed)
+@check("law.states")
+def states(law: ForceLawUnderTest) -> Result:
+    """The rates of its first-order states are finite over the range, and the states of a run converge with the step."""
+    if not law.plugin.law.states:
+        raise Skip("it has no first-order states")
+    for name, rates in law.rates(law.places).items():
+        wrong = ~np.isfinite(rates)
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
+            return failed(f"the rate of its state '{name}' is {rates[row]} at {_at(law.places[row])}")
+    finals = []
+    for step in STATE_STEPS:
+        with simulate(_mass_on(law, step), notify=lambda message: None) as run:
+            if run.status != "complete":
+                return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
+            finals.append([float(run.states[f"law.{one.name}"].value[-1]) for one in law.plugin.law.states])
+    changes = np.abs(np.diff(np.array(finals), axis=0))
+    size = np.maximum(np.max(np.abs(finals), axis=0), 1e-300)
+    worst = int(np.argmax(changes[-1] / size))
+    coarse, fine = (float(x) for x in changes[:, worst] / size[worst])
+    if fine < ROUNDING or fine < coarse / 4:
+        return passed(change=fine).within({"change": max(ROUNDING, coarse / 4)})
+    name = law.plugin.law.states[worst].name
+    return failed(f"its state '{name}' in a run does not converge with the step", coarse=coarse, fine=fine)
+
+
+STATE_STEPS = 0.01, 0.005, 0.0025
+"""Steps of the runs whose final states are compared [s]."""
+
+
+def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:
+    """Return the run of a mass on a law."""
     (low, high), (slowest, fastest), (start, _) = law.span.tolist()
     length = 0.8 if low < 0.8 - 0.1 * (high - low) and 0.8 + 0.1 * (high - low) < high else 0.5 * (low + high)
     speed = 0.9 if slowest < -0.9 and fastest > 0.9 else 0.3 * max(abs(slowest), abs(fastest))
@@ -342,17 +381,22 @@ def energy(law: ForceLawUnderTest) -> Result:
         "bodies": {"mass": {"mass": 20.0, "position": [length, 0.0], "velocity": [speed, 0.2]}},
         "forces": {"law": {"type": "law", "law": law.item.id, "pathway": pathway, **law.options}},
     }
+    data: dict[str, Any] = {
+        "mbdkit": 1,
+        "model": model,
+        "integrator": {"name": "mbdkit:gauss", "stages": 2},
+        "time": {"start": start, "end": start + 0.5, "step": step},
+        "limits": {"wall_time": 40},
+    }
+    return spec_type(law.installed)(**data)
+
+
+@check("law.energy")
+def energy(law: ForceLawUnderTest) -> Result:
+    """The energy balance of a mass on it converges to zero with the step."""
     found = []
     for step in (0.02, 0.01, 0.005, 0.0025):
-        data: dict[str, Any] = {
-            "mbdkit": 1,
-            "model": model,
-            "integrator": {"name": "mbdkit:gauss", "stages": 2},
-            "time": {"start": start, "end": start + 0.5, "step": step},
-            "limits": {"wall_time": 40},
-        }
-        given = spec(**data)
-        with simulate(given, notify=lambda message: None) as run:
+        with simulate(_mass_on(law, step), notify=lambda message: None) as run:
             if run.status != "complete":
                 return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
             size = max(1.0, float(np.max(np.abs(run.energy.kinetic))))
@@ -389,4 +433,4 @@ def other_options(law: ForceLawUnderTest) -> Result:
     return passed(variants=tried)
 
 
-CHECKS = (options, finite, by_length, by_rate, potential, passivity, other_options, energy)
+CHECKS = (options, finite, by_length, by_rate, potential, passivity, other_options, states, energy)

@@ -72,7 +72,7 @@ def test_one_muscle_has_the_activation_of_its_tension(with_passive):
             before = fiber
 
 
-@pytest.mark.filterwarnings("ignore:.*numpy function:FutureWarning")
+@pytest.mark.filterwarnings("ignore::FutureWarning")
 def test_two_muscles_share_the_moment_as_by_a_nonlinear_programme():
     paths = geometry(0.04, 0.3, 0.04), geometry(0.03, 0.2, 0.05)
     sizes = {"width": WIDTH, "slack": 0.18, "optimal": FIBER}, {"width": 0.0, "slack": 0.12, "optimal": 0.1}
@@ -122,6 +122,11 @@ def test_what_needs_rigid_tendons_and_a_tendon_beyond_its_path_get_one_sentence(
         with pytest.raises(SpecError, match="needs rigid tendons; that of muscle 'biceps' is elastic") as error:
             mbdkit.inverse(moving(**{key: value}))
         assert error.value.key == f"recruitment.{key}"
+    spec = moving()
+    spec["model"]["muscles"]["biceps"]["tendon_length"] = 0.0
+    with pytest.raises(SpecError, match="an elastic tendon has a length") as error:
+        mbdkit.inverse(spec)
+    assert error.value.key == "model.muscles.biceps.tendon_length"
     with pytest.raises(SpecError, match="take the tendons of muscles as rigid"):
         mbdkit.inverse_gradient(moving(), "max(muscles.biceps.force)", "model.bodies.forearm.mass")
     spec = moving()

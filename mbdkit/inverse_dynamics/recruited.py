@@ -1,0 +1,89 @@
+"""Results of recruitment: the muscles of a motion, what they share, and their tensions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.inverse_dynamics.shared_loads import Programme, Shared
+
+
+@dataclass(frozen=True)
+class Contraction:
+    """Muscles of a motion in T frames: geometry, and what they can exert, all (T, M) but `pull`.
+
+    Attributes
+    ----------
+    length, rate
+        Lengths of the paths [m] and their rates [m/s].
+    fiber_length, fiber_rate
+        Lengths of the fibres [m] and their rates [m/s]; nan where they are not needed.
+    capacity, passive
+        Active tension per activation, and tension without activation [N].
+    pull
+        (T, n, M) generalized forces of unit tensions.
+    """
+
+    length: np.ndarray
+    rate: np.ndarray
+    fiber_length: np.ndarray
+    fiber_rate: np.ndarray
+    capacity: np.ndarray
+    passive: np.ndarray
+    pull: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sharing:
+    """What muscles and reserves share in T frames, and how they can.
+
+    Attributes
+    ----------
+    arms
+        (T, U, M) values of the actuators with the effect of unit tensions.
+    driven
+        (U,) whether muscles act on an actuator.
+    programme
+        The convex programmes. The unknowns are activations of the M muscles and shares of the reserves that take part;
+        the equations are those of the driven actuators.
+    """
+
+    arms: np.ndarray
+    driven: np.ndarray
+    programme: Programme
+
+
+@dataclass(frozen=True)
+class Recruited:
+    """Muscles that produce a motion in T frames.
+
+    Attributes
+    ----------
+    contraction, sharing, shared
+        The muscles, what they share, and the solution.
+    activation, force, power
+        (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
+    beside
+        (T, U) values that actuators and reserves exert beside the muscles.
+    reserve, reserve_power
+        (T, R) values of the reserves [N, N m] and their powers [W].
+    actuator, actuator_power
+        (T, U) values of the actuators and their powers. Muscles and reserves produce those of joints that muscles act
+        on; the others act beside them.
+    lam
+        (T, m) multipliers of the independent rows, with the forces of the muscles.
+    """
+
+    contraction: Contraction
+    sharing: Sharing
+    shared: Shared
+    activation: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+    beside: np.ndarray
+    reserve: np.ndarray
+    reserve_power: np.ndarray
+    actuator: np.ndarray
+    actuator_power: np.ndarray
+    lam: np.ndarray
