@@ -159,6 +159,29 @@ def test_a_gradient_with_an_event_includes_the_state() -> None:
     np.testing.assert_allclose(found.jacobian[0], scaled, rtol=1e-8)
 
 
+def test_a_gradient_through_a_stop_includes_the_jump_of_the_rate_of_a_state() -> None:
+    """The force of a stop with a damper jumps at contact, and is part of the rate of a state."""
+    model = leg()
+    model["bodies"]["leg"] |= {"angular_velocity": 1.0, "velocity": [0.2, 0.0]}
+    stop = {
+        "type": "law",
+        "law": "one-sided",
+        "acts": "tension",
+        "stiffness": 60.0,
+        "damping": 0.3,
+        "free_length": 0.02,
+    }
+    pathway = {"type": "relative-angle", "bodies": ["ground", "leg"]}
+    model["forces"]["stop"] = stop | {"pathway": pathway}
+    model["states"]["i"]["rate"] = "(forces.stop.value/10 + leg.angle - states.i)/lag"
+    spec = {"mbdkit": 1, "parameters": VALUES, "model": model, "integrator": {"name": "rk4"}}
+    keys = [*VALUES, "model.forces.stop.stiffness", "model.forces.stop.free_length"]
+    found = mbdkit.gradient(spec | {"time": {"end": 0.2, "step": 0.002}}, ["final(leg.angle)", "final(states.i)"], keys)
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+    np.testing.assert_allclose(found.check.derivative, found.check.extrapolated, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("method", "measure", "sentence"),
     [

@@ -80,6 +80,25 @@ def test_modes_are_those_of_the_coupled_equations(gain: float) -> None:
     np.testing.assert_allclose(np.sort_complex(found.eigenvalues), once, rtol=1e-9)
 
 
+def test_a_linearization_about_a_motion_includes_the_turning_of_the_basis() -> None:
+    """About a moving state: the rate of the state contains the velocity of the centre of mass, which turns."""
+    angle, speed, e = 0.7, 1.3, 0.2
+    spec = leg(f"3*states.e - {DAMPING}*leg.angular_velocity",
+               e={"rate": "leg.vx + leg.y - 2*states.e - states.e**3", "initial": e})  # fmt: skip
+    c, s = 0.2 * np.cos(angle), 0.2 * np.sin(angle)
+    spec["model"]["bodies"]["leg"] |= {
+        "angle": angle, "position": [s, -c], "angular_velocity": speed, "velocity": [c * speed, s * speed],
+    }  # fmt: skip
+    found = mbdkit.linearize(spec, at="start")
+    wanted = [
+        [0, 1, 0],
+        [-GRAVITY * np.cos(angle) / INERTIA, -DAMPING / INERTIA, 3 / INERTIA],
+        [s - s * speed, c, -2 - 3 * e**2],
+    ]
+    scale = np.diag([found.basis[2, 0], found.basis[2, 0], 1.0])  # of a unit of the degree of freedom [rad]
+    np.testing.assert_allclose(scale @ found.state_matrix() @ np.linalg.inv(scale), wanted, atol=1e-11)
+
+
 def test_a_loop_that_oscillates_is_unstable_although_its_stiffness_is_positive() -> None:
     """The torque lags behind the angle: the stiffness is that of rest, but small motions grow."""
     model = leg("20*states.e", e={"rate": f"(-leg.angle - states.e)/{LAG}"})
