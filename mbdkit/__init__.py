@@ -188,6 +188,7 @@ def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
 higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
 higher_layers.symbolic_system = _of_higher_layer("mbdkit.symbolic.build", "build_system")
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
+higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
 higher_layers.check_gradients = _of_higher_layer("mbdkit.gradients.gradient", "check_gradients")
 higher_layers.gradients_json = _of_higher_layer("mbdkit.gradients.gradient", "gradients_json")
 higher_layers.draw_run = _of_higher_layer("mbdkit.plot.comparison", "draw_run")

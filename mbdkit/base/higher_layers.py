@@ -18,6 +18,9 @@ symbolic_system: Callable[..., Any]
 state_program: Callable[..., Any]
 """Returns the program of an expression of the state, and the quantities in it; see `mbdkit.events.state_program`."""
 
+state_values: Callable[..., Any]
+"""Returns the values of an expression of the state in states of a run; see `mbdkit.events.state_program`."""
+
 check_gradients: Callable[[Any, Any], None]
 """Raises `SpecError` if the gradients that a run spec asks for do not exist with this method."""
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain, quoted
 from mbdkit.engine.compiled_mechanism import (
@@ -45,6 +46,7 @@ from mbdkit.mechanism.pathways import Pathway, path_ends
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.values import Motion, Table, curve_of
 from mbdkit.muscles.acting_muscles import MuscleForce, acting_muscles
+from mbdkit.muscles.hill_laws import activation_rate_text
 
 Numbers = tuple[float, ...]
 
@@ -438,6 +440,13 @@ class _Forces:
             for component, text in enumerate(force.load.values):
                 if is_of_state(text):
                     self._add_load_value(numbering, name, k, component, str(text))
+        for k, one in enumerate(self.muscles):
+            for key, text in one.force.muscle.expressions():
+                name = one.force.name
+                rate = activation_rate_text(one.force.muscle.activation, text, f'states["{name}.activation"]')
+                law, _, _ = self._add_expression(numbering, f"model.muscles.{quoted(name)}.{key}", name, rate)
+                self.state_rows[one.activation] = (-1, self.state_rows[one.activation][1], law)
+                self.muscles[k] = replace(one, excitation=higher_layers.state_program(text, mechanism))
         for name, state in mechanism.states.items():
             law, _, _ = self._add_expression(numbering, f"model.states.{quoted(name)}.rate", name, state.rate)
             self._add_state(ElementState(name, state.unit), state.initial, law)

@@ -11,6 +11,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
+from mbdkit.expressions.program import Program
 from mbdkit.mechanism.values import Motion
 from mbdkit.muscles.acting_muscles import MuscleForce
 
@@ -59,10 +60,14 @@ class ActingMuscle:
     activation
         Number of its activation among the first-order states; that of its fibre length follows, if its tendon is
         elastic.
+    excitation
+        Program and quantities of an excitation that is an expression of the state; see
+        `mbdkit.events.state_program.state_program`.
     """
 
     force: MuscleForce
     activation: int
+    excitation: tuple[Program, list[tuple[str, str, str]]] | None = None
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels import element_kernels as e
-from mbdkit.engine.kernels.applied_forces import BODY_FORCE, COUPLED, PATHWAYS, POINT_FORCE
+from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES
 
@@ -112,8 +112,10 @@ def _terms(
         members = np.flatnonzero(springs[:, 0] == code)
         bodies = springs[members, 1:3]
         terms.add_tangents("spring", 36 * members, 6, (bodies, bodies), e.GRADIENT_ENTRIES[path])
-    sides = springs[couplings[:, 0], 1:3], springs[couplings[:, 1], 1:3]
-    terms.add_tangents("coupled", 36 * np.arange(len(couplings)), 6, sides, e.GRADIENT_ENTRIES[COUPLED])
+    for path, code in PATHWAYS.items():
+        members = np.flatnonzero(springs[couplings[:, 0], 0] == code)
+        sides = springs[couplings[members, 0], 1:3], springs[couplings[members, 1], 1:3]
+        terms.add_tangents("coupled", 36 * members, 6, sides, e.GRADIENT_ENTRIES[path])
     for kind_of_load, entries in ((POINT_FORCE, (2,)), (BODY_FORCE, (0, 1))):
         members = np.flatnonzero(loads[:, 0] == kind_of_load)
         first = 3 * loads[members, 1]

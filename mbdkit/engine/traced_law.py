@@ -18,7 +18,8 @@ _TEXTS: Mapping[Any, str] = {
     np.negative: "-{}", np.absolute: "abs({})", np.sqrt: "sqrt({})", np.exp: "exp({})", np.log: "log({})",
     np.sin: "sin({})", np.cos: "cos({})", np.tan: "tan({})", np.arcsin: "asin({})", np.arccos: "acos({})",
     np.arctan: "atan({})", np.sinh: "sinh({})", np.cosh: "cosh({})", np.tanh: "tanh({})",
-    np.arctan2: "atan2({}, {})", np.minimum: "({0} if {0} <= {1} else {1})", np.maximum: "({0} if {0} >= {1} else {1})",
+    np.floor: "floor({})", np.arctan2: "atan2({}, {})",
+    np.minimum: "({0} if {0} <= {1} else {1})", np.maximum: "({0} if {0} >= {1} else {1})",
     np.less: "{} < {}", np.less_equal: "{} <= {}", np.greater: "{} > {}", np.greater_equal: "{} >= {}",
     np.where: "({1} if {0} else {2})",
 }  # fmt: skip

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from mbdkit.events.event_expression import RunCompiler
+from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code
-from mbdkit.expressions.program import Program
+from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import States
 
 
 class StateCompiler(RunCompiler):
@@ -48,3 +54,24 @@ def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[
     compiler = StateCompiler(text, mechanism)
     program = tuple(compiler.program())
     return program, [(one.kind, one.name, one.attribute) for one in compiler.quantities]
+
+
+def state_values(program: Program, quantities: Sequence[tuple[str, str, str]], states: States) -> np.ndarray:
+    """Return the values (T,) of an expression, as `state_program` returns it, in states of a run.
+
+    They are computed one by one: the last bits of NumPy's functions of arrays depend on how many there are.
+    """
+    names = archive_names(states.mechanism)
+    columns = [states.time.tolist(), *(Quantity(*one).taker(names)(states).tolist() for one in quantities)]
+
+    def value(time: float, *values: float) -> float:
+        def step(operation: str, number: float, *operands: Any) -> Any:
+            if operation in ("const", "t"):
+                return number if operation == "const" else time
+            if operation == "get":
+                return values[int(number)]
+            return operands[0] ** int(number) if operation == "powi" else OPERATIONS[operation].array(*operands)
+
+        return float(execute(program, step))
+
+    return np.array([value(*row) for row in zip(*columns, strict=True)])

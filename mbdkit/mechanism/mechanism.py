@@ -844,7 +844,12 @@ class Mechanism(HtmlView):
             for name, one in self.controllers.items()
             for key, text in one.expressions()
         ]
-        return of_loads + of_states + sampled
+        of_muscles = [
+            (f"model.muscles.{name}.{key}", text)
+            for name, one in self.muscles.items()
+            for key, text in one.expressions()
+        ]
+        return of_loads + of_muscles + of_states + sampled
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].

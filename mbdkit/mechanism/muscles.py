@@ -19,6 +19,7 @@ from mbdkit.mechanism.coordinate_function import (
     names_of,
     value_and_slopes,
 )
+from mbdkit.mechanism.state_values import Value, of_state, of_time
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
 
 MOST_CIRCLES = 4
@@ -178,9 +179,9 @@ class Muscle(Element):
     """Damping of the fibres: share of `max_force` at the velocity `max_velocity`."""
     activation: Activation = Activation()
     """Time constants of the activation, and its initial value."""
-    excitation: Motion | None = None
-    """Excitation between 0 and 1 as a function of time, which runs need; recruitment in inverse dynamics does not use
-    it."""
+    excitation: Value | None = None
+    """Excitation between 0 and 1, which runs need: a number, an expression of t or of the state, or a table of time.
+    Recruitment in inverse dynamics does not use it."""
     max_velocity: Positive = 10.0
     """Velocity of shortening at which fibres exert no active force, in optimal lengths per second."""
     weight: Positive = 1.0
@@ -254,7 +255,11 @@ class Muscle(Element):
 
     def motions(self) -> list[tuple[str, Motion]]:
         """Return (key, value) of each prescribed function of time."""
-        return [] if self.excitation is None else [("excitation", self.excitation)]
+        return [] if self.excitation is None else of_time([("excitation", self.excitation)])
+
+    def expressions(self) -> list[tuple[str, str]]:
+        """Return (key, text) of each expression of the state."""
+        return [] if self.excitation is None else of_state([("excitation", self.excitation)])
 
 
 def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[str], prefix: str = "") -> None:

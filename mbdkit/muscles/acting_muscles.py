@@ -12,14 +12,16 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
+from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.pathways import Segment
-from mbdkit.mechanism.values import Table
+from mbdkit.mechanism.state_values import is_of_state
+from mbdkit.mechanism.values import Table, curve_of
 from mbdkit.muscles.force_curves import CURVES
-from mbdkit.muscles.hill_laws import LAW_ID, function_of_time, muscle_law, program_of
+from mbdkit.muscles.hill_laws import LAW_ID, MOST_NUMBERS, Form, TableForm, excitation_of, muscle_law
 
 SHORTEST = 0.2
 """Shortest fibres that an equilibrium at the start may have, in optimal lengths; there the passive force is zero."""
@@ -48,26 +50,37 @@ class MuscleForce:
     @cached_property
     def force_law(self) -> TracedLaw:
         """The law of the tension."""
-        form = tuple((name, 0.0 if name == "const" else number) for name, number in self._excitation)
-        return muscle_law(self.muscle.tendon, form)
+        return muscle_law(self.muscle.tendon, self._excitation[0])
 
     @property
     def numbers(self) -> list[float]:
-        """The constants of the excitation."""
-        return [number for name, number in self._excitation if name == "const"]
+        """The numbers of an excitation that is a function of time."""
+        return self._excitation[1]
 
     @cached_property
-    def _excitation(self) -> tuple[tuple[str, float], ...]:
-        excitation = self.muscle.excitation
-        assert isinstance(excitation, int | float | str)
-        return program_of(excitation)
+    def _excitation(self) -> tuple[Form, list[float]]:
+        """The form of an excitation that is a function of time, and its numbers."""
+        given = self.muscle.excitation
+        if given is None or is_of_state(given):
+            return (), []
+        if isinstance(given, Table):
+            curve = curve_of(given)
+            terms, pieces = curve.c.shape
+            return TableForm(pieces, terms, given.period > 0), [*curve.x.tolist(), *curve.c.T.ravel().tolist()]
+        program = Expression.parse(given if isinstance(given, str) else repr(float(given))).program
+        form = tuple((name, 0.0 if name == "const" else number) for name, number in program)
+        return form, [number for name, number in program if name == "const"]
 
     def excitation_at(self, time: np.ndarray) -> np.ndarray:
-        """Return the excitation at times (T,)."""
-        return np.asarray(np.zeros(len(time)) + function_of_time(self._excitation)(time))
+        """Return an excitation that is a function of time, at times (T,).
+
+        They are computed one by one: the last bits of NumPy's functions of arrays depend on how many there are.
+        """
+        form, numbers = self._excitation
+        return np.array([float(excitation_of(form, t, numbers)) for t in time.tolist()])
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the straight parts of the path between points on different bodies."""
+        """Return the straight parts of the path."""
         return tuple(
             Segment("two_points", (a.on, b.on), (*_fixed(a), *_fixed(b))) for a, b in pairwise(self.muscle.path)
         )
@@ -129,11 +142,14 @@ def check_acting(mechanism: Mechanism) -> None:
         key = f"model.muscles.{quoted(name)}"
         if muscle.excitation is None:
             raise SpecError(
-                "is missing: in a run, a muscle needs an excitation between 0 and 1, a number or an expression of t",
+                "is missing: in a run, a muscle needs an excitation between 0 and 1 (number, expression or table)",
                 key=f"{key}.excitation",
             )
-        if isinstance(muscle.excitation, Table):
-            raise SpecError("runs have no tables of excitations so far", key=f"{key}.excitation")
+        if len(MuscleForce(name, muscle).numbers) > MOST_NUMBERS:
+            raise SpecError(
+                "the excitation has too many points for a run; leave out some, or split the run",
+                key=f"{key}.excitation",
+            )
         if muscle.curves != "de-groote-fregly":
             raise SpecError("runs have only the curves de-groote-fregly so far", key=f"{key}.curves")
         if muscle.tendon == "elastic" and not muscle.tendon_length:

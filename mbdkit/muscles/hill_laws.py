@@ -22,17 +22,16 @@ Biomedical Engineering 44:2922-2936, 2016, equations 1 and 2, blend smoothly: wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbdkit.expressions.operations import OPERATIONS
-from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.force_law import LawState, TracedLaw
-from mbdkit.mechanism.muscles import Muscle
+from mbdkit.mechanism.muscles import Activation, Muscle
 from mbdkit.muscles.force_curves import DeGrooteFregly
 
 STEEPNESS = 10.0
@@ -54,6 +53,13 @@ def activation_rate(excitation: Any, p: Parameters) -> Any:
     slowing = 0.5 + 1.5 * a
     f = 0.5 * np.tanh(STEEPNESS * (excitation - a))
     return ((0.5 + f) / (p["rise"] * slowing) + (0.5 - f) * slowing / p["fall"]) * (excitation - a)
+
+
+def activation_rate_text(times: Activation, excitation: str, activation: str) -> str:
+    """Return the rate of the activation as an expression of the state, from those of excitation and activation."""
+    gap, slowing = f"(({excitation}) - {activation})", f"(0.5 + 1.5*{activation})"
+    f = f"0.5*tanh({STEEPNESS}*{gap})"
+    return f"((0.5 + {f})/({times.rise!r}*{slowing}) + (0.5 - {f})*{slowing}/{times.fall!r})*{gap}"
 
 
 def rigid_tension(length: Any, rate: Any, p: Parameters) -> Any:
@@ -112,36 +118,77 @@ TINY = 1e-100
 """Added to a divisor that may be 0, which no other number notices."""
 
 
-def function_of_time(program: Program, numbers: list[Any] | None = None) -> Callable[[Any], Any]:
-    """Return a program of the time as a function, whose constants may be replaced by `numbers`, in their order."""
+class TableForm(NamedTuple):
+    """A table of an excitation without its numbers: number of its pieces and of the terms of each, and whether it
+    repeats.
+    """
 
-    def value(time: Any) -> Any:
-        constants = None if numbers is None else iter(numbers)
+    pieces: int
+    terms: int
+    is_periodic: bool
 
-        def step(operation: str, number: float, *operands: Any) -> Any:
-            if operation == "const":
-                return number if constants is None else next(constants)
-            if operation == "t":
-                return time
-            if operation == "powi":
-                return operands[0] ** int(number)
-            return OPERATIONS[operation].array(*operands)
 
-        return execute(program, step)
+Form = Program | TableForm
+"""An excitation that is a function of time without its numbers, which are parameters; empty for other excitations."""
 
+MOST_NUMBERS = 440
+"""Largest number of numbers of an excitation; programs of laws have `mbdkit.engine.kernels.law_programs.REGISTERS`."""
+
+
+def excitation_of(form: Form, time: Any, numbers: Sequence[Any]) -> Any:
+    """Return an excitation at a time.
+
+    Parameters
+    ----------
+    numbers
+        The constants of a program in their order, or the ends of the pieces of a table, followed by the coefficients of
+        each piece, that of the highest power first.
+    """
+    if isinstance(form, TableForm):
+        return _of_table(form, time, numbers)
+    constants = iter(numbers)
+
+    def step(operation: str, number: float, *operands: Any) -> Any:
+        if operation == "const":
+            return next(constants)
+        if operation == "t":
+            return time
+        return operands[0] ** int(number) if operation == "powi" else OPERATIONS[operation].array(*operands)
+
+    return execute(form, step)
+
+
+def _of_table(form: TableForm, time: Any, numbers: Sequence[Any]) -> Any:
+    ends, terms = numbers[: form.pieces + 1], form.terms
+    if form.is_periodic:
+        period = ends[-1] - ends[0]
+        time = time - period * np.floor((time - ends[0]) / period)
+    own = [ends[0], *numbers[form.pieces + 1 : form.pieces + 1 + terms]]
+    for piece in range(1, form.pieces):
+        first = form.pieces + 1 + piece * terms
+        following = [ends[piece], *numbers[first : first + terms]]
+        own = [np.where(time >= ends[piece], x, old) for x, old in zip(following, own, strict=True)]
+    value = own[1]
+    for coefficient in own[2:]:
+        value = value * (time - own[0]) + coefficient
     return value
 
 
 @lru_cache(maxsize=256)
-def muscle_law(tendon: str, form: Program) -> TracedLaw:
-    """Return the law of a muscle with a rigid or an elastic tendon; its excitation is a program without its constants,
-    which are parameters.
+def muscle_law(tendon: str, form: Form) -> TracedLaw:
+    """Return the law of a muscle with a rigid or an elastic tendon.
+
+    If the excitation is no function of time, the rate of the activation is none of the law either, and 0.
     """
-    count = sum(operation == "const" for operation, _ in form)
+    if isinstance(form, TableForm):
+        count = form.pieces + 1 + form.pieces * form.terms
+    else:
+        count = sum(name == "const" for name, _ in form)
 
     def activation(length: Any, rate: Any, time: Any, p: Parameters) -> Any:
-        excitation = function_of_time(form, [p[f"number_{i}"] for i in range(count)])
-        return activation_rate(excitation(time), p)
+        if not form:
+            return 0.0 * p["activation"]
+        return activation_rate(excitation_of(form, time, [p[f"number_{i}"] for i in range(count)]), p)
 
     states = [LawState("activation", TracedLaw(activation, _parameters, has_derivatives=False), "1")]
     if tendon == "rigid":
@@ -174,8 +221,3 @@ def _parameters(force: Any) -> dict[str, float]:
         **numbers,
         **elastic,
     }
-
-
-def program_of(excitation: float | str) -> Program:
-    """Return the program of an excitation that is a number or an expression of the time."""
-    return Expression.parse(excitation if isinstance(excitation, str) else repr(float(excitation))).program

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
 from mbdkit.engine.joint_sums import joint_sums
@@ -195,7 +196,9 @@ class States:
         if self.q.ndim > 2:
             raise SpecError(f"derivatives of muscles.{one.force.name}.{name} by parameters are not known")
         if name == "excitation":
-            return one.force.excitation_at(self.time)
+            if one.excitation is None:
+                return one.force.excitation_at(self.time)
+            return np.asarray(higher_layers.state_values(*one.excitation, self))
         along = self.of_muscles("length")[:, number] - muscle.tendon_length
         fiber = np.hypot(along, muscle.thickness)
         return np.asarray(fiber if name == "fiber_length" else self.of_muscles("rate")[:, number] * along / fiber)

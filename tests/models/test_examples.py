@@ -21,6 +21,7 @@ NAMES = [
     "delayed-balance",
     "double-pendulum",
     "double-wishbone",
+    "elbow-curl",
     "flexible-slider-crank",
     "flying-spaghetti",
     "four-bar",

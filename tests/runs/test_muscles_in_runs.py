@@ -12,9 +12,12 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit import Mechanism, SpecError
+from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.matrix_terms import RATE
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.runs.batch import simulate_batch
+from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from tests.runs.resuming.killed_runs import killed
 
@@ -128,7 +131,10 @@ def test_methods_keep_their_order(integrator: dict[str, Any], order: int, kind: 
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.3)
 
 
-def slide(motion: str, kind: str = "rigid", **more: Any) -> Mechanism:
+STRAIGHT = [{"body": "ground", "point": (0.0, 0.0)}, {"body": "slider", "point": (0.0, 0.0)}]
+
+
+def slide(motion: str, kind: str = "rigid", path: Any = STRAIGHT, **more: Any) -> Mechanism:
     """A muscle along a slide with a prescribed motion."""
     m = Mechanism(gravity=(0, 0))
     m.body("slider", mass=1.0, inertia=1.0, position=(0.3, 0.0))
@@ -138,9 +144,35 @@ def slide(motion: str, kind: str = "rigid", **more: Any) -> Mechanism:
     if motion != "0":
         m.driver("drive", m.ground, "slider", coordinate="x", motion=f"0.3 + {motion}")
     values = {"max_force": FORCE, "optimal_length": FIBER, "tendon_length": 0.18, "pennation": PENNATION}
-    path = [{"body": "ground", "point": (0.0, 0.0)}, {"body": "slider", "point": (0.0, 0.0)}]
     m.muscle("m", path, tendon=kind, **(values | more))
     return m
+
+
+# Activation, length of the path, and length of the fibres and tension after `equilibrateMuscles` of OpenSim 4.6, for
+# the muscle of `arm` with an elastic tendon (DeGrooteFregly2016Muscle, strain of 0.049 at one norm force) on a slide
+OPENSIM = [
+    (0.05, 0.25, 0.07069636320036596, 8.218266899348237),
+    (0.05, 0.30, 0.11918127187938013, 40.203023454523645),
+    (0.05, 0.35, 0.16633371351434179, 155.90169026108924),
+    (0.50, 0.28, 0.09521890057513880, 249.61763048486318),
+    (0.50, 0.32, 0.13434532373357003, 301.9772954721702),
+    (1.00, 0.25, 0.06801643763455668, 102.84246054652613),
+    (1.00, 0.30, 0.11193899888631438, 583.2191537629114),
+    (1.00, 0.35, 0.16328408065507038, 393.4808787162183),
+]
+
+
+@pytest.mark.parametrize(("activation", "length", "fiber", "tension"), OPENSIM)
+def test_fibres_start_in_the_equilibrium_of_opensim(
+    activation: float, length: float, fiber: float, tension: float
+) -> None:
+    path = [{"body": "ground", "point": (0.3 - length, 0.0)}, {"body": "slider", "point": (0.0, 0.0)}]
+    model = slide("0", "elastic", path, excitation=activation, activation={"initial": activation})
+    run = mbdkit.run(model, integrator={"name": "rk4"}, time={"end": 1e-6, "step": 1e-6})
+    muscle = run.muscles["m"]
+    assert muscle.fiber_length[0] == pytest.approx(fiber, abs=3e-12)
+    assert muscle.force[0] == pytest.approx(tension, rel=1e-8)
+    assert abs(muscle.fiber_rate[0]) < 1e-11
 
 
 def test_an_isometric_contraction_has_the_closed_form_of_its_activation() -> None:
@@ -221,11 +253,11 @@ def bent() -> Mechanism:
     return m
 
 
-def test_a_path_over_points_of_several_bodies_pulls_on_all_of_them() -> None:
-    run = mbdkit.run(bent(), integrator=IMPLICIT, time={"end": 0.3, "step": 0.002}).check()
+def test_a_path_over_several_bodies_pulls_on_all_of_them() -> None:
+    model = bent()
+    run = mbdkit.run(model, integrator=IMPLICIT, time={"end": 0.3, "step": 0.002}).check()
     q = run.array("trajectory/position").reshape(len(run.time), -1)
-    m = bent()
-    path = MusclePath("biceps", m.muscles["biceps"], QuantityNames(m)).at(run.time, q)
+    path = MusclePath("biceps", model.muscles["biceps"], QuantityNames(model)).at(run.time, q)
     muscle = run.muscles["biceps"]
     np.testing.assert_allclose(muscle.length, path.length, rtol=1e-13)
     v = run.array("trajectory/velocity").reshape(len(run.time), -1)
@@ -235,6 +267,73 @@ def test_a_path_over_points_of_several_bodies_pulls_on_all_of_them() -> None:
     wanted = 1.5 * run["forearm"].acceleration[:, :2] - pull - [0, -1.5 * 9.81]
     np.testing.assert_allclose(run.joints["elbow"].reaction_force, wanted, atol=1e-9)
     assert np.abs(run.energy.balance).max() < 1e-7
+
+
+def test_the_tangents_of_muscles_are_those_of_differences() -> None:
+    """The derivatives by positions are exact at rest; those by velocities always are."""
+    model = bent()
+    workspace, _ = build(load_spec(model, time={"end": 1, "step": 0.1}, integrator={"name": "rk4"}))
+    n = workspace.mechanism.size - 3
+    q, v = workspace.q0.copy(), workspace.v0.copy()
+    top, w = workspace.mechanism.topology, workspace.scratch
+
+    def force(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        tangents_at(workspace.engine, 0.0, q, v, np.zeros_like(q), np.zeros((len(top.pairs), 2)))
+        return w.force[:n].copy()
+
+    step = 1e-6 * np.eye(n + 3)[:n]
+    wanted = [
+        np.array([force(q - one, v) - force(q + one, v) for one in step]).T / 2e-6,
+        np.array([force(q, v - one) - force(q, v + one) for one in step]).T / 2e-6,
+    ]
+    force(q, v)
+    terms, tangents, first = workspace.terms, np.zeros((2, n, n)), workspace._offsets
+    of_forces = (terms.source >= first["spring_stiff"]) & (terms.row < n) & (terms.column < n)
+    every = np.column_stack([terms.source, terms.row, terms.column, terms.factor])[of_forces]
+    for source, row, column, factor in every:
+        tangents[int(factor == RATE), row, column] += w.source[source]
+    for given, exact in zip(tangents, wanted, strict=True):
+        np.testing.assert_allclose(given, exact, atol=1e-7 * np.abs(exact).max())
+
+
+TIMES = [0.01 * k for k in range(21)]
+
+
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        {"table": [TIMES, [0.3 + 0.2 * float(np.sin(5 * t)) for t in TIMES]], "interpolation": "quintic"},
+        {
+            "table": [[0.02 * np.pi * k for k in range(21)], [0.3 + 0.2 * np.sin(0.1 * np.pi * k) for k in range(21)]],
+            "interpolation": "quintic",
+            "ends": "periodic",
+        },
+        "states.e",
+        "0.3 + 0.2*sin(5*t) + 0*forearm.angle",
+    ],
+    ids=["table", "periodic", "state", "expression"],
+)
+@pytest.mark.parametrize("integrator", [IMPLICIT, {"name": "rk4"}], ids=["implicit", "explicit"])
+def test_excitations_of_all_kinds_act_alike(excitation: Any, integrator: dict[str, Any]) -> None:
+    time = {"end": 0.2, "step": 0.002}
+    wanted = mbdkit.run(arm("elastic"), integrator=integrator, time=time).check()
+    model = arm("elastic", excitation=0.0)
+    model.state("e", rate="cos(5*t)", initial=0.3)
+    spec = model.to_spec()
+    spec["muscles"]["biceps"]["excitation"] = excitation
+    run = mbdkit.run({"mbdkit": 1, "model": spec, "integrator": integrator, "time": time}).check()
+    for name in ("excitation", "activation", "fiber_length"):
+        given, exact = (getattr(one.muscles["biceps"], name) for one in (run, wanted))
+        np.testing.assert_allclose(given, exact, rtol=0, atol=1e-8)
+
+
+def test_a_reflex_sees_length_and_rate_of_its_muscle() -> None:
+    reflex = "min(1, max(0.01, 0.05 + 20*(muscles.biceps.length - 0.29) + 0.5*muscles.biceps.rate))"
+    run = mbdkit.run(arm("elastic", excitation=reflex), integrator=IMPLICIT, time={"end": 0.3, "step": 0.002}).check()
+    muscle = run.muscles["biceps"]
+    wanted = np.clip(0.05 + 20 * (muscle.length - 0.29) + 0.5 * muscle.rate, 0.01, 1)
+    np.testing.assert_allclose(muscle.excitation, wanted, atol=1e-13)
+    assert np.ptp(wanted) > 0.1
 
 
 def test_events_measures_and_archives_know_muscles(tmp_path: Path) -> None:
@@ -252,12 +351,13 @@ def test_events_measures_and_archives_know_muscles(tmp_path: Path) -> None:
     assert not run.forces
 
 
-def test_lanes_and_resumed_runs_have_the_same_bits(tmp_path: Path) -> None:
-    def spec(integrator: dict[str, Any], step: float, fiber: float = FIBER) -> Any:
-        model = arm("elastic", fiber=fiber).to_spec()
+def test_runs_of_a_batch_and_resumed_runs_have_the_same_bits(tmp_path: Path) -> None:
+    def spec(integrator: dict[str, Any], step: float, kind: str = "elastic", number: int = 0) -> Any:
+        more = {"slack": 0.18 - 0.001 * number, "excitation": 0.3 + 0.01 * number}
+        model = arm(kind, fiber=0.12 + 0.001 * number, **more).to_spec()
         return load_spec({"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 0.2, "step": step}})
 
-    specs = [spec({"name": "rk4"}, 0.002, 0.12 + 0.001 * k) for k in range(9)]
+    specs = [spec({"name": "rk4"}, 0.002, kind, k) for kind in ("rigid", "elastic") for k in range(9)]
     for one, run in zip(specs, simulate_batch(specs), strict=True):
         assert run.data_sha256 == mbdkit.run(one).data_sha256
     slow = spec(IMPLICIT, 2e-5)
