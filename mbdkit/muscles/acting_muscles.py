@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -80,10 +79,25 @@ class MuscleForce:
         return np.array([float(excitation_of(form, t, numbers)) for t in time.tolist()])
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the straight parts of the path."""
-        return tuple(
-            Segment("two_points", (a.on, b.on), (*_fixed(a), *_fixed(b))) for a, b in pairwise(self.muscle.path)
-        )
+        """Return the parts of the path: straight ones, and for each circle its two tangents and the straight line past
+        it.
+        """
+        found: list[Segment] = []
+        path = self.muscle.path
+        for before, item, after in zip([None, *path], path, [*path[1:], None], strict=False):
+            if after is None:
+                break
+            if item.wrap is None and after.wrap is None:
+                found.append(_segment("lifted", item, after, after.offset - item.offset))
+            elif item.wrap is not None:
+                assert before is not None
+                radius = item.wrap.radius if item.wrap.side == "left" else -item.wrap.radius
+                found += [
+                    _segment("tangent", before, item, radius),
+                    _segment("tangent", item, after, -radius),
+                    _segment("lifted", before, after, 0.0),
+                ]
+        return tuple(found)
 
     def fiber_length_at(self, length: float) -> float:
         """Return the length of the fibres [m] for a length of the path [m]; with an elastic tendon, that of fibres at
@@ -122,6 +136,10 @@ class MuscleForce:
         return float(brentq(surplus, shortest, longest, xtol=1e-15, rtol=1e-15))
 
 
+def _segment(kind: str, first: PathItem, second: PathItem, constant: float) -> Segment:
+    return Segment(kind, (first.on, second.on), (*_fixed(first), *_fixed(second)), (constant, 0.0))
+
+
 def _fixed(item: PathItem) -> tuple[float, float]:
     x, y = item.center
     assert isinstance(x, int | float)
@@ -157,10 +175,18 @@ def check_acting(mechanism: Mechanism) -> None:
         for index, item in enumerate(muscle.path):
             place = f"{key}.path[{index}]"
             if item.wrap is not None:
-                raise SpecError("muscles of a run cannot wrap around circles so far", key=f"{place}.wrap")
+                _check_circle(muscle.path[index - 1], muscle.path[index + 1], f"{place}.wrap")
             if item.when is not None:
                 raise SpecError("muscles of a run cannot have points that come and go", key=f"{place}.when")
             if item.moves:
                 raise SpecError("muscles of a run cannot have points that move so far", key=f"{place}.point")
-            if item.offset:
-                raise SpecError("muscles of a run lie in the plane so far", key=f"{place}.point[2]")
+
+
+def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
+    """Raise a SpecError unless a circle is between two points with equal offsets."""
+    if before.wrap is not None or after.wrap is not None:
+        raise SpecError("runs have only one circle between two points of a path so far", key=key)
+    if before.offset != after.offset:
+        raise SpecError(
+            "the points next to a circle have different offsets from the plane, which runs do not have so far", key=key
+        )

@@ -16,6 +16,7 @@ from mbdkit.engine.kernels.bundle_types import STATE, kept
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, REPIVOT, REPIVOT_STAGES
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.singularity import describe_nearness, nearest_singularity
+from mbdkit.engine.torn_paths import torn_path
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import step_loop
 from mbdkit.stepping.impulse import impulse
@@ -459,9 +460,10 @@ class CompiledStepper:
         if self.controlled and status != step_loop.TOO_SMALL and self._shrink():
             return
         self.failure = self._failure(status, singular, where)
-        near = (
-            "" if self.failure.code == "not-finite" else describe_nearness(self.workspace, self.time, self.run_state.q)
-        )
+        ahead = self.run_state.q + self._size_tried() * self.run_state.v
+        near = torn_path(self.workspace, self.time, ahead, self.run_state.v)
+        if not near and self.failure.code != "not-finite":
+            near = describe_nearness(self.workspace, self.time, self.run_state.q)
         if near:
             self.failure = replace(self.failure, sentence=f"{self.failure.sentence.rstrip('.')}; {near}.")
 

@@ -28,6 +28,10 @@ nx, ny = sp.symbols("nx ny", real=True)
 """Global components of the normal of a line whose direction in the frame of the first body is ``(p4, p5)``."""
 gx, gy, length = sp.symbols("gx gy length", positive=True)
 """The gap ``p_b - p_a`` and its norm."""
+straight = sp.Symbol("straight", positive=True)
+tangent_x, tangent_y = sp.symbols("tangent_x tangent_y", real=True)
+"""Length of the tangent from a point to a circle around the other point, whose signed radius is ``p4``, and its
+direction."""
 CENTER = (sp.symbols("cx0:4", real=True), sp.symbols("cy0:4", real=True))
 """Displacement (x, y) of a moving point in the frame of the first body, and its first three derivatives by the relative
 angle ``theta_b - theta_a``."""
@@ -61,6 +65,9 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     gx: xb + bx - xa - ax,
     gy: yb + by - ya - ay,
     length: sp.sqrt(gx**2 + gy**2),
+    straight: sp.sqrt(gx**2 + gy**2 - PARAMETERS[4] ** 2),
+    tangent_x: (straight * gx - PARAMETERS[4] * gy) / (gx**2 + gy**2),
+    tangent_y: (straight * gy + PARAMETERS[4] * gx) / (gx**2 + gy**2),
     along: c * _dx + s * _dy,
     across: c * _dy - s * _dx,
     **{hx: ca * cx - sa * cy for hx, cx, cy in zip(_TURNED[0], *CENTER, strict=True)},
@@ -91,6 +98,15 @@ _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
 _DERIVATIVES[length] = {
     q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / length for q in BODY_COORDINATES
 }
+_DERIVATIVES[straight] = {
+    q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / straight for q in BODY_COORDINATES
+}
+_turning = {  # rate of the direction of the tangent
+    q: (tangent_x * _DERIVATIVES[gy].get(q, 0) - tangent_y * _DERIVATIVES[gx].get(q, 0)) / straight
+    for q in BODY_COORDINATES
+}
+_DERIVATIVES[tangent_x] = {q: -tangent_y * _turning[q] for q in BODY_COORDINATES}
+_DERIVATIVES[tangent_y] = {q: tangent_x * _turning[q] for q in BODY_COORDINATES}
 for _i in range(3):  # it rotates with the first body, and depends on the relative angle
     (_hx, _hy), (_next_hx, _next_hy) = ((_TURNED[0][_k], _TURNED[1][_k]) for _k in (_i, _i + 1))
     _DERIVATIVES[_hx] = {tha: -_hy - _next_hx, thb: _next_hx}
@@ -161,6 +177,8 @@ class PathwayKind:
     note: str
     constants: tuple[tuple[str, str], ...] = ()
     """Name and LaTeX of the parameters after the points, ``p4`` and ``p5``."""
+    slopes: tuple[sp.Expr, sp.Expr] | None = None
+    """Derivatives by `gx` and `gy` of what is differentiated instead of the length."""
 
 
 PATHWAYS = (
@@ -173,6 +191,12 @@ PATHWAYS = (
         PARAMETERS[5] - PARAMETERS[4] * (thb - tha),
         "s = L - r (theta_b - theta_a) [m]",
         (("r", "r"), ("L", "L")),
+    ),
+    PathwayKind("lifted", sp.sqrt(length**2 + PARAMETERS[4] ** 2), "s = sqrt(|p_b - p_a|^2 + h^2) [m]", (("h", "h"),)),
+    # What is differentiated is the length of the tangent plus r times its direction. A string around a circle consists
+    # of two such lengths with opposite r, up to multiples of 2 pi r. Each of them depends on two bodies only.
+    PathwayKind(
+        "tangent", straight, "s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent", (("r", "r"),), (tangent_x, tangent_y)
     ),
 )
 
@@ -249,6 +273,8 @@ def derive_constraint(kind: ConstraintKind) -> dict[str, sp.Matrix]:
 def derive_pathway(kind: PathwayKind) -> dict[str, sp.Matrix]:
     """Derive ``length`` (1, 1), its ``gradient`` (1, 6) and its ``hessian`` (6, 6) with respect to ``q_a, q_b``."""
     gradient = jacobian([kind.length], BODY_COORDINATES)
+    if kind.slopes is not None:
+        gradient = sp.Matrix([kind.slopes]) * jacobian([gx, gy], BODY_COORDINATES)
     return {
         "length": sp.Matrix([kind.length]),
         "gradient": gradient,

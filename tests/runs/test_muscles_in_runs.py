@@ -241,8 +241,8 @@ def bent() -> Mechanism:
     m.revolute("shoulder", m.ground, "upper", points=((0, 0), (0, 0.15)))
     m.revolute("elbow", "upper", "forearm", points=((0, -0.15), (-0.12, 0)))
     path = [
-        {"body": "ground", "point": (0.03, 0.02)},
-        {"body": "upper", "point": (0.03, 0.05)},
+        {"body": "ground", "point": (0.03, 0.02, 0.03)},
+        {"body": "upper", "point": (0.03, 0.05, -0.02)},
         {"body": "upper", "point": (0.035, -0.08)},
         {"body": "forearm", "point": (-0.07, 0.01)},
     ]
@@ -253,8 +253,25 @@ def bent() -> Mechanism:
     return m
 
 
-def test_a_path_over_several_bodies_pulls_on_all_of_them() -> None:
-    model = bent()
+def wrapped(side: str, kind: str = "rigid") -> Mechanism:
+    """An arm of two segments with a muscle that wraps around the elbow, and has points off the plane."""
+    m = bent()
+    del m.muscles["biceps"]
+    path = [
+        {"body": "ground", "point": (-0.03, 0.02, 0.03)},
+        {"body": "upper", "point": (-0.025, 0.05, -0.01)},
+        {"wrap": {"body": "upper", "center": (0, -0.15), "radius": 0.02, "side": side}},
+        {"body": "forearm", "point": (-0.06, -0.015, -0.01)},
+    ]
+    m.muscle("biceps", path, max_force=100, optimal_length=0.2, tendon_length=0.15, tendon=kind, excitation=0.3)
+    return m
+
+
+@pytest.mark.parametrize(
+    "model", [bent(), wrapped("left"), wrapped("left", "elastic"), wrapped("right", "elastic")],
+    ids=["points", "rigid", "left", "right"],
+)  # fmt: skip
+def test_a_path_over_several_bodies_pulls_on_all_of_them(model: Mechanism) -> None:
     run = mbdkit.run(model, integrator=IMPLICIT, time={"end": 0.3, "step": 0.002}).check()
     q = run.array("trajectory/position").reshape(len(run.time), -1)
     path = MusclePath("biceps", model.muscles["biceps"], QuantityNames(model)).at(run.time, q)
@@ -269,12 +286,12 @@ def test_a_path_over_several_bodies_pulls_on_all_of_them() -> None:
     assert np.abs(run.energy.balance).max() < 1e-7
 
 
-def test_the_tangents_of_muscles_are_those_of_differences() -> None:
-    """The derivatives by positions are exact at rest; those by velocities always are."""
-    model = bent()
+@pytest.mark.parametrize("model", [bent(), wrapped("left"), wrapped("right")], ids=["points", "left", "right"])
+def test_the_tangents_of_muscles_are_those_of_differences(model: Mechanism) -> None:
     workspace, _ = build(load_spec(model, time={"end": 1, "step": 0.1}, integrator={"name": "rk4"}))
     n = workspace.mechanism.size - 3
     q, v = workspace.q0.copy(), workspace.v0.copy()
+    v[:n] += np.random.default_rng(0).normal(size=n)
     top, w = workspace.mechanism.topology, workspace.scratch
 
     def force(q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -294,6 +311,14 @@ def test_the_tangents_of_muscles_are_those_of_differences() -> None:
         tangents[int(factor == RATE), row, column] += w.source[source]
     for given, exact in zip(tangents, wanted, strict=True):
         np.testing.assert_allclose(given, exact, atol=1e-7 * np.abs(exact).max())
+
+
+def test_a_path_that_would_change_the_side_of_a_circle_stops_the_run() -> None:
+    model = wrapped("left", "elastic")
+    model.muscles["biceps"] = model.muscles["biceps"].model_copy(update={"max_force": 2000.0})
+    run = mbdkit.run(model, integrator=IMPLICIT, time={"end": 1.0, "step": 0.001})
+    assert run.status == "failed"
+    assert "muscle 'biceps' would pass a circle on its other side" in run.status_reason
 
 
 TIMES = [0.01 * k for k in range(21)]

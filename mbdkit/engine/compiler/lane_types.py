@@ -31,6 +31,7 @@ from numba.extending import intrinsic, lower_builtin, models, overload, register
 
 from mbdkit.engine.compiler.implementation import implement
 from mbdkit.engine.native.arithmetic import (
+    angle_of_each,
     any_of,
     below,
     cosine_of_each,
@@ -377,3 +378,4 @@ def _one_by_one(function: Any, of_numbers: Any) -> None:
 _one_by_one(sine_of_each, math.sin)
 _one_by_one(cosine_of_each, math.cos)
 _one_by_one(hypot_of_each, math.hypot)
+_one_by_one(angle_of_each, math.atan2)

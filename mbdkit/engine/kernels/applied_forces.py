@@ -12,14 +12,18 @@ import numpy as np
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.cross_sections import add_beam_forces, beam_tangents
 from mbdkit.engine.kernels.vectors import fill
-from mbdkit.engine.native.arithmetic import any_of, is_refused, put_in_place, renewed, where
+from mbdkit.engine.native.arithmetic import angle_of_each, any_of, is_refused, put_in_place, renewed, where
 from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.native.functions import inlined, subkernel
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
-_TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY = range(len(PATHWAYS))
-COUPLED = "pulley"
-"""The only kind of pathway that may have several segments; its second derivatives are zero."""
+_TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TANGENT = range(len(PATHWAYS))
+BEHIND = np.pi / 6
+"""The angle that a string sweeps about the center of its circle is counted from minus this value on; see
+`mbdkit.muscles.muscle_path`."""
+FARTHEST = 2.0 * np.pi - 2.0 * BEHIND
+"""The largest angle that a string may sweep. Beyond, it would change to the other side of the circle, and its length
+would jump; steps are assumed to turn it by less than `BEHIND`."""
 POSITION_INPUT, VELOCITY_INPUT, LENGTH_INPUT, RATE_INPUT, TENSION_INPUT = range(5)
 """Kinds of inputs of expressions of the state: a coordinate, its velocity; length, rate and tension of a pathway."""
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
@@ -27,8 +31,8 @@ TORQUE, POINT_FORCE, BODY_FORCE = range(3)
 
 two_points_gradient, relative_angle_gradient = e.two_points_gradient, e.relative_angle_gradient
 coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordinate_y_gradient
-pulley_gradient = e.pulley_gradient
-two_points_hessian = e.two_points_hessian
+pulley_gradient, lifted_gradient, tangent_gradient = e.pulley_gradient, e.lifted_gradient, e.tangent_gradient
+two_points_hessian, lifted_hessian, tangent_hessian = e.two_points_hessian, e.lifted_hessian, e.tangent_hessian
 coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinate_y_hessian
 
 
@@ -59,13 +63,46 @@ def pathway_lengths(top, w, q):
             coordinate_x_gradient(k, a, b, q, cs, points, s, grad)
         elif springs[k, 0] == _COORDINATE_Y:
             coordinate_y_gradient(k, a, b, q, cs, points, s, grad)
-        else:
+        elif springs[k, 0] == _PULLEY:
             pulley_gradient(k, a, b, q, cs, points, s, grad)
+        elif springs[k, 0] == _LIFTED:
+            lifted_gradient(k, a, b, q, cs, points, s, grad)
+            if springs[k - 1, 0] == _TANGENT:
+                choose_side_of_circle(k, points, s, grad)
+        else:
+            tangent_gradient(k, a, b, q, cs, points, s, grad)
     for k in range(len(springs)):
         for other in range(k + 1, k + springs[k, 5]):
             s[k, 0] += s[other, 0]
         if springs[k, 5] == 0:
             s[k, 0] = s[springs[k, 4], 0]
+
+
+@subkernel
+def choose_side_of_circle(k, points, s, grad):
+    """Decide whether a string touches a circle, and set its segments that have no part in it to zero.
+
+    Segment `k` is the straight line, the two before it are the tangents, onto the circle and off it. Their unit vectors
+    and lengths give the vectors from the center to both ends. The length is NaN where the string would have to pass the
+    circle on its other side or to wind around it, and where an end is inside of it.
+    """
+    radius, onto, off = points[k - 2, 4], s[k - 2, 0], s[k - 1, 0]
+    ux, uy = radius * -grad[k - 2, 4] - onto * grad[k - 2, 3], radius * grad[k - 2, 3] - onto * grad[k - 2, 4]
+    vx, vy = off * grad[k - 1, 3] - radius * grad[k - 1, 4], off * grad[k - 1, 4] + radius * grad[k - 1, 3]
+    side, size = where(radius > 0.0, 1.0, -1.0), abs(radius)
+    sweep = -side * angle_of_each(ux * vy - uy * vx, ux * vx + uy * vy)
+    sweep = where(sweep < -BEHIND, sweep + 2.0 * np.pi, sweep)
+    covered = angle_of_each(size, onto) + angle_of_each(size, off)
+    turn = sweep + covered - np.pi
+    touches = (turn > 0.0) & (sweep <= FARTHEST)
+    is_free = (turn <= 0.0) & ((sweep >= 0.0) | (covered - sweep <= np.pi))
+    s[k - 2, 0] = where(touches, onto + size * turn, where(is_free, 0.0, np.nan))
+    s[k - 1, 0] = where(touches, off, 0.0)
+    s[k, 0] = where(touches, 0.0, s[k, 0])
+    for i in range(6):
+        grad[k - 2, i] = where(touches, grad[k - 2, i], 0.0)
+        grad[k - 1, i] = where(touches, grad[k - 1, i], 0.0)
+        grad[k, i] = where(touches, 0.0, grad[k, i])
 
 
 @subkernel
@@ -207,7 +244,7 @@ def rate_slope(top, w, v, k, column):
     """Return the derivative ``(s_q v)_q`` of the rate of segment `k` by a coordinate of its two bodies."""
     a, b = top.springs[k, 1], top.springs[k, 2]
     bend = 0.0 * w.cs[0, 0]
-    if top.springs[k, 0] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y):
+    if top.springs[k, 0] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y, _LIFTED, _TANGENT):
         for i in range(3):
             bend += w.hess[k, 6 * i + column] * v[3 * a + i] + w.hess[k, 6 * (3 + i) + column] * v[3 * b + i]
     return where(w.s[k, 0] != 0.0, bend, 0.0)
@@ -291,7 +328,7 @@ def force_tangents(top, w, q, v):
 
     ``w.spring_stiff`` and ``w.spring_damp`` (S, 36) receive the terms of the force elements:
     ``K = F_s s_q^T s_q + F s_qq + F_s' s_q^T (s_q v)_q`` and ``C = F_s' s_q^T s_q``, with the s_q of one segment;
-    ``w.coupled_stiff`` and ``w.coupled_damp`` (X, 36) the products of two segments, whose s_qq are zero (`COUPLED`).
+    ``w.coupled_stiff`` and ``w.coupled_damp`` (X, 36) the products of two segments.
     ``w.load_stiff`` (L, 3) receives the terms of the point forces: entries x-theta and y-theta of forces that turn with
     their body, entry theta-theta of forces with a fixed direction. A torque has no tangent, unless its value is an
     expression of the state; see `load_slope`.
@@ -316,6 +353,14 @@ def force_tangents(top, w, q, v):
             coordinate_x_hessian(k, a, b, q, cs, points, hess)
         elif springs[k, 0] == _COORDINATE_Y:
             coordinate_y_hessian(k, a, b, q, cs, points, hess)
+        elif springs[k, 0] == _LIFTED or springs[k, 0] == _TANGENT:
+            if springs[k, 0] == _LIFTED:
+                lifted_hessian(k, a, b, q, cs, points, hess)
+            else:
+                tangent_hessian(k, a, b, q, cs, points, hess)
+            has_part = (grad[k, 3] != 0.0) | (grad[k, 4] != 0.0)
+            for i in range(36):
+                hess[k, i] = where(has_part, hess[k, i], 0.0)
         else:
             curved = False
         for i in range(6):
@@ -337,6 +382,11 @@ def force_tangents(top, w, q, v):
                 product = grad[k, i] * grad[other, j]
                 w.coupled_stiff[c, 6 * i + j] = w.tension[k, 1] * product
                 w.coupled_damp[c, 6 * i + j] = w.tension[k, 2] * product
+        if springs[k, 0] != _PULLEY:
+            for j in range(6):
+                bend = w.tension[k, 2] * rate_slope(top, w, v, other, j)
+                for i in range(6):
+                    w.coupled_stiff[c, 6 * i + j] += grad[k, i] * bend
     if len(top.inputs) + len(top.load_values) > 0:
         evaluate_expressions(top, w, q, v)
     for i in range(len(top.slopes)):

@@ -30,7 +30,7 @@ from mbdkit.engine.native.functions import subkernel
 CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle', 'moving_center')
 
 
-PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y', 'pulley')
+PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y', 'pulley', 'lifted', 'tangent')
 
 
 JACOBIAN_ENTRIES = {
@@ -87,6 +87,8 @@ GRADIENT_ENTRIES = {
     "coordinate_x": (0, 1, 2, 3, 4, 5),
     "coordinate_y": (0, 1, 2, 3, 4, 5),
     "pulley": (2, 5),
+    "lifted": (0, 1, 2, 3, 4, 5),
+    "tangent": (0, 1, 2, 3, 4, 5),
 }
 
 
@@ -96,6 +98,8 @@ HESSIAN_ENTRIES = {
     "coordinate_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "coordinate_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "pulley": (),
+    "lifted": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
+    "tangent": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
 }
 
 
@@ -1426,6 +1430,248 @@ def pulley_gradient(k, a, b, q, cs, p, s, grad):
     s[k, 0] = p4*(tha - thb) + p5
     grad[k, 2] = p4
     grad[k, 5] = -p4
+
+
+@subkernel
+def lifted_gradient(k, a, b, q, cs, p, s, grad):
+    """Length s = sqrt(|p_b - p_a|^2 + h^2) [m] and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    length = sqrt((gx*gx) + (gy*gy))
+    t0 = sqrt((length*length) + (p4*p4))
+    t1 = (1.0/t0)
+    t2 = gx*t1
+    t3 = gy*t1
+    s[k, 0] = t0
+    grad[k, 0] = -t2
+    grad[k, 1] = -t3
+    grad[k, 2] = -t1*(ax*gy - ay*gx)
+    grad[k, 3] = t2
+    grad[k, 4] = t3
+    grad[k, 5] = t1*(bx*gy - by*gx)
+
+
+@subkernel
+def lifted_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of the length s = sqrt(|p_b - p_a|^2 + h^2) [m]."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    length = sqrt((gx*gx) + (gy*gy))
+    t0 = (length*length) + (p4*p4)
+    t1 = (1.0/sqrt(t0))
+    t2 = (1.0/t0)
+    t3 = (gx*gx)*t2 - 1
+    t4 = -t1*t3
+    t5 = gx*gy/(t0*sqrt(t0))
+    t6 = -t5
+    t7 = ax*gy - ay*gx
+    t8 = gx*t2
+    t9 = t1*(ay + t7*t8)
+    t10 = -t9
+    t11 = t1*t3
+    t12 = bx*gy - by*gx
+    t13 = t1*(by + t12*t8)
+    t14 = (gy*gy)*t2 - 1
+    t15 = -t1*t14
+    t16 = ax - gy*t2*t7
+    t17 = t1*t16
+    t18 = t1*t14
+    t19 = bx - gy*t12*t2
+    t20 = -t1*t19
+    t21 = -t1*t16
+    t22 = t1*(-ax*bx - ay*by + t12*t2*t7)
+    t23 = -t13
+    t24 = t1*t19
+    hess[k, 0] = t4
+    hess[k, 1] = t6
+    hess[k, 2] = t10
+    hess[k, 3] = t11
+    hess[k, 4] = t5
+    hess[k, 5] = t13
+    hess[k, 6] = t6
+    hess[k, 7] = t15
+    hess[k, 8] = t17
+    hess[k, 9] = t5
+    hess[k, 10] = t18
+    hess[k, 11] = t20
+    hess[k, 12] = t10
+    hess[k, 13] = t17
+    hess[k, 14] = t1*((ax*ax) + ax*gx + (ay*ay) + ay*gy - t2*(t7*t7))
+    hess[k, 15] = t9
+    hess[k, 16] = t21
+    hess[k, 17] = t22
+    hess[k, 18] = t11
+    hess[k, 19] = t5
+    hess[k, 20] = t9
+    hess[k, 21] = t4
+    hess[k, 22] = t6
+    hess[k, 23] = t23
+    hess[k, 24] = t5
+    hess[k, 25] = t18
+    hess[k, 26] = t21
+    hess[k, 27] = t6
+    hess[k, 28] = t15
+    hess[k, 29] = t24
+    hess[k, 30] = t13
+    hess[k, 31] = t20
+    hess[k, 32] = t22
+    hess[k, 33] = t23
+    hess[k, 34] = t24
+    hess[k, 35] = t1*((bx*bx) - bx*gx + (by*by) - by*gy - (t12*t12)*t2)
+
+
+@subkernel
+def tangent_gradient(k, a, b, q, cs, p, s, grad):
+    """Length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    straight = sqrt((gx*gx) + (gy*gy) - (p4*p4))
+    tangent_x = (gx*straight - gy*p4)/((gx*gx) + (gy*gy))
+    tangent_y = (gx*p4 + gy*straight)/((gx*gx) + (gy*gy))
+    s[k, 0] = straight
+    grad[k, 0] = -tangent_x
+    grad[k, 1] = -tangent_y
+    grad[k, 2] = -ax*tangent_y + ay*tangent_x
+    grad[k, 3] = tangent_x
+    grad[k, 4] = tangent_y
+    grad[k, 5] = bx*tangent_y - by*tangent_x
+
+
+@subkernel
+def tangent_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of the length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p0 = p[k, 0]
+    p1 = p[k, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    ax = ca*p0 - p1*sa
+    ay = ca*p1 + p0*sa
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    gx = -ax + bx - xa + xb
+    gy = -ay + by - ya + yb
+    straight = sqrt((gx*gx) + (gy*gy) - (p4*p4))
+    tangent_x = (gx*straight - gy*p4)/((gx*gx) + (gy*gy))
+    tangent_y = (gx*p4 + gy*straight)/((gx*gx) + (gy*gy))
+    t0 = (1.0/straight)
+    t1 = t0*(tangent_y*tangent_y)
+    t2 = t0*tangent_y
+    t3 = t2*tangent_x
+    t4 = -t3
+    t5 = ax*tangent_x
+    t6 = ay*tangent_y
+    t7 = t5 + t6
+    t8 = t2*t7
+    t9 = -t8
+    t10 = -t1
+    t11 = bx*tangent_x + by*tangent_y
+    t12 = t11*t2
+    t13 = t0*(tangent_x*tangent_x)
+    t14 = t0*tangent_x
+    t15 = t14*t7
+    t16 = -t13
+    t17 = t11*t14
+    t18 = -t17
+    t19 = t0*t7
+    t20 = -t15
+    t21 = -t11*t19
+    t22 = -t12
+    hess[k, 0] = t1
+    hess[k, 1] = t4
+    hess[k, 2] = t9
+    hess[k, 3] = t10
+    hess[k, 4] = t3
+    hess[k, 5] = t12
+    hess[k, 6] = t4
+    hess[k, 7] = t13
+    hess[k, 8] = t15
+    hess[k, 9] = t3
+    hess[k, 10] = t16
+    hess[k, 11] = t18
+    hess[k, 12] = t9
+    hess[k, 13] = t15
+    hess[k, 14] = t19*t5 + t19*t6 + t7
+    hess[k, 15] = t8
+    hess[k, 16] = t20
+    hess[k, 17] = t21
+    hess[k, 18] = t10
+    hess[k, 19] = t3
+    hess[k, 20] = t8
+    hess[k, 21] = t1
+    hess[k, 22] = t4
+    hess[k, 23] = t22
+    hess[k, 24] = t3
+    hess[k, 25] = t16
+    hess[k, 26] = t20
+    hess[k, 27] = t4
+    hess[k, 28] = t13
+    hess[k, 29] = t17
+    hess[k, 30] = t12
+    hess[k, 31] = t18
+    hess[k, 32] = t21
+    hess[k, 33] = t22
+    hess[k, 34] = t17
+    hess[k, 35] = bx*t0*t11*tangent_x + by*t0*t11*tangent_y - t11
 
 
 @subkernel

@@ -97,6 +97,11 @@ def hypot_of_each(x, y):
     return math.hypot(x, y)
 
 
+def angle_of_each(y, x):
+    """Return the angle of the vector (x, y) from the first axis, by the C library."""
+    return math.atan2(y, x)
+
+
 def value_of(x):
     """Return the value of a dual number; a number itself."""
     return x
