@@ -130,13 +130,15 @@ def evaluate_stages(c, m, t, h, first, last):
             if len(c.from_z) > 0:
                 stage_state(c.from_z, h, m.a, m.z_rates, i, m.z_stage)
         prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
-        take_states(c.top, c.w, m.z_stage)
+        if len(c.from_z) > 0:
+            take_states(c.top, c.w, m.z_stage)
         c.counts[RHS] += 1
         c.counts[FACTORIZATIONS] += 1
         status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False)
         if status != OK:
             return status
-        state_rates(c.top, c.w, m.rates[i], m.z_rates[i])
+        if len(c.from_z) > 0:
+            state_rates(c.top, c.w, m.rates[i], m.z_rates[i])
         if c.has_power[0] != 0:
             m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, m.rates[i], m.lam)
     return OK
@@ -161,11 +163,13 @@ def estimate_errors(m, h, out):
     """Write the estimates of the local error of a step, one or two, into arrays of `out`."""
     _increment(h, m.error[0], m.rates, out.est_q)
     _increment(h, m.error[0], m.accelerations, out.est_v)
-    _increment(h, m.error[0], m.z_rates, out.est_z)
     if len(m.error) > 1:
         _increment(h, m.error[1], m.rates, out.second_q)
         _increment(h, m.error[1], m.accelerations, out.second_v)
-        _increment(h, m.error[1], m.z_rates, out.second_z)
+    if len(out.est_z) > 0:
+        _increment(h, m.error[0], m.z_rates, out.est_z)
+        if len(m.error) > 1:
+            _increment(h, m.error[1], m.z_rates, out.second_z)
 
 
 @subkernel

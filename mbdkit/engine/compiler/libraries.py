@@ -105,9 +105,10 @@ def _objects(
 ) -> dict[tuple[str, str], list[Path]]:
     """Return the object files of each library; those that are missing in a folder are compiled."""
     folder.mkdir(exist_ok=True)
-    own = [level.name for level in levels if level.of_scalars == level.name]
     jobs: list[tuple[list[str], list[str]]] = [([level.name], groups["lanes"]) for level in levels]
-    jobs += [(own, groups[name][i::2]) for name in ("gradients", "collocation", "core") for i in range(2)]
+    for name in ("gradients", "collocation", "core"):
+        own = [level.name for level in levels if level.of(name) == level.name]
+        jobs += [(own, groups[name][i::2]) for i in range(2)]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         list(pool.map(lambda job: _compile(target, job[0], job[1], folder), jobs))
     found: dict[tuple[str, str], list[Path]] = {}

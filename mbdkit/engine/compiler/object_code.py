@@ -21,6 +21,7 @@ from mbdkit.engine.compiler.bundle_pointers import Pointer
 from mbdkit.engine.compiler.dual_arrays import DualArray
 from mbdkit.engine.compiler.dual_types import DUAL
 from mbdkit.engine.compiler.implementation import dispatcher
+from mbdkit.engine.compiler.libraries import group_of
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.native.bundle import ARRAY_WORDS
 from mbdkit.engine.native.kernel import DTYPES, Kernel
@@ -217,9 +218,8 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
     """Return the object file of the module of a symbol for a level of a platform."""
     triple = _TRIPLES[platform.system].format(platform.architecture)
     target = llvm.Target.from_triple(triple)
-    machine = target.create_target_machine(
-        cpu=level.processor, features=level.features, opt=3, reloc="pic", codemodel="small"
-    )
+    features = level.features if group_of(symbol) == "lanes" else ""
+    machine = target.create_target_machine(cpu=level.processor, features=features, opt=3, reloc="pic", codemodel="small")
     copy = llvm.parse_bitcode(module.as_bitcode())
     copy.triple, copy.data_layout = triple, str(machine.target_data)
     options = llvm.create_pipeline_tuning_options(speed_level=3)

@@ -30,9 +30,9 @@ class Level:
     needs
         Flags of a processor of this level, as Linux names them.
     processor, features
-        The processor and its additional features, as LLVM names them.
-    scalars
-        Name of the level whose code for single runs it uses.
+        The processor, and its additional features in code for lanes, as LLVM names them.
+    shared
+        Libraries that it does not have itself, and the name of the level whose library it uses.
     """
 
     name: str
@@ -40,12 +40,11 @@ class Level:
     needs: frozenset[str]
     processor: str
     features: str = ""
-    scalars: str = ""
+    shared: tuple[tuple[str, str], ...] = ()
 
-    @property
-    def of_scalars(self) -> str:
-        """Name of the level whose code for single runs it uses."""
-        return self.scalars or self.name
+    def of(self, library: str) -> str:
+        """Return the name of the level whose code of a library it uses: ``core``, ``collocation`` and so on."""
+        return dict(self.shared).get(library, self.name)
 
 
 _V2 = frozenset(["cx16", "lahf_lm", "popcnt", "sse4_1", "sse4_2", "ssse3"])
@@ -54,7 +53,7 @@ _V4 = _V3 | frozenset(["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"
 
 LEVELS = {
     "x86_64": (
-        Level("x86-64-v4", 8, _V4, "x86-64-v4", "-prefer-256-bit", scalars="x86-64-v3"),
+        Level("x86-64-v4", 8, _V4, "x86-64-v4", "-prefer-256-bit", (("gradients", "x86-64-v3"),)),
         Level("x86-64-v3", 4, _V3, "x86-64-v3"),
         Level("x86-64-v2", 2, _V2, "x86-64-v2"),
     ),

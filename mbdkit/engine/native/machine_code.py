@@ -85,8 +85,7 @@ def stored_file(symbol: str, level: Level) -> Path | None:
     names = (stored["names"][i] for i in stored["modules"][module])
     if any(sources.digest(name) != stored["files"][name] for name in names):
         return None
-    name = level.name if group == "lanes" else level.of_scalars
-    return STORED / str(this_platform()) / f"{group}-{name}.xz"
+    return STORED / str(this_platform()) / f"{group}-{level.of(group)}.xz"
 
 
 @cache
