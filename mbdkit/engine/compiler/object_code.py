@@ -219,7 +219,9 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
     triple = _TRIPLES[platform.system].format(platform.architecture)
     target = llvm.Target.from_triple(triple)
     features = level.features if group_of(symbol) == "lanes" else ""
-    machine = target.create_target_machine(cpu=level.processor, features=features, opt=3, reloc="pic", codemodel="small")
+    machine = target.create_target_machine(
+        cpu=level.processor, features=features, opt=3, reloc="pic", codemodel="small"
+    )
     copy = llvm.parse_bitcode(module.as_bitcode())
     copy.triple, copy.data_layout = triple, str(machine.target_data)
     options = llvm.create_pipeline_tuning_options(speed_level=3)
