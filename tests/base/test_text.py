@@ -52,9 +52,8 @@ def test_keys_and_values_of_a_spec_do_not_add_lines(sections: dict[str, Any]) ->
 
 
 def test_reasons_in_the_summary_of_a_study_do_not_add_lines() -> None:
-    study: Any = SimpleNamespace(
-        points=(), references=(), failures=(), spec=SimpleNamespace(title=""), computed=0, folder="out"
-    )
+    spec = SimpleNamespace(title="", defined_measures=tuple, has_table=False)
+    study: Any = SimpleNamespace(points=(), references=(), failures=(), spec=spec, computed=0, folder="out")
     study.unfinished, study.statuses, study.verdicts = (FORGED,), list, list
     assert summary(study).splitlines()[-1] == "unfinished 1 time: x\\nall is well"
 

@@ -107,11 +107,11 @@ def test_the_report_leads_with_the_largest_force_and_its_error(lost: mbdkit.Run)
 
 
 def test_reasons_of_the_verdict_stay_together_in_the_summary(lost: mbdkit.Run) -> None:
-    # the accuracy stood between the first reason and the second one, which then seemed to belong to it
+    # the next line stood between the first reason and the second one, which then seemed to belong to it
     assert len(lost.verdict_reasons) >= 2
     labels = [line[:13].strip() for line in lost.summary().splitlines()]
     reasons = len(lost.verdict_reasons)
-    assert labels[: reasons + 1] == ["verdict", *[""] * (reasons - 1), "accuracy"]
+    assert labels[: reasons + 1] == ["verdict", *[""] * (reasons - 1), "answer"]
     assert "known to" in lost._repr_html_()
 
 

@@ -31,6 +31,8 @@ class Element:
             x[6:] = 0.0
         self.p = rng.normal(size=(1, 6))
         self.p[0, 4] = 0.5 + rng.random()
+        if kind == "tangent":  # a radius so small that both points are outside the circle
+            self.p[0, 4] *= 0.1
         self.u = rng.normal(size=(1, 3))
         self.lam = rng.normal(size=(1, 2))
         self.center = rng.normal(size=(2, 5)) if kind == "moving_center" else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import signal
 import threading
 from pathlib import Path
@@ -164,7 +165,7 @@ def test_wrong_angles_of_discs_whose_centres_rest_are_not_good():
     assert result.accuracy.position_error_max < 1e-20
     true = np.max(np.abs(result.array("trajectory/position") - known.solve(result.time)[0]))
     assert result.accuracy.angle_error_max == pytest.approx(true, rel=0.5)
-    assert f"{result.accuracy.angle_error_max:.2g} rad" in result.summary().splitlines()[1]
+    assert f"{result.accuracy.angle_error_max:.2g} rad" in result.summary()
 
 
 def test_the_progress_of_the_companions_is_told_like_that_of_the_run():
@@ -217,8 +218,7 @@ def test_a_pulse_that_all_tolerances_pass_over_is_seen_by_the_guard():
 
 def test_the_summary_leads_with_the_largest_force_and_its_error():
     lines = run({"name": "gauss", "stages": 2}).summary().splitlines()
-    assert lines[1].startswith("accuracy      largest force in J1 ")
-    assert " N, known to " in lines[1]
+    assert re.match(r"answer +largest force in J1 [\d.]+ \+- [\d.e-]+ N; largest force in J2 ", lines[1])
 
 
 def test_a_joint_without_load_is_not_compared_with_its_own_rounding_errors():
