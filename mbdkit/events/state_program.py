@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from mbdkit.events.event_expression import RunCompiler
-from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code
-from mbdkit.expressions.program import Program, execute
+from mbdkit.expressions.program import Program, value_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
@@ -65,13 +64,11 @@ def state_values(program: Program, quantities: Sequence[tuple[str, str, str]], s
     columns = [states.time.tolist(), *(Quantity(*one).taker(names)(states).tolist() for one in quantities)]
 
     def value(time: float, *values: float) -> float:
-        def step(operation: str, number: float, *operands: Any) -> Any:
-            if operation in ("const", "t"):
-                return number if operation == "const" else time
+        def leaf(operation: str, number: float) -> float:
             if operation == "get":
                 return values[int(number)]
-            return operands[0] ** int(number) if operation == "powi" else OPERATIONS[operation].array(*operands)
+            return time if operation == "t" else number
 
-        return float(execute(program, step))
+        return float(value_of(program, leaf))
 
     return np.array([value(*row) for row in zip(*columns, strict=True)])

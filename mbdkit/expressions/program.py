@@ -36,6 +36,23 @@ def execute(program: Program, step: Callable[..., Value]) -> Value:
     return stack.pop()
 
 
+def value_of(program: Program, leaf: Callable[[str, float], Any]) -> Any:
+    """Return the value of a program by functions of NumPy.
+
+    Parameters
+    ----------
+    leaf
+        ``leaf(operation, number)`` returns the value of an instruction without operands, such as ``const`` or ``t``.
+    """
+
+    def step(operation: str, number: float, *operands: Any) -> Any:
+        if not operands:
+            return leaf(operation, number)
+        return operands[0] ** int(number) if operation == "powi" else OPERATIONS[operation].array(*operands)
+
+    return execute(program, step)
+
+
 def depth_of(program: Program) -> int:
     """Return the largest number of operands on the stack of a program."""
     depth = height = 0

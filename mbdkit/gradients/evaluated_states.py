@@ -54,11 +54,10 @@ class StateEvaluator:
         """
         self.steps.take_up_solver()
         if z.shape[1] and len(time) != 1:  # the kernels evaluate states with the same first-order states together
-            arrays = (q, v, z, weight, energy)
-            rows = range(len(time))
-            return one_after_another(
-                [self.states(time[k : k + 1], *(None if x is None else x[k : k + 1] for x in arrays)) for k in rows]  # type: ignore[arg-type]
-            )
+            given = {"q": q, "v": v, "z": z, "weight": weight, "energy": energy}
+            known = {name: x for name, x in given.items() if x is not None}
+            rows = (slice(k, k + 1) for k in range(len(time)))
+            return one_after_another([self.states(time[k], **{name: x[k] for name, x in known.items()}) for k in rows])
         if z.shape[1]:
             self.steps.use_states(np.asarray(z)[0])
         states = dual_states(self.steps.run, self.workspace, time, q.view(Duals), v.view(Duals))
@@ -77,8 +76,8 @@ class StateEvaluator:
                 self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
                 renewed = done
         if z.shape[1]:
-            given = np.asarray(states.observed.forces)[0]
-            np.asarray(states.observed.state_rates)[0] = self.steps.laws.state_rates(float(time[0]), given)
+            forces = np.asarray(states.observed.forces)[0]
+            np.asarray(states.observed.state_rates)[0] = self.steps.laws.state_rates(float(time[0]), forces)
         some = slice(self.width)
         observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
         energy = None if energy is None else np.asarray(energy[..., some])

@@ -125,9 +125,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     top = mechanism.topology
     values: list[float] = []
     places = np.zeros(len(top.law_parameters), dtype=np.int64)
-    begins: dict[
-        int, int
-    ] = {}  # a load that is an expression of the state, and its derivatives, share their parameters
+    # a load that is an expression of the state, and its derivatives, share their parameters
+    begins: dict[int, int] = {}
     rows, laws, conditions = top.laws.copy(), list(mechanism.laws), []
     elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
     for row, ((name, compiled), own) in enumerate(zip(mechanism.laws, sided, strict=True)):

@@ -12,7 +12,7 @@ problem itself. In the first frame, tendons have constant lengths.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,15 +79,11 @@ class ElasticMuscles:
 
     def __init__(self, muscles: dict[str, Muscle], *, with_passive: bool):
         self.names, self._muscles, self._with_passive = tuple(muscles), tuple(muscles.values()), with_passive
-        self.max_force = self._array([one.max_force for one in self._muscles])
-        self._optimal = self._array([one.optimal_length for one in self._muscles])
-        self._tendon = self._array([one.tendon_length for one in self._muscles])
-        self._thickness = self._array([one.thickness for one in self._muscles])
-        self._speed = self._optimal * self._array([one.max_velocity for one in self._muscles])
-
-    @staticmethod
-    def _array(values: Sequence[float]) -> np.ndarray:
-        return np.array(values, dtype=float)
+        self.max_force = np.array([one.max_force for one in self._muscles])
+        self._optimal = np.array([one.optimal_length for one in self._muscles])
+        self._tendon = np.array([one.tendon_length for one in self._muscles])
+        self._thickness = np.array([one.thickness for one in self._muscles])
+        self._speed = self._optimal * np.array([one.max_velocity for one in self._muscles])
 
     def _curve(self, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the values of a curve of each muscle and its slopes, for one argument each."""

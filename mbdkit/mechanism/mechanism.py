@@ -822,8 +822,7 @@ class Mechanism(HtmlView):
             if twice := [one for one in controller.outputs if one in controller.states]:
                 key = f"model.controllers.{quoted(name)}.outputs.{quoted(twice[0])}"
                 raise SpecError(f"'{twice[0]}' is also a state of the controller; choose another name", key=key)
-        held = [f"{name}.{one}" for name, c in self.controllers.items() for one in (*c.states, *c.outputs)]
-        named = [*self.state_names(), *held]
+        named = [*self.state_names(), *self.held_names()]
         if twice := [name for name in named if named.count(name) > 1]:
             raise SpecError(f"two states or outputs of controllers are called '{twice[0]}'; rename one", key="model")
         for key, text in self.expressions():
@@ -845,7 +844,7 @@ class Mechanism(HtmlView):
             for key, text in one.expressions()
         ]
         of_muscles = [
-            (f"model.muscles.{name}.{key}", text)
+            (f"model.muscles.{quoted(name)}.{key}", text)
             for name, one in self.muscles.items()
             for key, text in one.expressions()
         ]

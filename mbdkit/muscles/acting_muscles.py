@@ -111,7 +111,7 @@ class MuscleForce:
         muscle = self.muscle
         curves, thickness, along = CURVES[muscle.curves], muscle.thickness, length - muscle.tendon_length
         lengths = f"the path is {length:.6g} m long, the tendon {muscle.tendon_length:.6g} m"
-        key = f"model.muscles.{self.name}.tendon_length"
+        key = f"model.muscles.{quoted(self.name)}.tendon_length"
         if muscle.tendon == "rigid":
             if along <= 0.0:
                 raise SpecError(f"the tendon is longer than the path at the start: {lengths}", key=key)

@@ -13,10 +13,8 @@ import numpy as np
 ITERATIONS = 80
 """Bisection alone finds the parameter to the last bit in 55."""
 
-
 ROUNDING = 4 * np.finfo(float).eps
 """Changes of the parameter, and distances of x, that are rounding errors."""
-
 
 GRID = np.linspace(0.0, 1.0, 129)
 """Parameters of the table from which Newton's method starts; two or three iterations are usual then."""

@@ -28,15 +28,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.expressions.operations import OPERATIONS
-from mbdkit.expressions.program import Program, execute
+from mbdkit.expressions.program import Program, value_of
 from mbdkit.mechanism.force_law import LawState, TracedLaw
 from mbdkit.mechanism.muscles import Activation, Muscle
 from mbdkit.muscles.force_curves import DeGrooteFregly
 
 STEEPNESS = 10.0
-"""Steepness b of the change between rising and falling activation. The paper prints 0.1, with which the two time
-constants would hardly differ; 10 is the value of SymPy (`sympy.physics.biomechanics`)."""
+"""Steepness b of the change between rising and falling activation. With the 0.1 that is also in use, the two
+time constants would hardly differ; 10 is the default of SymPy (`sympy.physics.biomechanics`)."""
 
 ITERATIONS = 5
 """Iterations of Halley's method for `solved`: four reach rounding errors, and one more their derivatives."""
@@ -147,15 +146,7 @@ def excitation_of(form: Form, time: Any, numbers: Sequence[Any]) -> Any:
     if isinstance(form, TableForm):
         return _of_table(form, time, numbers)
     constants = iter(numbers)
-
-    def step(operation: str, number: float, *operands: Any) -> Any:
-        if operation == "const":
-            return next(constants)
-        if operation == "t":
-            return time
-        return operands[0] ** int(number) if operation == "powi" else OPERATIONS[operation].array(*operands)
-
-    return execute(form, step)
+    return value_of(form, lambda operation, number: next(constants) if operation == "const" else time)
 
 
 def _of_table(form: TableForm, time: Any, numbers: Sequence[Any]) -> Any:

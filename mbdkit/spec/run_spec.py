@@ -366,7 +366,7 @@ class RunSpec(ModelSpec):
                     check_state(state, mechanism)
                     value = RunExpression.parse(text, mechanism, self.numbers, crosses=False)
                 except SpecError as error:
-                    raise SpecError(error.message, key=f"events.{name}.set.{state}") from None
+                    raise SpecError(error.message, key=f"events.{quoted(name)}.set.{quoted(state)}") from None
                 parsed.setdefault(name, {})[state] = value
         return parsed
 
