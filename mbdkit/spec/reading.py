@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+import select
+import stat
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -72,6 +75,8 @@ class Document:
 
 LARGEST_FILE = 16 * 2**20  # bytes
 STDIN = "<stdin>"
+PATIENCE = 5.0
+"""Time in which another program has to open a named pipe for writing [s]."""
 
 
 def read_file(path: FilePath) -> Document:
@@ -88,13 +93,27 @@ def read_file(path: FilePath) -> Document:
     if os.path.isdir(path):
         raise SpecError("this is a folder; a spec is a YAML, TOML or JSON file", file=file)
     try:
-        with path.open("rb") as stream:
-            raw = stream.read(LARGEST_FILE + 1)
+        raw = _content(path)
     except OSError as error:
         raise file_error(error.errno, f"this file cannot be read: {error.strerror or error}", file=file) from None
     document = read_text(_decoded(raw, file), file, path.suffix.lower())
     document.folder = path.parent
     return document
+
+
+def _content(path: FilePath) -> bytes:
+    """Return the content of a file, or of a pipe, as shells make them of ``<(command)``, up to what is too large."""
+    first = b""
+    waits_not = getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | waits_not)) as stream:
+        if stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode):
+            select.select([stream], [], [], PATIENCE)
+            with contextlib.suppress(BlockingIOError):  # a program has opened it, and has written nothing so far
+                first = os.read(stream.fileno(), 1)
+                if not first:
+                    raise SpecError("this is a pipe, and no program writes to it", file=path)
+            os.set_blocking(stream.fileno(), True)
+        return first + stream.read(LARGEST_FILE + 1)
 
 
 def read_stdin() -> Document:

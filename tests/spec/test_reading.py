@@ -5,6 +5,8 @@ from __future__ import annotations
 import gc
 import io
 import json
+import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -14,7 +16,7 @@ import pytest
 
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.plain_data import DEEPEST, parse_path
-from mbdkit.spec import load_spec
+from mbdkit.spec import load_spec, reading
 
 TOML = """
 mbdkit = 1
@@ -148,3 +150,15 @@ def test_the_garbage_collector_runs_again_after_an_error():
 def test_a_spec_that_the_system_cannot_read_is_no_wrong_input():
     with pytest.raises(ResourceError, match="this file cannot be read: Input/output error"):
         load_spec("/proc/self/mem")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_is_read_if_a_program_writes_to_it(in_tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "PATIENCE", 0.05)
+    os.mkfifo("a.yaml")
+    with pytest.raises(SpecError, match=r"a\.yaml: this is a pipe, and no program writes to it"):
+        load_spec("a.yaml")
+    monkeypatch.setattr(reading, "PATIENCE", 30.0)
+    text = "mbdkit: 1\nmodel: {name: single-pendulum}\nintegrator: {name: rk4}\ntime: {end: 1, step: 0.1}\n"
+    with subprocess.Popen(["/bin/sh", "-c", f"exec > a.yaml; sleep 0.2; printf '{text}'"]):
+        assert load_spec("a.yaml").time.step == 0.1
