@@ -200,11 +200,21 @@ def damage(random: np.random.Generator, folder: Path) -> list[str]:
         ending = command_in_child(*words, folder=folder, seconds=5 * PATIENCE, prepare=work_here)
         told = f"`mbdkit {' '.join(words)}` with {what} in {path.relative_to(folder)}"
         found += _problems(ending, told, allowed=(0, 2, 3))
-        if ending.exit_status == 0 and words[0] in ("study", "design"):
-            found += [
-                f"{told} returned other results" for _ in "x" if _results(folder / name) != _results(whole() / name)
-            ]
+        if (
+            ending.exit_status == 0
+            and words[0] in ("study", "design")
+            and _results(folder / name) != _wanted(folder, name)
+        ):
+            found.append(f"{told} returned other results")
     return found
+
+
+def _wanted(folder: Path, name: str) -> Any:
+    """Return the results of a study or design, of that whose spec has taken the place of its own."""
+    spec = Path(READERS[name][0][1]).name
+    others = (other for other in READERS if (whole() / other / spec).exists())
+    same = (other for other in others if (whole() / other / spec).read_bytes() == (folder / name / spec).read_bytes())
+    return _results(whole() / next(same, name))
 
 
 def _results(folder: Path) -> Any:
