@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -96,6 +97,17 @@ class PluginError(MbdkitError):
 
 
 @contextmanager
+def in_this_process() -> Iterator[None]:
+    """End a process that a plugin forks in this block: what follows the block is for the process that began it."""
+    process = os.getpid()
+    try:
+        yield
+    finally:
+        if os.getpid() != process:
+            os._exit(1)
+
+
+@contextmanager
 def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
     """Convert any exception of a plugin in this block, including SystemExit, to a PluginError that begins with `what`.
 
@@ -103,7 +115,8 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
     """
     unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, PluginError, *expected)
     try:
-        yield
+        with in_this_process():
+            yield
     except unchanged:
         raise
     except BaseException as error:

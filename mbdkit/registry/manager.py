@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import pluggy
 
-from mbdkit.base.errors import PluginError, with_place
+from mbdkit.base.errors import PluginError, in_this_process, with_place
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report, named_options
@@ -101,7 +101,8 @@ def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = No
         found: list[Registered] = []
         problems: list[tuple[str, Kind | None, str]] = []
         try:
-            with contextlib.redirect_stdout(sys.stderr):  # stdout is reserved for the output of --json
+            # stdout is reserved for the output of --json
+            with contextlib.redirect_stdout(sys.stderr), in_this_process():
                 for kind, thing in _offered(entry_point, origin):
                     _accept(kind, thing, origin, [*items, *found], found, problems)
         except KeyboardInterrupt:

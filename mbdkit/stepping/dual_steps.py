@@ -28,7 +28,6 @@ from mbdkit.stepping.collocation_stages import (
 )
 from mbdkit.stepping.collocation_step import complete_step, evaluate_stages, keep_stages
 from mbdkit.stepping.dual_run import advance, load_dual_run, relative_change, take_base, with_derivatives
-from mbdkit.stepping.element_states import add_up_states, end_of_element, linearize, solve_dense, take_lengths
 from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.run_state import load_run_state
 from mbdkit.stepping.simplified_newton import newton_changes
@@ -78,8 +77,6 @@ def explicit_step(dual: int, run: int, method: int, t: float, h: float, row: int
     return advance(c, n, row)
 
 
-STATE_ITERATIONS = 2
-"""Newton iterations for the derivatives of first-order states in each iteration for those of the accelerations."""
 MOST_ITERATIONS = 100
 SMALL = 1e-14
 """Relative change of the derivatives of a step at which the iteration ends, by its rate of convergence."""
@@ -147,37 +144,7 @@ def _take_values(m, k):
         for p in range(len(m.lam[0])):
             for r in range(2):
                 m.lam[i, p, r] = with_value(m.lam[i, p, r], k.lam[i, p, r])
-        for e in range(len(m.states.rate[0])):
-            m.states.rate[i, e] = with_value(m.states.rate[i, e], k.states.rate[i, e])
     _take_shifts(m, k)
-
-
-@subkernel
-def _change_states(c, m, k, t, h):
-    """Change the derivatives of the first-order states of all stages by Newton's method; return a status.
-
-    The values are those of the run, which satisfy the equations. So do their derivatives after an iteration, but for
-    the errors of the differences in its matrix.
-    """
-    count = len(c.from_z)
-    if count == 0:
-        return OK
-    take_lengths(c, m, t, h)
-    first = 0
-    while first < count:
-        last = end_of_element(c.top, first)
-        for _ in range(STATE_ITERATIONS):
-            add_up_states(c, m, h, first, last)
-            linearize(c, m, t, h, first, last)
-            if not solve_dense(m.states.matrix, m.states.right, len(m.rk.c) * (last - first)):
-                return DIVERGED
-            for i in range(len(m.rk.c)):
-                for e in range(first, last):
-                    changed = m.states.rate[i, e] + m.states.right[i * (last - first) + e - first]
-                    m.states.rate[i, e] = with_value(changed, k.states.rate[i, e])
-        first = last
-    add_up_states(c, m, h, 0, count)
-    return OK
 
 
 @subkernel
@@ -283,9 +250,6 @@ def _step(dual, run, method, plain, t, h, row, formulation):
     converged = False
     for iteration in range(MOST_ITERATIONS):
         evaluate_stages(c, m, h)
-        status = _change_states(c, m, k, t, h)
-        if status != OK:
-            return status
         status = formulation.changes(c, n, m, k, t, h)
         if status != OK:
             return status

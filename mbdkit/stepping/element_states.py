@@ -48,38 +48,25 @@ def solve_states(c, m, t, h):
 def _solve_states(c, m, t, h):
     if len(c.from_z) == 0:
         return OK
-    take_lengths(c, m, t, h)
+    top, room = c.top, m.states
+    for i in range(len(m.rk.c)):
+        prepare(top, c.w, t + m.rk.c[i] * h, m.q_stage[i])
+        pathway_lengths(top, c.w, m.q_stage[i])
+        for e in range(len(c.from_z)):
+            k = top.states[e, 0]
+            if k >= 0:
+                room.length[i, e] = c.w.s[k, 0]
+                room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
     first = 0
     while first < len(c.from_z):
-        last = end_of_element(c.top, first)
+        last = first + 1
+        while last < len(c.from_z) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
+            last += 1
         if not _solve_element(c, m, t, h, first, last):
             c.report[0] = np.inf
             return DIVERGED
         first = last
     return OK
-
-
-@subkernel
-def take_lengths(c, m, t, h):
-    """Evaluate the lengths of the pathways of elements with states, and their rates, at every stage."""
-    top, room = c.top, m.states
-    for i in range(len(m.rk.c)):
-        prepare(top, c.w, t + m.rk.c[i] * h, m.q_stage[i])
-        pathway_lengths(top, c.w, m.q_stage[i])
-        for e in range(len(top.states)):
-            k = top.states[e, 0]
-            if k >= 0:
-                room.length[i, e] = c.w.s[k, 0]
-                room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
-
-
-@inlined
-def end_of_element(top, first):
-    """Return the state after those that are solved together with state `first`."""
-    last = first + 1
-    while last < len(top.states) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
-        last += 1
-    return last
 
 
 @overload(solve_states)
@@ -95,8 +82,8 @@ def _solve_element(c, m, t, h, first, last):
     room, stages, before = m.states, len(m.rk.c), np.inf
     add_up_states(c, m, h, first, last)
     for _ in range(MOST_ITERATIONS):
-        linearize(c, m, t, h, first, last)
-        if not solve_dense(room.matrix, room.right, stages * (last - first)):
+        _linearize(c, m, t, h, first, last)
+        if not _solve_dense(room.matrix, room.right, stages * (last - first)):
             return False
         size = change = 0.0
         for i in range(stages):
@@ -154,7 +141,7 @@ def _rate(c, m, i, e, at):
 
 
 @subkernel
-def linearize(c, m, t, h, first, last):
+def _linearize(c, m, t, h, first, last):
     """Write matrix and right side of the equations of an element, ordered by stages."""
     top, w, room, n = c.top, c.w, m.states, last - first
     for i in range(len(m.rk.c)):
@@ -187,7 +174,7 @@ def linearize(c, m, t, h, first, last):
 
 
 @subkernel
-def solve_dense(matrix, right, n):
+def _solve_dense(matrix, right, n):
     """Replace `right` by the solution of the leading `n` equations; return False if they are singular."""
     for k in range(n):
         pivot = k

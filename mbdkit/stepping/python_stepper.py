@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, StepError
+from mbdkit.base.errors import MbdkitError, StepError, in_this_process
 from mbdkit.base.text import one_line
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import Counters
@@ -321,7 +321,8 @@ class PythonStepper:
         name, equations = type(self.method).__name__, self.equations
         protect(state)
         try:
-            new = self.method.step(equations, t, state, h)
+            with in_this_process():
+                new = self.method.step(equations, t, state, h)
         except (KeyboardInterrupt, StepError):
             raise
         except BaseException as error:  # a plugin may raise any exception, including SystemExit

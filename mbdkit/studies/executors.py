@@ -217,9 +217,24 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
                 f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
             ) from error
         stack.enter_context(client)
+        stack.enter_context(_without_logs("distributed", "tornado", "asyncio"))
         if not client.scheduler_info()["workers"]:
             notify("the Dask cluster has no workers yet; the study waits for them (`dask worker ADDRESS`)")
         yield client.get_executor(pure=False)
+
+
+@contextlib.contextmanager
+def _without_logs(*packages: str) -> Iterator[None]:
+    """Silence the logs of packages, which print tracebacks when a scheduler is lost; the study says what it lacks."""
+    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]
+    before = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
 
 
 @contextlib.contextmanager
