@@ -184,6 +184,16 @@ class Accuracy(HtmlView):
         """Size of the arrays."""
         return sum(getattr(self, name).nbytes for name in _VALUES)
 
+    def arrays(self, bodies: Sequence[str], joints: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return the arrays of the group ``/accuracy`` by path; `bodies` and `joints` are the names in their order."""
+        return {
+            "accuracy/coordinate": np.array(COORDINATES, object),
+            **{f"accuracy/{name}": np.array(units, object) for name, units in COORDINATE_UNITS.items()},
+            "accuracy/body": np.array(bodies, object),
+            "accuracy/joint": np.array(joints, object),
+            **{f"accuracy/{name}": np.ascontiguousarray(getattr(self, name), np.float64) for name in _VALUES},
+        }
+
     def write(self, file: h5py.File, bodies: Sequence[str], joints: Sequence[str]) -> None:
         """Write the group ``/accuracy``.
 
@@ -195,13 +205,7 @@ class Accuracy(HtmlView):
             Names, in the order of the arrays.
         """
         group = file.create_group("accuracy")
-        values = {
-            "accuracy/coordinate": np.array(COORDINATES, object),
-            **{f"accuracy/{name}": np.array(units, object) for name, units in COORDINATE_UNITS.items()},
-            "accuracy/body": np.array(bodies, object),
-            "accuracy/joint": np.array(joints, object),
-            **{f"accuracy/{name}": np.ascontiguousarray(getattr(self, name), np.float64) for name in _VALUES},
-        }
+        values = self.arrays(bodies, joints)
         for path in sorted(ACCURACY, key=lambda path: not BY_PATH[path].is_scale):
             create(file, BY_PATH[path], values[path])
         for name in _NUMBERS:

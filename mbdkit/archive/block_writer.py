@@ -11,7 +11,6 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -26,6 +25,7 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import LIBVER, write_image
+from mbdkit.archive.run_writer import utc_now
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.quantities.table import RECORDED
 
@@ -189,7 +189,7 @@ class _Writer:
                 last = run.result
 
     def write(self) -> None:
-        heading, now = self.heading, datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        heading, now = self.heading, utc_now()
         for name, text in (
             ("format", FORMAT),
             ("format_version", FORMAT_VERSION),

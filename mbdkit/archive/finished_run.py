@@ -132,8 +132,11 @@ class ArrayWriter(RunWriter):
             dim: tuple(dict.fromkeys(array.key for array in self.arrays if array.grows and array.dims[0] == dim))
             for dim in GROWING
         }
-        self._parts: dict[str, list[np.ndarray]] = {key: [] for keys in self._keys.values() for key in keys}
+        types = {one.key: np.dtype(object if one.dtype == TEXT else one.dtype) for one in self.arrays if one.grows}
+        shapes = {one.key: tuple(names.sizes[dim] for dim in one.dims[1:]) for one in self.arrays if one.grows}
+        self._buffers = {key: np.empty((0, *shape), types[key]) for key, shape in shapes.items()}
         self._rows = dict.fromkeys(GROWING, 0)
+        self._capacity = dict.fromkeys(GROWING, 0)
         self.finished: FinishedRun | None = None
 
     @property
@@ -147,32 +150,33 @@ class ArrayWriter(RunWriter):
 
     def take(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:
         """Append rows of the arrays that grow along `dim`, by key; the values are copied."""
-        count = 0
+        keys, begin = self._keys[dim], self._rows[dim]
+        end = begin + (len(rows[keys[0]]) if keys else 0)
+        if end > self._capacity[dim]:
+            self._resize(dim, max(end, 2 * self._capacity[dim]) if begin else end)
+        for key in keys:
+            self._buffers[key][begin:end] = rows[key]
+        self._rows[dim] = end
+
+    def _resize(self, dim: str, capacity: int) -> None:
         for key in self._keys[dim]:
-            part = np.array(rows[key])
-            self._parts[key].append(part)
-            count = len(part)
-        self._rows[dim] += count
+            buffer = self._buffers[key]
+            buffer.resize((capacity, *buffer.shape[1:]), refcheck=False)  # there are no views of it
+        self._capacity[dim] = capacity
 
     def flush_if_due(self) -> None:
         """Do nothing: there is no file."""
 
     def abandon(self) -> None:
         """Discard the rows."""
-        self._parts = {}
+        self._buffers = {}
 
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> None:
-        """Join the rows and compute their hash; the result is `finished`."""
+        """Compute the hash of the rows; the result is `finished`."""
         started = time.perf_counter()
-        sizes = self.names.sizes
-        arrays = {}
-        for array in self.arrays:
-            if array.grows and array.key not in arrays:
-                dtype = np.dtype(object if array.dtype == TEXT else array.dtype)
-                parts = self._parts[array.key]
-                shape = (0, *(sizes[dim] for dim in array.dims[1:]))
-                joined = np.concatenate(parts) if parts else np.zeros(shape, dtype)
-                arrays[array.key] = np.ascontiguousarray(joined, dtype)
+        for dim, rows in self._rows.items():
+            self._resize(dim, rows)
+        arrays, self._buffers = self._buffers, {}
         made = FinishedRun(
             self.names,
             self.arrays,

@@ -18,6 +18,7 @@ from mbdkit.archive import layout, run_header
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.hdf5 import set_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.history import NotRecordedError, UnknownNameError
 from mbdkit.archive.layout import name_texts
@@ -299,13 +300,21 @@ class ArrayContents(RunContents):
         What is kept of each run, if that is not everything; empty otherwise.
     measured
         Values of the measures in the spec.
+    gradients
+        Gradients of the measures as JSON; empty if there are none.
     """
 
     def __init__(
-        self, finished: FinishedRun, heading: Heading, store: str = "", measured: MeasuredValues | None = None
+        self,
+        finished: FinishedRun,
+        heading: Heading,
+        store: str = "",
+        measured: MeasuredValues | None = None,
+        gradients: str = "",
     ):
         self._finished, self._heading, self._store = finished, heading, store
-        self._measured = measured or MeasuredValues({}, {})
+        self._measured, self._gradients = measured or MeasuredValues({}, {}), gradients
+        self._closed = False
         self.run_spec, self.cause = heading.spec, finished.cause
         self.header = Header(
             {
@@ -318,11 +327,11 @@ class ArrayContents(RunContents):
                 "spec_sha256": heading.spec.sha256(),
                 "data_sha256": finished.data_sha256,
             },
-            MappingProxyType({**heading.provenance, **({"assembly": finished.assembly} if finished.assembly else {})}),
+            ReadOnlyDict({**heading.provenance, **({"assembly": finished.assembly} if finished.assembly else {})}),
             finished.judgement.level,
             tuple(finished.judgement.reasons),
             finished.warnings,
-            MappingProxyType(dict(finished.stats)),
+            ReadOnlyDict(finished.stats),
             finished.misalignment_max,
             "" if finished.shared is None else finished.shared.redundancy,
         )
@@ -346,10 +355,14 @@ class ArrayContents(RunContents):
 
     def dataset(self, path: str) -> np.ndarray:
         """Return an array; see `Run.dataset`."""
+        self._check_open()
         if path in self._recorded:
             return self._finished.arrays[layout.BY_PATH[path].key]
         if path in self._texts:
             return np.array(self._texts[path], object)
+        if self._finished.accuracy is not None and path in layout.ACCURACY:
+            names = self._finished.names
+            return self._finished.accuracy.arrays(names.bodies, names.joints)[path]
         if path not in layout.BY_PATH:
             raise UnknownNameError("array", path, list(layout.BY_PATH))
         if self._store:
@@ -365,8 +378,8 @@ class ArrayContents(RunContents):
         return self._finished.integrals
 
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return nothing: gradients are computed only for runs with an archive of their own."""
-        return ReadOnlyDict({})
+        """Return the gradients of the measures; blocks of runs hold none."""
+        return ReadOnlyDict(json.loads(self._gradients or "{}"))
 
     def accuracy(self) -> Accuracy | None:
         """Return the estimated errors."""
@@ -375,24 +388,36 @@ class ArrayContents(RunContents):
     @cached_property
     def file(self) -> h5py.File:
         """An HDF5 file in memory with the contents; raises NotStoredError if not all of its arrays are kept."""
+        self._check_open()
         if self._store:
             raise NotStoredError("complete archive", self._store)
         finished, heading = self._finished, self._heading
+        origin = Origin.of(heading.spec, self.header.provenance)
         writer = ArchiveWriter(
             None,
             finished.names,
-            replace(Origin.of(heading.spec, self.header.provenance), run_id=heading.run_id),
+            replace(origin, run_id=heading.run_id, created_utc=heading.created_utc),
             arrays=finished.layout,
             shared=finished.shared,
         )
         finished.write(writer)
-        measured = (lambda file: self._measured.to_json()) if self._measured else None
-        file = writer.finish(finished.ending, measured=measured)
+        file = writer.finish(finished.ending, measured=self._write_measures if self._measured else None)
         assert file is not None
         file.attrs.modify("data_sha256", finished.data_sha256)
+        file["stats"].attrs.modify("finish_s", finished.stats["finish_s"])
         return file
+
+    def _write_measures(self, file: h5py.File) -> str:
+        if self._gradients:
+            set_text(file, layout.GRADIENTS, self._gradients)
+        return self._measured.to_json()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise MbdkitError("this run is closed")
 
     def close(self) -> None:
         """Release the HDF5 file in memory, if there is one."""
+        self._closed = True
         if "file" in self.__dict__:
             self.__dict__.pop("file").close()

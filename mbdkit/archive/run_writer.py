@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -20,6 +21,12 @@ from mbdkit.archive.measured_values import Integrals
 from mbdkit.quantities.array import TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement
+
+
+def utc_now() -> str:
+    """Return the time, ISO 8601, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
 
 #: Keys accepted by the `append` methods.
 _KEYS = frozenset(array.key for array in layout.LAYOUT)
@@ -91,12 +98,15 @@ class Origin:
         Unique name of the run.
     provenance
         Attributes of ``/provenance``: versions, platform, command.
+    created_utc
+        Time at which the run began, ISO 8601; by default now.
     """
 
     spec_json: str
     spec_sha256: str
     run_id: str
     provenance: Mapping[str, str | int | float]
+    created_utc: str = ""
 
     @classmethod
     def of(cls, spec: AnySpec, provenance: Mapping[str, str | int | float]) -> Origin:

@@ -7,7 +7,6 @@ import itertools
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,7 +22,7 @@ from mbdkit.archive.hdf5_errors import cause
 from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import integrals_json
 from mbdkit.archive.part_file import LIBVER, Target
-from mbdkit.archive.run_writer import Ending, Origin, RunWriter, SharedForces, name_line
+from mbdkit.archive.run_writer import Ending, Origin, RunWriter, SharedForces, name_line, utc_now
 from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
@@ -237,9 +236,9 @@ class ArchiveWriter(RunWriter):
             self._target.drop()
 
     def _write_head(self, origin: Origin) -> None:
-        now = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        created = origin.created_utc or utc_now()
         values = (
-            layout.FORMAT, layout.FORMAT_VERSION, "running", "", origin.run_id, now, origin.spec_json,
+            layout.FORMAT, layout.FORMAT_VERSION, "running", "", origin.run_id, created, origin.spec_json,
             origin.spec_sha256, "",
         )  # fmt: skip
         for name, value in zip(layout.ROOT_ATTRIBUTES, values, strict=True):

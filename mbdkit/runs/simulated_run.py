@@ -14,20 +14,19 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.finished_run import ArrayWriter
 from mbdkit.archive.hdf5 import set_text
 from mbdkit.archive.layout import GRADIENTS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending, RunWriter
+from mbdkit.archive.run_writer import Ending, RunWriter, utc_now
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base import higher_layers
 from mbdkit.base.logs import logger_of
 from mbdkit.base.text import shown
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.reductions import Functional
-from mbdkit.measures.take import take_all
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
 from mbdkit.runs.accuracy.chosen_method import Choice
@@ -46,6 +45,7 @@ from mbdkit.runs.preparation import (
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
+from mbdkit.runs.run_in_memory import measured_gradients, measured_values, run_in_memory
 from mbdkit.runs.warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -137,7 +137,10 @@ class SimulatedRun:
         self.warnings, self.choice = warnings, choice
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
-        self.file: h5py.File | None = None
+        #: Whether a `Run` is wanted, which Ctrl-C ends early; otherwise, only the arrays in its writer.
+        self.becomes_run = True
+        self.created = utc_now()
+        self.in_memory: Run | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
         between = None if steps_are_rows(spec) else workspace
@@ -360,12 +363,10 @@ class SimulatedRun:
             self.accuracy = replace(self.accuracy, compared_measures=compared)
 
     def measured(self, file: h5py.File) -> str:
-        """Return the measures of the run in a file, as its archive stores them."""
-        found = take_all(Run(file), self.spec)
-        for name, reason in found.reasons.items():
-            _LOG.warning("measure %s: %s", name, reason)
-        if self.spec.gradients and self.failure is None and not self.interrupted:
-            set_text(file, GRADIENTS, higher_layers.gradients_json(self.spec))
+        """Return the measures of the run in a file, as its archive stores them, after storing their gradients."""
+        found = measured_values(Run(file), self.spec)
+        if self.failure is None and not self.interrupted and (gradients := measured_gradients(self.spec)):
+            set_text(file, GRADIENTS, gradients)
         return found.to_json()
 
     def finish(self) -> None:
@@ -414,14 +415,16 @@ class SimulatedRun:
             self.accuracy,
             {} if self.integrals is None else self.integrals.totals(self.recorder.of_event),
         )
-        self.file = self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
+        self.writer.finish(ended, measured=self.measured if self.spec.measures else None)
+        if self.becomes_run and isinstance(self.writer, ArrayWriter):
+            assert self.writer.finished is not None
+            self.in_memory = run_in_memory(replace(self.writer.finished, cause=self.cause), self.spec, self.created)
 
     def run(self) -> Run:
-        """Return the run, once its archive is finished."""
-        if self.file is not None:
-            run = Run(self.file)
-        else:
-            assert self.writer.path is not None
-            run = load(self.writer.path)
+        """Return the run, once it is finished."""
+        if self.in_memory is not None:
+            return self.in_memory
+        assert self.writer.path is not None
+        run = load(self.writer.path)
         run.cause = self.cause
         return run

@@ -115,6 +115,7 @@ def simulate(
     overwrite: bool = False,
     progress: Progress | None = None,
     notify: Callable[[str], None] = to_stderr,
+    starts: Starts | None = None,
     measures: Sequence[str] = (),
 ) -> Run:
     """Run a validated spec; see `run`.
@@ -129,6 +130,8 @@ def simulate(
         As for `run`.
     notify
         Called with a message before long operations, such as the first compilation after installation.
+    starts
+        Cache of compiled mechanisms for further runs, if given.
     measures
         Expressions that will be evaluated for the run, beside the measures of the spec. Their integrals over time and
         extrema are computed with the run, see `mbdkit.runs.integrals`.
@@ -136,8 +139,8 @@ def simulate(
     begin = time.perf_counter()
     if path is not None:
         check_target(path, overwrite=overwrite)
-    begun = partial(_begun_archive, path=path, overwrite=overwrite)
-    prepare = partial(_prepared, begun=begun, path=path, notify=notify, begin=begin, measures=measures)
+    begun = _begun_arrays if path is None else partial(_begun_archive, path=path, overwrite=overwrite)
+    prepare = partial(_prepared, begun=begun, path=path, notify=notify, begin=begin, starts=starts, measures=measures)
     return _ended(spec, prepare, notify, progress).run()
 
 
@@ -175,15 +178,14 @@ def simulate_arrays(
 
     Parameters
     ----------
-    notify, measures
+    notify, starts, measures
         As for `simulate`.
-    starts
-        Cache of compiled mechanisms for further runs, if given.
     """
     begin = time.perf_counter()
     prepare = partial(
-        _prepared, begun=_begun_arrays, path=None, notify=notify, begin=begin, starts=starts, measures=measures
-    )
+        _prepared, begun=_begun_arrays, path=None, notify=notify, begin=begin, starts=starts, measures=measures,
+        becomes_run=False,
+    )  # fmt: skip
     simulation = _ended(spec, prepare, notify, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
@@ -231,7 +233,7 @@ def _with_accuracy(
             if simulation.is_final or (following is None and best is choice):
                 simulation.finish()
                 return simulation
-        prepare = partial(prepare, notify=_silent)  # warnings are shown only once
+        prepare = partial(prepare, notify=silent)  # warnings are shown only once
         if following is None:
             # the best attempt is repeated, because only one archive is written at a time; equal settings give equal
             # results
@@ -253,11 +255,11 @@ def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, at
     return None if attempts >= MOST_ATTEMPTS else choice.tightened(spec, spec.accuracy, simulation.reached)
 
 
-def _silent(message: str) -> None:
+def silent(message: str) -> None:
     """Discard a message."""
 
 
-def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path | None, overwrite: bool) -> RunWriter:
+def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path, overwrite: bool) -> RunWriter:
     """Begin the archive of a run."""
     workspace, assembled = start
     return ArchiveWriter(
@@ -292,6 +294,7 @@ def _prepared(
     continuation: Continuation | None = None,
     starts: Starts | None = None,
     measures: Sequence[str] = (),
+    becomes_run: bool = True,
 ) -> SimulatedRun:
     """Return a simulation whose writer is begun by `begun`; see `simulate`."""
     method = make_method(spec)
@@ -308,7 +311,7 @@ def _prepared(
     check_disk_space(spec, workspace.mechanism, path)
     functionals = functionals_of(spec, measures)
     noted: list[bool] = []
-    noting = interrupts_noted if begun is not _begun_arrays else _not_noted
+    noting = _not_noted if begun is _begun_arrays else interrupts_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed
         writer = begun(spec, method, (workspace, start))
         try:
@@ -316,6 +319,7 @@ def _prepared(
         except BaseException:
             writer.abandon()
             raise
+    simulation.becomes_run = becomes_run
     simulation.interrupted, simulation.continuation = bool(noted), continuation
     simulation.expressions = expressions_of(spec, measures)
     simulation.measured_in = partial(measured_in, expressions=simulation.expressions)
@@ -325,7 +329,7 @@ def _prepared(
 def measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:
     """Return the values of expressions in a comparison run, in SI units; None if it fails."""
     try:
-        found = simulate_arrays(spec, notify=_silent, measures=expressions)
+        found = simulate_arrays(spec, notify=silent, measures=expressions)
         run = Run(ArrayContents(found, Heading(spec)))
         return [MeasureExpression.in_si(text, run) for text in expressions] if run.status == "complete" else None
     except (MbdkitError, ArithmeticError):
@@ -340,7 +344,7 @@ def _warn(warnings: Iterable[str], notify: Callable[[str], None]) -> None:
 
 
 def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
-    """Let Ctrl-C raise KeyboardInterrupt, because there is no archive for the rows of an interrupted run."""
+    """Let Ctrl-C raise KeyboardInterrupt, because nobody sees the rows of an interrupted run."""
     return nullcontext()
 
 
@@ -348,7 +352,7 @@ def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
 def _finished_or_abandoned(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
     """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
     try:
-        noting = _not_noted if isinstance(simulation.writer, ArrayWriter) else interrupts_noted
+        noting = interrupts_noted if simulation.becomes_run else _not_noted
         with noting(simulation.interrupt):
             yield simulation
     except BaseException as error:

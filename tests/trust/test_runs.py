@@ -60,16 +60,15 @@ class Exploding(StepMethod):
 @pytest.mark.parametrize("every", [1, 1000])
 def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: int) -> None:
     # a state between rows is recorded when a run stops there: it is refused too if its joints are apart
-    from mbdkit.archive.run_writer import Origin
-    from mbdkit.archive.writer import ArchiveWriter
+    from mbdkit.archive.finished_run import ArrayWriter
     from mbdkit.quantities.names import archive_names
-    from mbdkit.runs.preparation import build
+    from mbdkit.runs.preparation import build, make_method, recorded_arrays
     from mbdkit.runs.simulated_run import SimulatedRun
 
     given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())
     workspace, _ = build(given)
-    names = archive_names(workspace.mechanism)
-    writer = ArchiveWriter(None, names, Origin.of(given, {}))
+    arrays = recorded_arrays(given, make_method(given), workspace.mechanism)
+    writer = ArrayWriter(archive_names(workspace.mechanism), arrays)
     simulation = SimulatedRun(given, workspace, Exploding(), writer, 0.0, (), None)
     simulation.integrate(None)
     simulation.finish()

@@ -1,0 +1,48 @@
+"""Runs in memory, with their measures."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents, Heading
+from mbdkit.base import higher_layers
+from mbdkit.base.logs import logger_of
+from mbdkit.measures.take import take_all
+from mbdkit.runs.provenance import provenance
+from mbdkit.spec import RunSpec
+
+_LOG = logger_of("mbdkit.runs.simulation")
+
+
+def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str) -> Run:
+    """Return a finished run with its measures and their gradients.
+
+    Parameters
+    ----------
+    spec
+        Its spec.
+    created_utc
+        Time at which it began, ISO 8601.
+    """
+    contents = partial(ArrayContents, finished, Heading(spec, spec.run_id(), created_utc, provenance(spec)))
+    if not spec.measures:
+        return Run(contents())
+    measured = measured_values(Run(contents()), spec)
+    gradients = measured_gradients(spec) if finished.status == "complete" else ""
+    return Run(contents(measured=measured, gradients=gradients))
+
+
+def measured_values(run: Run, spec: RunSpec) -> MeasuredValues:
+    """Return the measures of a run, and log why some have no value."""
+    found = take_all(run, spec)
+    for name, reason in found.reasons.items():
+        _LOG.warning("measure %s: %s", name, reason)
+    return found
+
+
+def measured_gradients(spec: RunSpec) -> str:
+    """Return the gradients of the measures as JSON; empty if the spec asks for none."""
+    return higher_layers.gradients_json(spec) if spec.gradients else ""
