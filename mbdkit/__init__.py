@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mbdkit.methods.tableau import ButcherTableau
     from mbdkit.registry.hookspecs import hookimpl
     from mbdkit.registry.items import Claims, ForceLawPlugin, IntegratorPlugin, MeasurePlugin, ModelPlugin, StudyPlugin
+    from mbdkit.runs.prepared_run import PreparedRun, prepare
     from mbdkit.runs.resuming import resume
     from mbdkit.runs.simulation import run
     from mbdkit.spec import DesignSpec, InverseSpec, RunSpec, StudySpec
@@ -67,6 +68,7 @@ __all__ = [
     "ModelPlugin",
     "Modes",
     "PluginError",
+    "PreparedRun",
     "ResourceError",
     "Run",
     "RunError",
@@ -96,6 +98,7 @@ __all__ = [
     "load_study",
     "modes",
     "plot",
+    "prepare",
     "resume",
     "run",
     "study",
@@ -127,6 +130,8 @@ _HOME = {
     "ModelPlugin": "mbdkit.registry.items",
     "Modes": "mbdkit.mechanics.modes",
     "PluginError": "mbdkit.base.errors",
+    "PreparedRun": "mbdkit.runs.prepared_run",
+    "prepare": "mbdkit.runs.prepared_run",
     "ResourceError": "mbdkit.base.errors",
     "Run": "mbdkit.archive.run",
     "RunError": "mbdkit.base.errors",

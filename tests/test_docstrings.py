@@ -18,6 +18,7 @@ MODULES = (
     "mechanism.mechanism",
     "methods.tableau",
     "plot.comparison",
+    "runs.prepared_run",
     "runs.simulation",
     "studies.carry_out",
     "studies.study",

@@ -1,0 +1,149 @@
+"""Initial states in which some quantities have given values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.assembly import search_for
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_quantities import Coordinate, Quantity
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.spec import RunSpec
+
+RATES = {"vx": "x", "vy": "y", "angular_velocity": "angle"}
+"""Names of velocities of bodies and markers, and of the coordinates that they are the rates of."""
+LONGEST = 0.2
+"""Largest change at once, of an angle [rad] or as a share of the length of the mechanism, so that loops stay on their
+branch."""
+MOST_ITERATIONS = 30
+MET = 1e-12
+"""Largest residual of given values and joints [m, rad, m/s, rad/s], relative to the largest number."""
+
+
+def spec_started_at(spec: RunSpec, values: Mapping[str, float], starts: Starts) -> RunSpec:
+    """Return a spec with the mechanism written out at a start in which some quantities have given values.
+
+    Of all states that satisfy the joints, it is the one nearest to the start of the spec in the mass metric, found
+    along a path on which the values change gradually.
+
+    Parameters
+    ----------
+    values
+        Values by name of a quantity, such as ``crank.angle``, ``J1.angle``, ``crank.angular_velocity`` or ``tip.vx``.
+    starts
+        Cache of compiled mechanisms.
+
+    Raises
+    ------
+    SpecError
+        If there is no such quantity, or if the values and the joints are inconsistent.
+    """
+    mechanism = spec.mechanism()
+    q, v = _GivenStart(mechanism, spec, starts).state(values)
+    model = mechanism.to_spec()
+    states = np.hstack([q.reshape(-1, 3), v.reshape(-1, 3)]).tolist()
+    places = dict(zip(mechanism.bodies, states, strict=True))
+    for name, body in model["bodies"].items():
+        x, y, angle, vx, vy, rate = places[name]
+        body |= {"position": [x, y], "velocity": [vx, vy]}
+        if mechanism.bodies[name].inertia is not None:
+            body |= {"angle": angle, "angular_velocity": rate}
+    started = RunSpec(**(spec.sections() | {"model": model}))
+    _check_equal_but_for_start(mechanism, started.mechanism())
+    return started
+
+
+def _check_equal_but_for_start(one: Mechanism, other: Mechanism) -> None:
+    """Raise SpecError if the initial positions determine more than the start."""
+    for a, b in zip(compile_mechanism(one).topology, compile_mechanism(other).topology, strict=True):
+        if a.shape != b.shape or not np.allclose(a, b, rtol=1e-9, atol=1e-9, equal_nan=True):
+            raise SpecError("joints of this mechanism are given at its initial positions; give `points`", key="initial")
+
+
+class _GivenStart:
+    def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts):
+        if mechanism.beams:
+            raise SpecError("initial values of mechanisms with beams cannot be given", key="initial")
+        self.start = starts.at_start(mechanism, spec.time.start, spec.time.final)
+        self.names = QuantityNames(mechanism)
+        self.length = self.start.mechanism.length
+        self.search = search_for(mechanism, self.start.mechanism, spec.time.start)
+        self.n = self.search.n
+        free = np.zeros(self.n)
+        free[self.search.free] = 1.0
+        self.light = free / np.sqrt(self.search.mass)
+
+    def state(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities (n,)."""
+        held: dict[str, tuple[Quantity, float]] = {}
+        moving: dict[str, tuple[Quantity, float]] = {}
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise SpecError(f"the value of '{name}' should be a finite number, not {value!r}", key="initial")
+            element, _, axis = name.rpartition(".")
+            kind, of = (moving, f"{element}.{RATES[axis]}") if axis in RATES else (held, name)
+            kind[name] = self.names.find(of, "initial"), float(value)
+        q, v = self.start.q0[: self.n].copy(), self.start.v0[: self.n].copy()
+        if held:
+            q = self._positions(q, held)
+        return q, self._velocities(q, v, moving)
+
+    def _positions(self, q: np.ndarray, held: Mapping[str, tuple[Quantity, float]]) -> np.ndarray:
+        quantities = [one for one, _ in held.values()]
+        goal, here = np.array([value for _, value in held.values()]), self._values(quantities, q)
+        unit = np.array([1.0 if one.unit == "rad" else self.length for one in quantities])
+        parts = max(1, math.ceil(float(np.max(np.abs(goal - here) / unit)) / LONGEST))
+        for part in range(1, parts + 1):
+            values = here + (goal - here) * (part / parts) if part < parts else goal
+            closed = self._closed(q, quantities, values)
+            if closed is None:
+                told = self._told(list(held), goal)
+                raise SpecError(f"the joints cannot be assembled with these initial values: {told}", key="initial")
+            q = closed
+        for one, value in held.values():
+            if isinstance(one, Coordinate):
+                q[3 * one.body + one.axis] = value  # without rounding error
+        return q
+
+    def _closed(self, q: np.ndarray, quantities: list[Quantity], values: np.ndarray) -> np.ndarray | None:
+        """Return positions with closed joints in which the quantities have these values; None if none are found."""
+        for _ in range(MOST_ITERATIONS):
+            rows, phi, _ = self._rows(q, quantities)
+            lack = np.concatenate([phi, self._values(quantities, q) - values])
+            q = q - self.light * np.linalg.lstsq(rows * self.light, lack, rcond=1e-12)[0]
+            if np.max(np.abs(lack)) <= MET * max(1.0, float(np.max(np.abs(q)))):  # and one more step was taken
+                return q
+        return None
+
+    def _velocities(self, q: np.ndarray, v: np.ndarray, moving: Mapping[str, tuple[Quantity, float]]) -> np.ndarray:
+        rows, _, phi_t = self._rows(q, [one for one, _ in moving.values()])
+        values = np.array([value for _, value in moving.values()])
+        aim = np.concatenate([-phi_t, values])
+        for _ in range(2):  # the second solution removes the rounding errors of the first
+            v = v - self.light * np.linalg.lstsq(rows * self.light, rows @ v - aim, rcond=1e-12)[0]
+        largest = max(1.0, float(np.max(np.abs(v), initial=0.0))) * self.search.reach
+        if not np.max(np.abs(rows @ v - aim), initial=0.0) <= MET * largest:
+            told = self._told(list(moving), values) or "zero"
+            raise SpecError(f"no velocities satisfy the joints with these initial values: {told}", key="initial")
+        return v
+
+    def _rows(self, q: np.ndarray, quantities: list[Quantity]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the dense Jacobian of joints and quantities (m + K, n), Phi (m,) and Phi_t (m,)."""
+        phi, (row, column, value), phi_t = self.search.evaluate(q)
+        rows = np.zeros((len(phi) + len(quantities), self.n))
+        np.add.at(rows, (row, column), value)
+        for place, one in enumerate(quantities, len(phi)):
+            one.add_gradient(q[None], rows[place : place + 1])
+        return rows, phi, phi_t
+
+    def _values(self, quantities: list[Quantity], q: np.ndarray) -> np.ndarray:
+        return np.array([float(one.value(q[None])[0]) for one in quantities])
+
+    def _told(self, names: list[str], values: np.ndarray) -> str:
+        return ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=True))
