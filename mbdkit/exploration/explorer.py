@@ -9,12 +9,12 @@ import numpy as np
 
 from mbdkit.archive.headlines import headlines
 from mbdkit.base.errors import MbdkitError
-from mbdkit.base.plain_data import plain
+from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
 from mbdkit.exploration.sliders import sliders
 from mbdkit.inverse_dynamics.inverse_run import inverse
 from mbdkit.report.run_report import TONES, film_of, yaml_text
-from mbdkit.runs.simulation import run
+from mbdkit.runs.prepared_run import PreparedRun
 from mbdkit.spec import load_inverse_spec, load_spec
 from mbdkit.spec.inverse_spec import InverseSpec
 from mbdkit.spec.loading import read_source
@@ -47,26 +47,29 @@ class Explorer:
     def __init__(self, spec: RunSpec | InverseSpec, names: Sequence[str] | None = None):
         self.spec, self.sliders = spec, sliders(spec, names)
         self._by_key = {one.key: one for one in self.sliders}
-        self.title = str(spec.title or plain(read_source(spec).data["model"])["name"])
+        self._data = plain(read_source(spec).data)
+        self._prepared = None if isinstance(spec, InverseSpec) else PreparedRun(spec)
+        self.title = str(spec.title or self._data["model"]["name"])
 
     def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
         """Return what the page shows for values of the sliders, by key; a value that the spec refuses gives an
         ``error``.
         """
-        document = read_source(self.spec)
-        document.data = plain(document.data)
-        for key, value in values.items():
-            if key in self._by_key and value != self._by_key[key].value:
-                put(document.data, self._by_key[key].path, float(value))
+        known = {key: float(value) for key, value in values.items() if key in self._by_key}
+        changed = {key: value for key, value in known.items() if value != self._by_key[key].value}
+        data = copied(self._data)
+        for key, value in changed.items():
+            put(data, self._by_key[key].path, value)
         try:
-            if isinstance(self.spec, InverseSpec):
-                made = inverse(load_inverse_spec(document))
-            else:
-                made = run(load_spec(document))
-            with made:
-                return self._shown(made, document.data)
+            with self._prepared.run(changed) if self._prepared else self._inverse(data) as made:
+                return self._shown(made, data)
         except MbdkitError as error:
-            return {"error": shown(str(error)), "spec": yaml_text(document.data)}
+            return {"error": shown(str(error)), "spec": yaml_text(data)}
+
+    def _inverse(self, data: dict[str, Any]) -> Run:
+        document = read_source(self.spec)
+        document.data = copied(data)
+        return inverse(load_inverse_spec(document))
 
     def _shown(self, made: Run, data: Mapping[str, Any]) -> dict[str, Any]:
         return {

@@ -25,12 +25,15 @@ HANGING = {
     "time": {"end": 0.1, "step": 0.01},
 }
 BROWSER = executable()
-MOVE = """value => {
-    const slider = document.querySelector("input[data-key='model.body_mass']");
+MOVE = """value => new Promise(done => {
+    const slider = document.querySelector("input[data-key='model.body_mass']"), began = performance.now();
+    new MutationObserver((_, observer) => {  // the numbers are shown before the motion and the curves are drawn
+        observer.disconnect();
+        requestAnimationFrame(() => setTimeout(() => done(performance.now() - began)));
+    }).observe(document.getElementById("headlines"), { childList: true });
     slider.value = value;
     slider.dispatchEvent(new Event("input"));
-    window.began = performance.now();
-}"""
+})"""
 
 
 def test_the_force_follows_the_mass_and_the_spec_keeps_it() -> None:
@@ -111,9 +114,8 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
         took = []
         for value in (800, 200, 900):
             shown = page.inner_text("#headlines dd")
-            page.evaluate(MOVE, value)
-            until(page, f"document.querySelector('#headlines dd').textContent !== {shown!r}", 30)
-            took.append(page.evaluate("performance.now() - window.began"))
+            took.append(page.evaluate(MOVE, value))
+            assert page.inner_text("#headlines dd") != shown
         assert page.inner_text("#headlines") != before
         assert page.evaluate("document.getElementById('stage').toDataURL()") != drawn
         assert "body_mass: 1" in page.evaluate("document.getElementById('spec').textContent")
@@ -122,4 +124,4 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
         for page, _ in pages:
             found = Axe().run(page)
             assert found.violations_count == 0, found.generate_report()
-        print(f"answers after {statistics.median(took):.0f} ms")
+        assert statistics.median(took) < 1000.0  # 40 to 80 ms; machines that run tests are busy

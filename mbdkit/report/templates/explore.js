@@ -7,7 +7,7 @@ const [verdict, headlines, curves, key, spec] = ["verdict", "headlines", "curves
 const ghost = new Stage(element("ghost")), stage = new Stage(element("stage"));
 const inputs = [...document.querySelectorAll("input[type=range]")];
 const short = value => String(Number(value.toPrecision(4)));
-let shown = reference, begin = performance.now(), asked = false, changed = false;
+let shown = reference, ghostView, begin = performance.now(), asked = false, changed = false;
 
 // --- sliders: 1000 steps from end to end ---
 const place = one => Math.round(1000 * (one.value - one.low) / (one.high - one.low));
@@ -71,7 +71,8 @@ function show(answer) {
     const views = [reference.film.view, answer.film.view];
     const view = [0, 1, 2, 3].map(k => (k % 2 ? Math.max : Math.min)(...views.map(one => one[k])));
     const placed = film => ({ ...film, view, poses: moved(film, view) });
-    ghost.show(placed(reference.film));
+    if (String(view) !== String(ghostView)) ghost.show(placed(reference.film));
+    ghostView = view;
     stage.show(placed(answer.film));
   } else stage.show(answer.film);
   key.replaceChildren(...answer.curves.names.map((name, k) => {
