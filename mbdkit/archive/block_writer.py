@@ -11,7 +11,6 @@ import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -140,16 +139,30 @@ def kept(finished: FinishedRun, store: Store) -> FinishedRun:
     """Return a run with the arrays that are kept, and those of names."""
     if store == "all":
         return finished
-    arrays, keys = _kept_of(finished.layout, store)
+    arrays, keys = _KEPT.of(finished.layout, store)
     return replace(finished, layout=arrays, arrays={key: finished.arrays[key] for key in keys}, accuracy=None)
 
 
-@lru_cache(maxsize=16)
-def _kept_of(recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
-    """Return the arrays of a layout that are kept, and those of names; and the keys of those with rows."""
-    wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
-    arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
-    return arrays, frozenset(array.key for array in arrays if array.grows)
+class _KeptArrays:
+    """Finds the arrays of a layout that are kept; the last result is remembered, because runs share their layout, whose
+    hash takes longer than its comparison by identity.
+    """
+
+    def __init__(self) -> None:
+        self._asked: tuple[tuple[Array, ...], Store] = ((), "all")
+        self._found: tuple[tuple[Array, ...], frozenset[str]] = ((), frozenset())
+
+    def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
+        """Return the arrays that are kept, and those of names; and the keys of those with rows."""
+        if self._asked[0] is not recorded or self._asked[1] != store:
+            wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
+            arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
+            self._found = arrays, frozenset(array.key for array in arrays if array.grows)
+            self._asked = recorded, store
+        return self._found
+
+
+_KEPT = _KeptArrays()
 
 
 def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> None:

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import h5py
 import numpy as np
-from h5py import h5a, h5t
+from h5py import h5a, h5d, h5g, h5o, h5t
 
 from mbdkit.archive.layout import ATTRIBUTES_HASH, is_hashed
 from mbdkit.quantities.array import TEXT
@@ -83,16 +83,28 @@ def data_sha256(file: h5py.File) -> str:
 def attributes_sha256(file: h5py.File) -> str:
     """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors."""
     lines = []
-    for item in (file, *objects(file)):
-        path = item.name.lstrip("/")
-        if isinstance(item, h5py.Dataset) and not is_hashed(path):
-            lines.append(dataset_line(item))
-        for index in range(h5a.get_num_attrs(item.id)):
-            attribute = h5a.open(item.id, index=index)  # the high-level interface takes three times as long
-            name = attribute.name.decode()
-            if name not in OF_SCALES and f"{path}/{name}" not in _NOT_COVERED:
-                lines.append(_attribute_line(f"{path}@{name}", attribute))
+    for path, item in _identifiers(h5o.open(file.id, b"/"), ""):
+        if isinstance(item, h5d.DatasetID) and not is_hashed(path):
+            lines.append(dataset_line(h5py.Dataset(item)))
+        names: list[bytes] = []
+        h5a.iterate(item, names.append)  # the high-level interface takes three times as long
+        lines += [
+            _attribute_line(f"{path}@{name}", h5a.open(item, name.encode()))
+            for name in map(bytes.decode, names)
+            if name not in OF_SCALES and f"{path}/{name}" not in _NOT_COVERED
+        ]
     return digest_lines(lines)
+
+
+def _identifiers(group: h5g.GroupID, path: str) -> Iterator[tuple[str, h5g.GroupID | h5d.DatasetID]]:
+    """Yield the path and the identifier of a group, and of every group and dataset in it and its subgroups."""
+    yield path, group
+    for name in group:
+        item, below = h5o.open(group, name), f"{path}/{name.decode()}".lstrip("/")
+        if isinstance(item, h5g.GroupID):
+            yield from _identifiers(item, below)
+        else:
+            yield below, item
 
 
 def objects(group: h5py.Group) -> Iterator[h5py.Group | h5py.Dataset]:

@@ -74,10 +74,14 @@ class Run(HtmlView):
 
     def __init__(self, contents: RunContents | h5py.File):
         self._contents = contents if isinstance(contents, RunContents) else ArchiveContents(contents)
-        self._header, self._names = self._contents.header, self._contents.names
+        self._header = self._contents.header
         #: The exception of a plugin that ended the run, if it was run in this process; `check` chains it.
         self.cause: BaseException | None = self._contents.cause
         self._arrays: dict[str, np.ndarray] = {}
+
+    @cached_property
+    def _names(self) -> Mapping[str, tuple[str, ...]]:
+        return self._contents.names
 
     @classmethod
     def open(cls, path: Path) -> Run:

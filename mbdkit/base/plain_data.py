@@ -10,8 +10,9 @@ import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
@@ -156,6 +157,29 @@ def copied(value: Any, path: Path = ()) -> Any:
     return value
 
 
+class _WrittenField(NamedTuple):
+    """A field of a model, with its name in the spec."""
+
+    name: str
+    field: str
+    may_be_absent: bool
+    default: Any
+
+    def is_written(self, value: Any) -> bool:
+        return not self.may_be_absent or bool(value and value != self.default)
+
+
+@lru_cache(maxsize=512)
+def _written_fields(kind: type[BaseModel]) -> tuple[_WrittenField, ...]:
+    """Return the fields of a model, sorted by their names in the spec."""
+    absent: tuple[str, ...] = getattr(kind, "ABSENT_BY_DEFAULT", ())
+    fields = [
+        _WrittenField(info.serialization_alias or info.alias or name, name, name in absent, info.default)
+        for name, info in kind.model_fields.items()
+    ]
+    return tuple(sorted(fields, key=lambda one: one.name))
+
+
 def canonical(value: Any) -> Any:
     """Convert models to dicts with sorted keys; mappings whose keys are names given by the user keep their order.
 
@@ -163,13 +187,8 @@ def canonical(value: Any) -> Any:
     """
     match value:
         case BaseModel():
-            fields, absent = type(value).model_fields, getattr(type(value), "ABSENT_BY_DEFAULT", ())
-            names = {
-                name: info.serialization_alias or info.alias or name
-                for name, info in fields.items()
-                if name not in absent or (getattr(value, name) and getattr(value, name) != info.default)
-            }
-            return {names[name]: canonical(getattr(value, name)) for name in sorted(names, key=lambda n: names[n])}
+            parts = [(one, getattr(value, one.field)) for one in _written_fields(type(value))]
+            return {one.name: canonical(part) for one, part in parts if one.is_written(part)}
         case Mapping():
             return {key: canonical(item) for key, item in value.items()}
         case list() | tuple():

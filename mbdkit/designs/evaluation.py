@@ -18,10 +18,12 @@ from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.base.logs import to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.inverse_dynamics.inverse_run import compute_run
 from mbdkit.inverse_dynamics.measure_samples import SampledMeasures, sampled_measures
 from mbdkit.measures.take import describe, error_of, take
 from mbdkit.runs.batch import simulate_batch
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.spec import DesignSpec, InverseSpec, RunSpec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.reading import parse_key
@@ -94,6 +96,7 @@ class ScenarioRuns:
         self.spec = spec
         assert spec._document is not None
         self._varied = VariedSpecs(json.dumps(plain(spec._document.data)))
+        self._lanes = LaneRuns(Starts(), ())
 
     def at(self, settings: Settings) -> RunSpec | InverseSpec:
         """Return the spec with these values.
@@ -126,7 +129,7 @@ class ScenarioRuns:
                 raise
             except MbdkitError as error:
                 found[place] = self._failed(str(error))
-        results = simulate_batch(runs.values(), notify=_notify)
+        results = simulate_batch(runs.values(), notify=_notify, lanes=self._lanes)
         for (place, spec), result in zip(runs.items(), results, strict=True):
             if not isinstance(result, FinishedRun) or result.status != "complete":
                 if result.status == "missing":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -272,20 +273,20 @@ class CompiledMechanism:
             tuple(one.force.name for one in self.muscles),
         )
 
-    @property
+    @cached_property
     def has_power(self) -> bool:
         """Whether loads, drivers, dampers or force laws are present, so that work and dissipated energy can change."""
         top = self.topology
         damped = np.any(top.linear[:, 1]) or np.any(top.section_parameters[:, -3:])
         return bool(len(top.loads) or len(self.drives) or damped or len(top.laws))
 
-    @property
+    @cached_property
     def drives(self) -> np.ndarray:
         """Numbers of the motions that drive constraints, in increasing order."""
         motions = self.topology.pairs[:, 3]
         return np.unique(motions[(motions >= 0) & (motions < len(self.motions))])
 
-    @property
+    @cached_property
     def needs_pivots(self) -> bool:
         """Whether the Schur complement would be inaccurate, or denser than the whole system."""
         top = self.topology
@@ -293,7 +294,7 @@ class CompiledMechanism:
         crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(top.pairs), 1)
         return crowded or not self.well_scaled
 
-    @property
+    @cached_property
     def unknowns(self) -> int:
         """Number of unknowns of the index-1 equations: accelerations and multipliers of the independent rows."""
         return 3 * len(self.bodies) + int(np.sum(self.topology.rows))

@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.observe import constraints_at, stiffness_at
+from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.workspace import new_scratch
 
 Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -33,9 +34,11 @@ class LeastChange:
     """
 
     def __init__(self, compiled: CompiledMechanism, t0: float, fixed: np.ndarray):
-        self.compiled, self.t0 = compiled, t0
+        self.compiled, self.t0 = compiled, float(t0)
         self.scratch = new_scratch(compiled)[0]
+        self._constraints = RepeatedCall(constraints_at, compiled.topology, self.scratch)
         self.n = len(fixed)
+        self._at_rest = np.zeros(self.n + 3)
         self.mass = compiled.topology.mass[:-1].ravel()
         self.free = np.flatnonzero(~fixed)
         self.rows = np.array([(row.pair, row.place) for row in compiled.rows], dtype=np.int64).reshape(-1, 2)
@@ -47,8 +50,8 @@ class LeastChange:
 
     def evaluate(self, q: np.ndarray) -> tuple[np.ndarray, Entries, np.ndarray]:
         """Return Phi (m,), the Jacobian as (row, column, value) and Phi_t (m,)."""
-        w, top = self.scratch, self.compiled.topology
-        constraints_at(top, w, self.t0, with_ground(q), with_ground(np.zeros(self.n)))
+        w = self.scratch
+        self._constraints(self.t0, with_ground(q), self._at_rest)
         pair, place = self.rows[:, 0], self.rows[:, 1]
         values = w.jac.reshape(-1, 2, 6)[pair, place].ravel()
         row, column = self._places
@@ -188,7 +191,7 @@ class LeastChange:
         """
         top = self.compiled.topology
         for k in np.flatnonzero(top.pairs[:, 0] == KINDS["distance"]):
-            constraints_at(top, self.scratch, self.t0, with_ground(q), with_ground(np.zeros(self.n)))
+            self._constraints(self.t0, with_ground(q), self._at_rest)
             if np.all(np.isfinite(self.scratch.jac[k])):
                 continue
             for body in top.pairs[k, [2, 1]]:

@@ -45,6 +45,7 @@ def simulate_batch(
     notify: Callable[[str], None] = to_stderr,
     begun: Callable[[int], None] | None = None,
     measures: Sequence[str] = (),
+    lanes: LaneRuns | None = None,
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
@@ -61,10 +62,11 @@ def simulate_batch(
         runs are prepared before the first result is yielded.
     measures
         As for `simulate`. Runs whose measures have time integrals are advanced one after another.
+    lanes
+        Loops and compiled mechanisms of earlier batches, made for the same `measures`; by default, new ones.
     """
     begun = begun or _ignored
-    starts = Starts()
-    lanes, remaining = LaneRuns(starts, measures), iter(enumerate(specs))
+    lanes, remaining = lanes or LaneRuns(Starts(), measures), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
         with one_thread_of_linear_algebra():
             prepared = lanes.members(_noted(chunk, begun), notify)
@@ -73,7 +75,7 @@ def simulate_batch(
             run = None if member is None else next(finished)
             if run is None:
                 begun(place)
-            yield _alone(spec, notify, starts, measures) if run is None else run
+            yield _alone(spec, notify, lanes.starts, measures) if run is None else run
 
 
 def _ignored(place: int) -> None:

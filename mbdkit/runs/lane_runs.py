@@ -153,7 +153,7 @@ class LaneRuns:
     def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
         self._measures = measures
         self._groups: dict[tuple[object, ...], _Group] = {}
-        self._starts, self._pivots = starts, PivotsAtStart()
+        self.starts, self._pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
 
@@ -195,7 +195,7 @@ class LaneRuns:
             return None
         check_jumps(spec)
         cautions = caution(spec, method)
-        start = self._starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
+        start = self.starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
         return _Started(spec, method, cautions, start)
 
     def _method(self, spec: RunSpec) -> Method | None:
@@ -229,6 +229,10 @@ class LaneRuns:
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run the members and return the results in their order; None for a run that must be repeated alone."""
+        if not members:
+            return []
+        # read once for all: the processor time of a process with several threads takes long to read on some systems
+        begin, cpu = time.perf_counter(), time.process_time()
         results: list[FinishedRun | None] = [None] * len(members)
         groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
         for place, member in enumerate(members):
@@ -241,7 +245,10 @@ class LaneRuns:
                 some = places[first : first + WIDTH]
                 for place, run in zip(some, group.finished([members[place] for place in some]), strict=True):
                     results[place] = None if run is None else _with_functionals(run, members[place], self._measures)
-        return results
+        apart = sum(run.stats["finish_s"] for run in results if run is not None)
+        spent = time.perf_counter() - begin - apart, time.process_time() - cpu
+        seconds = dict(zip(("wall_s", "cpu_s"), (one / len(members) for one in spent), strict=True))
+        return [None if run is None else replace(run, stats={**run.stats, **seconds}) for run in results]
 
     def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
         group = self._groups.pop(key, None) or _Group(first)
@@ -336,7 +343,6 @@ class _Group:
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Run at most `WIDTH` members."""
-        begin, cpu = time.perf_counter(), time.process_time()
         starts, tables = [one.start for one in members], [one.table for one in members]
         results = self.stepper.advance(starts, tables, [one.pivots for one in members])
         states = self._states(results)
@@ -348,7 +354,6 @@ class _Group:
             recorded = self._recorded(members, results, states)
             coordinates = results.observed.joints[..., 0]
             reached = np.stack([coordinates.min(axis=1), coordinates.max(axis=1)], axis=1)
-        seconds = (time.perf_counter() - begin) / len(members), (time.process_time() - cpu) / len(members)
         finished: list[FinishedRun | None] = []
         for lane, member in enumerate(members):
             if lost[lane]:
@@ -366,13 +371,11 @@ class _Group:
                     continue
             found = center_warnings(member.spec.mechanism(), reached[lane])
             found = (*member.warnings, *found, *(() if ranges is None else ranges.warnings()))
-            made = self._run(member, own, recorded[lane], found, results.evidence[lane])
             counters = vars(results.counters[lane]).copy()
             counters["factorizations"] += int(
                 member.pivots is not None
             )  # the mechanism for which the pivots were chosen
-            timings = {"setup_s": member.seconds, "wall_s": seconds[0], "cpu_s": seconds[1]}
-            finished.append(replace(made, stats={**counters, **timings, **made.stats}))
+            finished.append(self._run(member, own, recorded[lane], found, results.evidence[lane], counters))
         return finished
 
     def _states(self, results: LaneResults) -> States:
@@ -459,8 +462,9 @@ class _Group:
         recorded: tuple[np.ndarray, _RecordedRun],
         warnings: tuple[str, ...],
         steps: StepEvidence,
+        counters: Mapping[str, int],
     ) -> FinishedRun:
-        """Compute the verdict on a run and return the run; its `stats` contain the time taken for that."""
+        """Compute the verdict on a run and return the run; its `stats` lack the times of its steps."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""
@@ -470,6 +474,7 @@ class _Group:
             _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
         data_sha256 = self.hash.of(arrays, self._known_digests)
         return FinishedRun(
-            self.names, self.layout, arrays, None, *ending, {"finish_s": time.perf_counter() - begin},
+            self.names, self.layout, arrays, None, *ending,
+            {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
             np.asarray(worst, FLOAT), judgement, warnings, data_sha256, member.start.assembled.describe(),
         )  # fmt: skip

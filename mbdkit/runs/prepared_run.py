@@ -46,8 +46,7 @@ class PreparedRun:
     def __init__(self, spec: RunSpec):
         self.spec = spec
         self._varied = VariedSpecs(spec.canonical_json())
-        self._starts = Starts()
-        self._lanes = LaneRuns(self._starts, ())
+        self._lanes = LaneRuns(Starts(), ())
         self._is_long = False
 
     def spec_with(
@@ -55,7 +54,7 @@ class PreparedRun:
     ) -> RunSpec:
         """Return the spec with other numbers; see `run`."""
         spec = self._varied.spec([(self._path_of(name), value) for name, value in (parameters or {}).items()])
-        return spec_started_at(spec, initial, self._starts) if initial else spec
+        return spec_started_at(spec, initial, self._lanes.starts) if initial else spec
 
     def run(self, parameters: Mapping[str, float] | None = None, initial: Mapping[str, float] | None = None) -> Run:
         """Run the spec with other numbers; the results are those of `mbdkit.run` for `spec_with`, to the bit.
@@ -90,7 +89,7 @@ class PreparedRun:
             made = self._vectorized(spec)
             if made is not None:
                 return made
-        made = simulate(spec, notify=silent, starts=self._starts)
+        made = simulate(spec, notify=silent, starts=self._lanes.starts)
         if made.status == "interrupted":
             raise KeyboardInterrupt
         return made

@@ -17,8 +17,8 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import ArrayWriter
 from mbdkit.archive.hdf5 import set_text
 from mbdkit.archive.layout import GRADIENTS
-from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArchiveContents
 from mbdkit.archive.run_writer import Ending, RunWriter, utc_now
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.logs import logger_of
@@ -425,6 +425,6 @@ class SimulatedRun:
         if self.in_memory is not None:
             return self.in_memory
         assert self.writer.path is not None
-        run = load(self.writer.path)
+        run = Run(ArchiveContents.just_written(self.writer.path))
         run.cause = self.cause
         return run
