@@ -215,8 +215,6 @@ def _stepper(
         raise SpecError("gradients of runs do not include muscles; leave them out", key="model.muscles")
     if needs != Needs():
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")
-    if not method.traits.is_explicit:
-        workspace.mechanism.refuse_states("the gradient of a run by an implicit method")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
     table = replace(table, single=table.single or needs.ends)
     if table.impacts:

@@ -21,7 +21,7 @@ from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.differentiated_laws import DifferentiatedLaws
 from mbdkit.stepping.differentiated_sampling import DifferentiatedSampler
 from mbdkit.stepping.dual_run import DualRun, Seeds, new_dual_run
-from mbdkit.stepping.dual_steps import constrained_step, dual_explicit, dual_stages, explicit_step, index1_step
+from mbdkit.stepping.dual_steps import collocation_step, dual_explicit, dual_stages, explicit_step
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Moment, StepTaken, Timetable
 from mbdkit.stepping.run_state import PROJECTIONS
@@ -100,7 +100,6 @@ class DifferentiatedSteps:
             new.previous.size[:], new.previous.begin[:] = np.nan, 0.0
         self._plain = method.bundle
         self._stages = PinnedBundle(new)
-        self._kernel = constrained_step if method.formulation.solves_multipliers else index1_step
 
     def step(self, run_state: int, step: tuple[float, float], row: int, *, projected: bool) -> None:
         """Differentiate a step that the run has taken, and record its end.
@@ -130,9 +129,8 @@ class DifferentiatedSteps:
         else:
             if self.method.bundle is not self._plain:
                 self._take_up_method()
-            status = self._kernel(
-                self._pinned.address, run_state, self._stages.address, self.method.pinned.address, t, h, row
-            )
+            addresses = self._pinned.address, run_state, self._stages.address, self.method.pinned.address
+            status = collocation_step(*addresses, t, h, row, self.method.formulation.solves_multipliers)
         if status != OK:
             why = _CAUSES.get(status, "the system of its equations is singular")
             raise StepError(

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.engine.kernels.applied_forces import applied_forces
+from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
 from mbdkit.engine.native.arithmetic import with_value
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined, kernel, subkernel
@@ -28,6 +29,16 @@ from mbdkit.stepping.collocation_stages import (
 )
 from mbdkit.stepping.collocation_step import complete_step, evaluate_stages, keep_stages
 from mbdkit.stepping.dual_run import advance, load_dual_run, relative_change, take_base, with_derivatives
+from mbdkit.stepping.element_states import (
+    add_up_states,
+    end_of_element,
+    is_coupled,
+    linearize,
+    put_state,
+    solve_dense,
+    state_rate,
+    take_lengths,
+)
 from mbdkit.stepping.explicit import Explicit, new_explicit
 from mbdkit.stepping.run_state import load_run_state
 from mbdkit.stepping.simplified_newton import newton_changes
@@ -77,6 +88,8 @@ def explicit_step(dual: int, run: int, method: int, t: float, h: float, row: int
     return advance(c, n, row)
 
 
+STATE_ITERATIONS = 2
+"""Newton iterations for the derivatives of first-order states in each iteration for those of the accelerations."""
 MOST_ITERATIONS = 100
 SMALL = 1e-14
 """Relative change of the derivatives of a step at which the iteration ends, by its rate of convergence."""
@@ -144,7 +157,52 @@ def _take_values(m, k):
         for p in range(len(m.lam[0])):
             for r in range(2):
                 m.lam[i, p, r] = with_value(m.lam[i, p, r], k.lam[i, p, r])
+        for e in range(len(m.states.rate[0])):
+            m.states.rate[i, e] = with_value(m.states.rate[i, e], k.states.rate[i, e])
     _take_shifts(m, k)
+
+
+@subkernel
+def _change_states(c, n, m, k, t, h):
+    """Change the derivatives of the first-order states of all stages by Newton's method; return a status.
+
+    The values are those of the run, which satisfy the equations, and so is the matrix. The derivatives satisfy the
+    equations after an iteration, but for the errors of the differences in this matrix.
+    """
+    count = len(c.from_z)
+    if count == 0:
+        return OK
+    take_lengths(c, m, t, h)
+    first = 0
+    while first < count:
+        last = end_of_element(c.top, first)
+        for _ in range(STATE_ITERATIONS):
+            add_up_states(c, m, h, first, last)
+            _lack(c, m, t, h, first, last)
+            linearize(n, k, t, h, first, last)
+            if not solve_dense(k.states.matrix, m.states.right, len(m.rk.c) * (last - first)):
+                return DIVERGED
+            for i in range(len(m.rk.c)):
+                for e in range(first, last):
+                    changed = m.states.rate[i, e] + m.states.right[i * (last - first) + e - first]
+                    m.states.rate[i, e] = with_value(changed, k.states.rate[i, e])
+        first = last
+    add_up_states(c, m, h, 0, count)
+    return OK
+
+
+@subkernel
+def _lack(c, m, t, h, first, last):
+    """Write what the rates of the states `first` to `last - 1` lack in every stage, in the order of `linearize`."""
+    for i in range(len(m.rk.c)):
+        at = t + m.rk.c[i] * h
+        for e in range(first, last):
+            put_state(c, e, m.states.z[i, e])
+        if is_coupled(c.top):
+            prepare(c.top, c.w, at, m.q_stage[i])
+            applied_forces(c.top, c.w, m.q_stage[i], m.v_stage[i])
+        for e in range(first, last):
+            m.states.right[i * (last - first) + e - first] = state_rate(c, m, i, e, at) - m.states.rate[i, e]
 
 
 @subkernel
@@ -250,6 +308,9 @@ def _step(dual, run, method, plain, t, h, row, formulation):
     converged = False
     for iteration in range(MOST_ITERATIONS):
         evaluate_stages(c, m, h)
+        status = _change_states(c, n, m, k, t, h)
+        if status != OK:
+            return status
         status = formulation.changes(c, n, m, k, t, h)
         if status != OK:
             return status
@@ -278,8 +339,12 @@ _CONSTRAINED = _Formulation(_constrained_changes, _constrained_sizes, collocatio
 
 
 @kernel
-def index1_step(dual: int, run: int, method: int, plain: int, t: float, h: float, row: int) -> int:
-    """Differentiate the step of size `h` from `t` that a run has taken on the index-1 equations; return a status.
+def collocation_step(
+    dual: int, run: int, method: int, plain: int, t: float, h: float, row: int, solves_multipliers: bool
+) -> int:
+    """Differentiate the step of size `h` from `t` that a run has taken by a collocation method; return a status.
+
+    Both kinds of equations are one kernel, so that what they have in common is stored once.
 
     Parameters
     ----------
@@ -287,11 +352,9 @@ def index1_step(dual: int, run: int, method: int, plain: int, t: float, h: float
         Addresses of the `DualRun`, of the `RunState`, and of the method's bundles of dual numbers and of numbers.
     row
         Place where the end of the step is recorded; -1 if it is not.
+    solves_multipliers
+        Whether the step is one on the constraints themselves (index 2, index 3 or ggl), not on the index-1 equations.
     """
+    if solves_multipliers:
+        return _step(dual, run, method, plain, t, h, row, _CONSTRAINED)
     return _step(dual, run, method, plain, t, h, row, _INDEX_1)
-
-
-@kernel
-def constrained_step(dual: int, run: int, method: int, plain: int, t: float, h: float, row: int) -> int:
-    """Differentiate a step on the constraints themselves: index 2, index 3 or ggl; see `index1_step`."""
-    return _step(dual, run, method, plain, t, h, row, _CONSTRAINED)

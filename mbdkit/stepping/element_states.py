@@ -48,25 +48,38 @@ def solve_states(c, m, t, h):
 def _solve_states(c, m, t, h):
     if len(c.from_z) == 0:
         return OK
-    top, room = c.top, m.states
-    for i in range(len(m.rk.c)):
-        prepare(top, c.w, t + m.rk.c[i] * h, m.q_stage[i])
-        pathway_lengths(top, c.w, m.q_stage[i])
-        for e in range(len(c.from_z)):
-            k = top.states[e, 0]
-            if k >= 0:
-                room.length[i, e] = c.w.s[k, 0]
-                room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
+    take_lengths(c, m, t, h)
     first = 0
     while first < len(c.from_z):
-        last = first + 1
-        while last < len(c.from_z) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
-            last += 1
+        last = end_of_element(c.top, first)
         if not _solve_element(c, m, t, h, first, last):
             c.report[0] = np.inf
             return DIVERGED
         first = last
     return OK
+
+
+@subkernel
+def take_lengths(c, m, t, h):
+    """Evaluate the lengths of the pathways of elements with states, and their rates, at every stage."""
+    top, room = c.top, m.states
+    for i in range(len(m.rk.c)):
+        prepare(top, c.w, t + m.rk.c[i] * h, m.q_stage[i])
+        pathway_lengths(top, c.w, m.q_stage[i])
+        for e in range(len(top.states)):
+            k = top.states[e, 0]
+            if k >= 0:
+                room.length[i, e] = c.w.s[k, 0]
+                room.speed[i, e] = path_rate(k, top.springs, m.v_stage[i], c.w.grad)
+
+
+@inlined
+def end_of_element(top, first):
+    """Return the state after those that are solved together with state `first`."""
+    last = first + 1
+    while last < len(top.states) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
+        last += 1
+    return last
 
 
 @overload(solve_states)
@@ -82,8 +95,8 @@ def _solve_element(c, m, t, h, first, last):
     room, stages, before = m.states, len(m.rk.c), np.inf
     add_up_states(c, m, h, first, last)
     for _ in range(MOST_ITERATIONS):
-        _linearize(c, m, t, h, first, last)
-        if not _solve_dense(room.matrix, room.right, stages * (last - first)):
+        linearize(c, m, t, h, first, last)
+        if not solve_dense(room.matrix, room.right, stages * (last - first)):
             return False
         size = change = 0.0
         for i in range(stages):
@@ -119,7 +132,7 @@ def is_coupled(top):
 
 
 @inlined
-def _put_state(c, f, z):
+def put_state(c, f, z):
     """Use the value `z` of state `f` in what is evaluated next."""
     top, w = c.top, c.w
     w.law_values[top.states[f, 1]] = z
@@ -130,7 +143,7 @@ def _put_state(c, f, z):
 
 
 @subkernel
-def _rate(c, m, i, e, at):
+def state_rate(c, m, i, e, at):
     """Return the rate of state `e` at stage `i`, at the values of the states taken last."""
     top, w, room = c.top, c.w, m.states
     if top.states[e, 2] < 0:
@@ -141,40 +154,40 @@ def _rate(c, m, i, e, at):
 
 
 @subkernel
-def _linearize(c, m, t, h, first, last):
+def linearize(c, m, t, h, first, last):
     """Write matrix and right side of the equations of an element, ordered by stages."""
     top, w, room, n = c.top, c.w, m.states, last - first
     for i in range(len(m.rk.c)):
         at = t + m.rk.c[i] * h
         for e in range(first, last):
-            _put_state(c, e, room.z[i, e])
+            put_state(c, e, room.z[i, e])
         if is_coupled(top):
             prepare(top, w, at, m.q_stage[i])
             applied_forces(top, w, m.q_stage[i], m.v_stage[i])
         for e in range(first, last):
-            room.right[i * n + e - first] = _rate(c, m, i, e, at) - room.rate[i, e]
+            room.right[i * n + e - first] = state_rate(c, m, i, e, at) - room.rate[i, e]
         for f in range(first, last):
             z, is_held = room.z[i, f], top.states[f, 2] < 0
             step = DIFFERENCE * max(abs(z), abs(h * room.rate[i, f]))
             if step == 0.0:
                 step = DIFFERENCE
-            _put_state(c, f, z + step)
+            put_state(c, f, z + step)
             if is_coupled(top) and not is_held:
                 applied_forces(top, w, m.q_stage[i], m.v_stage[i])
             for e in range(first, last):
                 row, slope = i * n + e - first, 0.0
                 if not is_held:
-                    slope = (_rate(c, m, i, e, at) - room.right[row] - room.rate[i, e]) / step
+                    slope = (state_rate(c, m, i, e, at) - room.right[row] - room.rate[i, e]) / step
                 for j in range(len(m.rk.c)):
                     is_own = i == j and e == f
                     room.matrix[row, j * n + f - first] = (1.0 if is_own else 0.0) - h * m.rk.a[i, j] * slope
                 if e == f:
                     room.slope[e] = slope
-            _put_state(c, f, z)
+            put_state(c, f, z)
 
 
 @subkernel
-def _solve_dense(matrix, right, n):
+def solve_dense(matrix, right, n):
     """Replace `right` by the solution of the leading `n` equations; return False if they are singular."""
     for k in range(n):
         pivot = k
