@@ -1,11 +1,15 @@
-"""Units of measured quantities: dimensions, SI factors, and reading of texts such as ``N m`` or ``deg/s``."""
+"""Units of measured quantities: dimensions, SI factors, and reading of texts such as ``N m`` or ``2 N/mm``."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Container
+from contextlib import suppress
 from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
+from functools import cache
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
@@ -30,11 +34,17 @@ class Unit:
         Exponents of metre, kilogram and second. Angles are numbers, as in the SI.
     factor
         Size of the unit in SI units.
+    counts
+        Exponents of angle, cycle and percent, which are numbers in the SI but which `fits` distinguishes.
+    si
+        The SI unit of the same kind, such as ``N m/rad`` for ``N mm/deg``.
     """
 
     text: str
     exponents: Exponents = _NONE
     factor: float = 1.0
+    counts: tuple[int, int, int] = (0, 0, 0)
+    si: str = "1"
 
     def __str__(self) -> str:
         return self.text
@@ -42,6 +52,15 @@ class Unit:
     def is_like(self, other: Unit) -> bool:
         """Return whether both units measure the same kind of quantity, such as m and mm."""
         return self.exponents == other.exponents
+
+    def fits(self, wanted: Unit) -> bool:
+        """Return whether a number with this unit can stand where `wanted` is expected.
+
+        rad may be left out, as in N m for N m/rad, but 10 Hz is no angular velocity and 2 deg is no length.
+        """
+        return self.is_like(wanted) and all(
+            own in (0, other) for own, other in zip(self.counts, wanted.counts, strict=True)
+        )
 
     def times(self, other: Unit, power: Fraction = Fraction(1)) -> Unit:
         """Return the SI unit of a product with a `power` of another quantity."""
@@ -68,7 +87,9 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
     "min": (_exponents(s=1), 60.0),
     "Hz": (_exponents(s=-1), 1.0),
     "rad": (_NONE, 1.0),
+    "mrad": (_NONE, 1e-3),
     "deg": (_NONE, math.pi / 180.0),
+    "rev": (_NONE, 2.0 * math.pi),
     "%": (_NONE, 1e-2),
     "1": (_NONE, 1.0),
     "N": (_FORCE, 1.0),
@@ -86,6 +107,9 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
     "mW": (_POWER, 1e-3),
 }
 """Exponents and SI factor of each symbol."""
+_COUNTS = {"rad": (1, 0, 0), "mrad": (1, 0, 0), "deg": (1, 0, 0), "rev": (1, 0, 0), "Hz": (0, 1, 0), "%": (0, 0, 1)}
+_SI = {"kg": "kg", "g": "kg", "min": "s", "Hz": "Hz", "deg": "rad", "rev": "rad", "mrad": "rad", "%": "1"}
+"""SI symbols of those that are not found by leaving out a prefix."""
 
 _NAMED = {
     exponents: text
@@ -101,6 +125,15 @@ _NAMED = {
     }.items()
 }
 """Usual names of SI units with several base units."""
+
+NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+QUANTITY = rf"^\s*{NUMBER}\s+(?:[A-Za-z%]|1/)[A-Za-z0-9%*/^ -]*$"
+"""Pattern of a number with a unit."""
+PERCENT = rf"^\s*{NUMBER}\s+%$"
+_QUANTITY = re.compile(rf"\s*({NUMBER}(?:,\d+)?)(\s*)((?:[A-Za-z%]|1/)[A-Za-z0-9%*/^ -]*)")
+_LONGEST = 100
+PLAIN = Unit("1", counts=(0, 0, 1))
+"""The unit of numbers without one, which may be given in percent."""
 
 _PART = re.compile(r"(%|1|[A-Za-z]+)(?:(?:\^|\*\*)(-?\d{1,2}))?")
 
@@ -132,7 +165,7 @@ def read_unit(text: str) -> Unit:
     SpecError
         If the text is not a unit.
     """
-    exponents, factor = list(_NONE), 1.0
+    exponents, factor, counts, si = list(_NONE), 1.0, [0, 0, 0], ""
     sign, place, written = 1, 0, text.strip()
     if not written:
         raise SpecError("should be a unit such as N, N m, mm or deg, not an empty text")
@@ -142,21 +175,75 @@ def read_unit(text: str) -> Unit:
             raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
         symbol, power = found[1], sign * int(found[2] or 1)
         if symbol not in _SYMBOLS:
-            hint = did_you_mean(symbol, _SYMBOLS) or f"; known: {listed(_SYMBOLS)}"
+            apart = (f" (did you mean '{symbol[:i]} {symbol[i:]}'?)" for i in range(1, len(symbol))
+                     if symbol[0] == "N" and symbol[:i] in _SYMBOLS and symbol[i:] in _SYMBOLS)  # fmt: skip
+            hint = next(apart, "") or did_you_mean(symbol, _SYMBOLS) or f"; known: {listed(_SYMBOLS)}"
             raise SpecError(f"'{_short(symbol)}' is not a known unit{hint}")
         of_symbol, size = _SYMBOLS[symbol]
         exponents = [total + power * one for total, one in zip(exponents, of_symbol, strict=True)]
         if any(abs(total) > LARGEST_EXPONENT for total in exponents):
             raise SpecError(f"'{_short(text)}' has an exponent larger than {LARGEST_EXPONENT}")
         factor *= size**power
+        counts = [total + power * one for total, one in zip(counts, _COUNTS.get(symbol, (0, 0, 0)), strict=True)]
+        plain = symbol[1:] if len(symbol) > 1 and symbol[1:] in _SYMBOLS else symbol
+        si += _SI.get(symbol, plain) + written[found.end(1) : found.end()]
         between = re.compile(r"\s*([*/])\s*|\s+|$").match(written, found.end())
         if between is None or (between.end() == len(written) and between[1]):
             raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
+        si += written[found.end() : between.end()]
         sign = -1 if between[1] == "/" else 1
         place = between.end()
         if place == found.end():
             break
-    return Unit(" ".join(written.split()), (exponents[0], exponents[1], exponents[2]), factor)
+    return Unit(
+        " ".join(written.split()),
+        (exponents[0], exponents[1], exponents[2]),
+        factor,
+        (counts[0], counts[1], counts[2]),
+        " ".join(si.split()),
+    )
+
+
+def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit] | None:
+    """Return the number in SI units and the unit of a text such as ``2 N/mm``; None if it is no number with a unit.
+
+    Parameters
+    ----------
+    names
+        Names that may occur in expressions: a text that has one in place of a unit is no number with a unit.
+
+    Raises
+    ------
+    SpecError
+        If the unit is not known, or not separated from the number.
+    """
+    if not isinstance(text, str) or len(text) > _LONGEST or (found := _QUANTITY.fullmatch(text)) is None:
+        return None
+    number, space, written = found.groups()
+    try:
+        unit = read_unit(written)
+    except SpecError as error:
+        if not space or any(word in names for word in re.findall(r"\w+", written)):
+            return None
+        raise SpecError(f"'{_short(text)}' is not a number with a unit: {error.message}") from None
+    if "," in number:
+        raise SpecError(f"'{_short(text)}' should have a point in place of the decimal comma")
+    if not space:
+        raise SpecError(f"'{_short(text)}' needs a space between the number and its unit: {number} {written}")
+    # decimal, so that 35 mm is 0.035 m and not the product of two rounded numbers
+    return float(Decimal(number) * Decimal(repr(unit.factor))), unit
+
+
+@cache
+def described_units(description: str) -> tuple[str, ...]:
+    """Return the units in a description such as ``Stiffness [N/m]``: several in ``[N/m or N m/rad]`` and ``[m, rad]``,
+    none if no brackets of the description contain units.
+    """
+    for inside in re.findall(r"\[([^\[\]]+)\]", description):
+        units = tuple(re.split(r",? or |, ", inside))
+        with suppress(SpecError):
+            return tuple(read_unit(unit).text for unit in units)
+    return ()
 
 
 def _short(text: str) -> str:

@@ -84,6 +84,22 @@ class Element(StrictModel):
         """Return (key, value) of each prescribed function of time."""
         return []
 
+    @classmethod
+    def unit_along(cls, data: Mapping[str, Any]) -> str:
+        """Return the unit, m or rad, that is meant where the description of a key has two, as in ``[N/m or N m/rad]``.
+
+        Parameters
+        ----------
+        data
+            Keys of an element of this class, which need not be valid.
+
+        Returns
+        -------
+        str
+            Empty if the keys do not tell.
+        """
+        return ""
+
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
         """Return the element with its points in the frames of the bodies; `bodies` have the positions as given.
 

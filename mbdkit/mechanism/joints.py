@@ -360,7 +360,7 @@ class Driver(JointBase):
     coordinate: Literal["angle", "x", "y"]
     """The driven coordinate: `angle` [rad], `x` [m] or `y` [m]."""
     motion: Motion
-    """Prescribed value as a function of time [rad or m]: number, expression of t, or table."""
+    """Prescribed value as a function of time [m or rad]: number, expression of t, or table."""
     points: Points | None = None
     """For `x` and `y`: ``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin is driven."""
     mark: ClassVar[Mark] = "none"
@@ -402,6 +402,11 @@ class Driver(JointBase):
         if self.coordinate == "angle":
             return None
         return (0.0, 0.0, *self.point, *((1.0, 0.0) if self.coordinate == "x" else (0.0, 1.0)))
+
+    @classmethod
+    def unit_along(cls, data: Mapping[str, Any]) -> str:
+        """Return the unit of the driven coordinate; see `Element.unit_along`."""
+        return {"angle": "rad", "x": "m", "y": "m"}.get(str(data.get("coordinate")), "")
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""

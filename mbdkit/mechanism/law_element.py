@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Any, ClassVar, Literal, Protocol, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, to_json
@@ -67,6 +67,14 @@ class Law(Element):
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
         return [(f"pathway.{key}", name) for key, name in self.pathway.angles()]
+
+    @classmethod
+    def unit_along(cls, data: Mapping[str, Any]) -> str:
+        """Return the unit of the length of the pathway; see `Element.unit_along`."""
+        pathway = data.get("pathway")
+        kind = pathway.get("type") if isinstance(pathway, Mapping) else getattr(pathway, "type", None)
+        classes = get_args(get_args(Pathway)[0])
+        return next((one.length_unit for one in classes if kind in get_args(one.model_fields["type"].annotation)), "")
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
         """Return the element with the points of its pathway in the frames of the bodies; see `Element.placed`."""

@@ -1,7 +1,8 @@
 """Named parameters of a model, and expressions of them that stand for its numbers.
 
 An expression consists of numbers, names of parameters, ``pi``, ``+ - * / **``, parentheses and the functions of
-motions; ``degrees(45)`` is an angle in radians. Only validation determines where a model requires a number: it is
+motions; ``degrees(45)`` is an angle in radians. A number with a unit, ``2 N/mm``, is replaced by its value in SI units
+if the unit fits that in the description of the key. Only validation determines where a model requires a number: it is
 repeated with the values of the expressions that it rejected as text. In functions of time, the names of parameters are
 replaced by their values.
 """
@@ -15,15 +16,19 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, found, parse_path, path_text
+from mbdkit.base.strict_model import description
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import PLAIN, Unit, described_units, read_quantity, read_unit
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
+from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.coordinate_function import CoordinateCompiler, CoordinateExpressionError
 from mbdkit.mechanism.law_element import PluginLookup
 from mbdkit.mechanism.state_values import StateExpressionError, StateSyntax
@@ -35,7 +40,7 @@ Values = Mapping[str, float]
 Written = dict[Path, str]
 """Expressions by key path."""
 Kind = Literal[
-    "number", "whole number", "function of time", "function of the state", "function of an angle",
+    "quantity", "number", "whole number", "function of time", "function of the state", "function of an angle",
     "function of coordinates",
 ]  # fmt: skip
 
@@ -77,6 +82,7 @@ def parameter_values(given: Any) -> dict[str, float]:
         return {}
     if not isinstance(given, Mapping):
         raise SpecError(f"should be a mapping of names and numbers, not {found(given)}", key="parameters")
+    given = without_units(given)
     for name, value in given.items():
         _check(name, value)
     values: dict[str, float] = {}
@@ -87,6 +93,24 @@ def parameter_values(given: Any) -> dict[str, float]:
         except SpecError as error:
             raise error.located(prefix=f"parameters.{name}") from None
     return {name: values[name] for name in given}
+
+
+def without_units(parameters: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Return named parameters with numbers in SI units in place of numbers with a unit, of any kind.
+
+    Raises
+    ------
+    SpecError
+        With the key path of a unit that is not known.
+    """
+    numbers = {}
+    for name, value in parameters.items():
+        try:
+            quantity = read_quantity(value, {"pi", *parameters})
+        except SpecError as error:
+            raise error.located(prefix=f"parameters.{name}") from None
+        numbers[name] = value if quantity is None else quantity[0]
+    return numbers
 
 
 def evaluate(text: str, values: Values, known: list[str] | None = None) -> float:
@@ -145,7 +169,7 @@ def with_expressions(
     Validated
         The result of `validate`.
     Written
-        The expressions that were replaced.
+        The expressions that were replaced; numbers with units, of any section, are not among them.
 
     Raises
     ------
@@ -154,6 +178,7 @@ def with_expressions(
     """
     lookup: PluginLookup = plugins or higher_layers.installed_plugins()
     written: Written = {}
+    quantities: Written = {}
     while True:
         try:
             return validate(data), written
@@ -161,13 +186,15 @@ def with_expressions(
             fresh = {
                 path: (text, kind)
                 for path, text, kind in _replacements(error, data, root, lookup, values)
-                if path not in written and path[: len(section)] == section
+                if path not in written | quantities and (kind == "quantity" or path[: len(section)] == section)
             }
             if not fresh:
-                raise spec_error(error, root, prefix=prefix, plugins=lookup, written=written) from None
+                raise spec_error(error, root, prefix=prefix, plugins=lookup, written=written | quantities) from None
             for path, (text, kind) in fresh.items():
-                _at(data, path[:-1])[path[-1]] = _value(text, kind, values, (*parse_path(prefix), *path))
-                written[path] = text
+                where = (*parse_path(prefix), *path)
+                holder = _at(data, path[:-1])
+                (quantities if kind == "quantity" else written)[path] = holder[path[-1]]
+                holder[path[-1]] = _value(text, kind, values, where) if isinstance(text, str) else text
 
 
 def insert(data: Any, written: Written) -> Any:
@@ -236,8 +263,11 @@ def _in_order_of_use(uses: Mapping[str, set[str]]) -> Iterator[str]:
 
 def _replacements(
     error: ValidationError, data: Any, root: Any, plugins: PluginLookup, values: Values
-) -> Iterator[tuple[Path, str, Kind]]:
-    """Return the key path and text of each expression that was refused, and what it should be."""
+) -> Iterator[tuple[Path, str | float, Kind]]:
+    """Return the key path of each text that was refused, what it should be, and the text of the expression or the
+    value of the number with a unit.
+    """
+    known = {"t", "pi", *values}
     for details in error.errors(include_url=False):
         inner = details.get("ctx", {}).get("error")
         if not (
@@ -247,22 +277,63 @@ def _replacements(
         path, _ = walk(details["loc"], root, plugins)
         if isinstance(inner, TextForNumberError):  # raised for the first number of a list
             path = value_path(path, parse_path(inner.key))
+            if read_quantity(text := _at(data, path), known):
+                message = f"should be a number without a unit, since tables are in SI units, not '{text}'"
+                raise SpecError(message, key=path_text(path))
             items = enumerate(_at(data, path[:-1]))
             yield from (((*path[:-1], i), text, "number") for i, text in items if _is_expression(text, values))
             continue
         if isinstance(inner, CoordinateExpressionError):  # raised for the whole model, which knows its coordinates
             path = value_path(path, parse_path(inner.key))
-            text = _at(data, path)
+            text = _at(data, path)  # a number with a unit is refused before, as no expression
             if names_in(text) & values.keys():
                 yield path, text, "function of coordinates"
             continue
         text = details["input"]
+        try:
+            if quantity := read_quantity(text, known):
+                yield path, _in_si(*quantity, details, data, root, plugins), "quantity"
+                continue
+        except SpecError as error_of_unit:
+            raise error_of_unit.located(prefix=path_text(path)) from None
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
             yield path, text, next(kind for error, kind in _KINDS if isinstance(inner, error))
         elif details["type"] == "float_type" and _is_expression(text, values):
             yield path, text, "number"
         elif details["type"] == "int_type" and _is_expression(text, values):
             yield path, text, "whole number"
+
+
+def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any, plugins: PluginLookup) -> float:
+    """Return the value of a number with a unit; raise SpecError if it is not the unit of the key."""
+    if details["type"] == "int_type":
+        raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
+    if not abs(value) <= sys.float_info.max:
+        raise SpecError(f"should be a finite number, not '{details['input']}'")
+    location = details["loc"]
+    for length in range(len(location), 0, -1):  # the numbers of lists and mappings have the unit of their field
+        path, owner = walk(location[:length], root, plugins)
+        if owner is not None and (name := _field(owner, path[-1])):
+            break
+    else:
+        return value
+    units = described_units(description(owner, name))
+    parts, _ = walk(location, root, plugins)
+    if len(units) == 2 and issubclass(owner, Element):
+        along = owner.unit_along(_at(data, path[:-1]))
+        units = units[along == "rad" :][:1] if along else units
+    elif len(units) > 2 and isinstance(parts[-1], int):
+        units = units[parts[-1] :][:1]
+    wanted = [read_unit(text) for text in units] or [PLAIN]
+    if not any(unit.fits(one if one.text != "1" else PLAIN) for one in wanted):
+        takes = f"in {listed(units, 'or')}" if units else "without a unit"
+        raise SpecError(f"'{details['input']}' has the unit {unit}, but this is a number {takes}")
+    return value
+
+
+def _field(owner: type[BaseModel], key: str | int) -> str:
+    """Return the name of the field that a key sets; empty if there is none."""
+    return next((name for name, info in owner.model_fields.items() if key in (name, info.alias)), "")
 
 
 def _is_expression(text: Any, values: Values) -> bool:

@@ -195,7 +195,7 @@ def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []
     given = [one for one in info.get("anyOf", ()) if one != {"type": "null"}]
-    members = [] if any(one.get("type") == "number" for one in given) else given  # a text is a short form
+    members = [] if any(_kind(one) == "number" for one in given) else given  # a text is a short form
     if found := [one for member in members for one in _inside(member, definitions)]:
         return found
     choice = info.get("discriminator", {})
@@ -218,6 +218,12 @@ def _without(schema: Schema, key: str) -> Schema:
     return schema | {"properties": {name: info for name, info in schema["properties"].items() if name != key}}
 
 
+def _kind(info: Schema) -> Any:
+    """Return the type in a schema, of a number that may have a unit as well."""
+    kind = info.get("type")
+    return kind[0] if isinstance(kind, list) else kind
+
+
 def _type(info: Schema, definitions: Schema) -> str:
     """Return a short name of the type in a schema."""
     if "$ref" in info:
@@ -230,7 +236,7 @@ def _type(info: Schema, definitions: Schema) -> str:
     if members:
         words = [_type(member, definitions) for member in members]
         return " | ".join(dict.fromkeys(word for word in words if word != "null"))
-    match info.get("type"):
+    match _kind(info):
         case "array" if "prefixItems" in info:
             return f"[{', '.join(_type(item, definitions) for item in info['prefixItems'])}]"
         case "array":

@@ -126,11 +126,14 @@ def _scenario_spec(
     chosen: Given = {}
     for key, variable in design.variables.items():
         _check_variable(key, data)
-        chosen[path_text(("variables", key))] = (variable_path(key), variable.first)
+        chosen[path_text(("variables", key))] = (variable_path(key), variable.written)
     chosen |= changes or {}
     _put_all(data, chosen)
     given |= chosen
-    data["measures"] = {measure.name: {"value": measure.expression} for measure in design.defined_measures()}
+    data["measures"] = {
+        measure.name: {"value": measure.expression} | ({"unit": measure.unit} if measure.unit else {})
+        for measure in design.defined_measures()
+    }
     kind = InverseSpec if is_inverse(data) else RunSpec
     try:
         spec = kind(**data)

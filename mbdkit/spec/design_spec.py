@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    PrivateAttr,
+    model_validator,
+)
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, found, path_text
+from mbdkit.base.plain_data import Path, copied, found, path_text
+from mbdkit.base.units import Unit, read_quantity
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
 from mbdkit.spec.inverse_spec import InverseSpec
@@ -24,8 +33,43 @@ GOAL = "goal"
 """Name of the only goal if `minimize` is an expression."""
 
 
-class Variable(Section):
+class _WithUnit(Section):
+    """Base class of sections whose numbers may have a unit, which is checked where the spec of a run expects one."""
+
+    _unit: Unit | None = PrivateAttr(default=None)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _without_unit(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        if not isinstance(data, Mapping):
+            return handler(data)
+        values, units = copied(data), []  # type: dict[str, Any], list[Unit]
+        for key, value in values.items():
+            numbers = value if isinstance(value, list) else [value]
+            for place, number in enumerate(numbers if key in cls.NUMBERS else ()):
+                try:
+                    quantity = read_quantity(number)
+                except SpecError as error:
+                    raise error.located(prefix=key) from None
+                if quantity is None:
+                    continue
+                numbers[place] = quantity[0]
+                units.append(quantity[1])
+                if not (quantity[1].fits(units[0]) or units[0].fits(quantity[1])):
+                    raise SpecError(f"has the unit {quantity[1]}, which does not fit the unit {units[0]}", key=key)
+            values[key] = numbers if isinstance(value, list) else numbers[0]
+        section = handler(values)
+        section._unit = units[0] if units else None
+        return section
+
+    NUMBERS: ClassVar[tuple[str, ...]]
+    """Keys that may have a unit."""
+
+
+class Variable(_WithUnit):
     """A number of the base spec that the optimiser chooses."""
+
+    NUMBERS: ClassVar[tuple[str, ...]] = ("bounds", "start")
 
     bounds: Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
     """Smallest and largest value."""
@@ -48,9 +92,16 @@ class Variable(Section):
         """Value at which the search begins."""
         return 0.5 * (self.bounds[0] + self.bounds[1]) if self.start is None else self.start
 
+    @property
+    def written(self) -> float | str:
+        """The first value, with its SI unit if the variable has one."""
+        return self.first if self._unit is None else f"{self.first!r} {self._unit.si}"
 
-class Limit(Section):
+
+class Limit(_WithUnit):
     """A measure that the design keeps within limits, in every scenario."""
+
+    NUMBERS: ClassVar[tuple[str, ...]] = ("max", "min")
 
     value: str
     """Expression of a run, as that of a measure."""
@@ -66,6 +117,11 @@ class Limit(Section):
         if self.max is not None and self.min is not None and self.min > self.max:
             raise SpecError(f"should be at most `max`, {self.max:g}, not {self.min:g}", key="min")
         return self
+
+    @property
+    def measure(self) -> dict[str, str]:
+        """The expression, with the SI unit of the limits if they have one."""
+        return {"value": self.value} | ({} if self._unit is None else {"unit": self._unit.si})
 
 
 class Scenario(Section):
@@ -279,7 +335,7 @@ class DesignSpec(StrictSpec):
         for one in defined(self.goals, ("minimize",)):
             yield one if isinstance(self.minimize, Mapping) else replace(one, place=("minimize",))
         for name, limit in self.subject_to.items():
-            yield from defined({name: {"value": limit.value}}, ("subject_to",))
+            yield from defined({name: limit.measure}, ("subject_to",))
 
 
 def variable_path(name: str) -> Path:

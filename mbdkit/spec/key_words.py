@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -11,6 +10,8 @@ from pydantic import BaseModel
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import Path
 from mbdkit.base.strict_model import description
+from mbdkit.base.units import described_units
+from mbdkit.mechanism.bodies import Element
 from mbdkit.spec.reading import parse_key
 
 _WORDS = {
@@ -75,13 +76,10 @@ def described_unit(description: str, along: str = "") -> str:
         Unit of the length of the pathway, ``m`` or ``rad``, which selects one of ``[N/m or N m/rad]``; empty if it is
         not known, which leaves both.
     """
-    match = re.search(r"\[([^\]\s][^\]]*)\]", description)
-    if match is None:
-        return ""
-    units = re.split(r",? or ", match[1])
-    if along:
+    units = described_units(description)
+    if along and units:
         return units[-1] if along == "rad" else units[0]
-    return "" if "," in match[1] else match[1].replace("^2", "²")
+    return " or ".join(units).replace("^2", "²") if len(units) < 3 and "1" not in units else ""
 
 
 def _parts(key: str | Path) -> Path:
@@ -93,7 +91,7 @@ def _unit(holder: Any, path: Path) -> str:
     described = along = ""
     for part in path:
         if isinstance(holder, BaseModel):
-            along = getattr(getattr(holder, "pathway", None), "length_unit", along)
+            along = holder.unit_along(dict(holder)) if isinstance(holder, Element) else along
             name, described = _field(holder, str(part))
             holder = getattr(holder, name)
         elif isinstance(holder, Mapping):

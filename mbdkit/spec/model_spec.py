@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, SerializerFuncti
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions
+from mbdkit.mechanism.parameters import Written, insert, parameter_values, with_expressions, without_units
 from mbdkit.registry.catalogue import Registered, item_of
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
@@ -55,6 +55,8 @@ class StrictSpec(Section):
 
         try:
             values = plain(data)
+            if self.EXPRESSIONS_IN and isinstance(values.get("parameters"), Mapping):
+                values["parameters"] = without_units(values["parameters"])
             numbers = parameter_values(values.get("parameters")) if self.EXPRESSIONS_IN else {}
             section = (self.EXPRESSIONS_IN,)
             _, written = with_expressions(validate, values, type(self), numbers, section=section, plugins=plugins)

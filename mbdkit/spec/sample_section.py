@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, found, quoted
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import QUANTITY, Unit, read_quantity
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section, whole
 
@@ -106,10 +107,41 @@ def _values(name: str, given: Any, names: Sequence[str], needed: Sequence[str]) 
     missing = [one for one in needed if one not in values]
     if missing:
         raise SpecError(f"needs {listed([f'`{one}`' for one in missing], 'and')}: {text}")
+    values, _ = _in_si(values)
     for key, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise SpecError(f"should be a number, not {found(value)}", key=str(key))
     return {key: float(value) for key, value in values.items()}
+
+
+def _in_si(values: Mapping[str, Any]) -> tuple[dict[str, Any], Unit | None]:
+    """Return parameters in SI units, and the unit of the variable; shapes of a distribution have none.
+
+    Raises
+    ------
+    SpecError
+        If the location has a unit and the scale none or that of another kind, or the reverse.
+    """
+    numbers, units = dict(values), {}  # type: dict[str, Any], dict[str, Unit]
+    for key, value in values.items():
+        try:
+            quantity = read_quantity(value)
+        except SpecError as error:
+            raise error.located(prefix=str(key)) from None
+        if quantity is not None:
+            numbers[key], units[key] = quantity
+    sized = [key for key in values if key in (*LIMITS, *_NORMAL, *_LOCATION)]
+    if units and ({*units} != {*sized} or len({unit.si for unit in units.values()}) > 1):
+        raise SpecError(f"{listed([f'`{key}`' for key in sized], 'and')} should have units of the same kind, or none")
+    return numbers, next(iter(units.values()), None)
+
+
+def unit_of(given: Any) -> Unit | None:
+    """Return the unit in which a distribution, which is valid, has its parameters; None if they are plain numbers."""
+    (parameters,) = given.values()
+    if isinstance(parameters, Mapping):
+        return _in_si(parameters)[1]
+    return next((quantity[1] for one in parameters if (quantity := read_quantity(one))), None)
 
 
 def _distribution(name: str) -> Any:
@@ -145,6 +177,8 @@ def distribution_names() -> tuple[str, ...]:
     return (*sorted(fast), "normal")
 
 
+_NUMBER = {"type": ["number", "string"], "pattern": QUANTITY}
+
 #: The distribution of a variable, as written in the spec.
 Distribution = Annotated[
     Any,
@@ -156,8 +190,8 @@ Distribution = Annotated[
             "maxProperties": 1,
             "additionalProperties": {
                 "anyOf": [
-                    {"type": "array", "items": {"type": "number"}},
-                    {"type": "object", "additionalProperties": {"type": "number"}},
+                    {"type": "array", "items": _NUMBER},
+                    {"type": "object", "additionalProperties": _NUMBER},
                 ]
             },
             "description": f"The distribution of the key: {FORM}. The names and parameters are those of continuous "

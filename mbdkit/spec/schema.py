@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
+from mbdkit.base.units import PERCENT, QUANTITY, described_units
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
@@ -20,8 +21,8 @@ from mbdkit.spec.run_spec import spec_type
 from mbdkit.spec.study_spec import StudySpec
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
-EXPRESSION = "[-+*/(A-Za-z]"
-"""Pattern that distinguishes an expression from a number in quotes."""
+EXPRESSION = "[-+*/(A-Za-z%]"
+"""Pattern that distinguishes an expression, or a number with a unit, from a number in quotes."""
 HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/{}.schema.json"
 
 
@@ -64,7 +65,7 @@ def _model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
         definitions[names[1]] = {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names[2:]]}
     schema = {"$defs": definitions, **schema}
     _allow_expressions(schema)
-    return schema
+    return allow_units(schema)
 
 
 def _allow_expressions(schema: dict[str, Any]) -> None:
@@ -86,6 +87,25 @@ def _allow_expressions(schema: dict[str, Any]) -> None:
         if part.get("type") in ("number", "integer"):
             part |= {"type": [part["type"], "string"], "pattern": EXPRESSION}
         pending += part.values()
+
+
+def allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
+    """Let the numbers of keys whose descriptions name a unit, and of some `sections`, have one, all others %."""
+    for name, part in [("", schema), *schema.get("$defs", {}).items()]:
+        for info in part.get("properties", {}).values():
+            has_unit = name in sections or described_units(info.get("description", ""))
+            _allow_text(info, QUANTITY if has_unit else PERCENT)
+    return schema
+
+
+def _allow_text(part: Any, pattern: str) -> None:
+    """Let the numbers in a part of a schema be texts as well, which match a pattern."""
+    if isinstance(part, dict) and {"type": "string"} in part.get("anyOf", ()):
+        return  # any text is accepted already
+    if isinstance(part, dict) and part.get("type") == "number":
+        part |= {"type": ["number", "string"], "pattern": pattern}
+    for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        _allow_text(inner, pattern)
 
 
 def study_schema(installed: Registry | None = None) -> dict[str, Any]:
@@ -112,7 +132,7 @@ def design_schema(installed: Registry | None = None) -> dict[str, Any]:
     installed
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
-    schema = _described(DesignSpec.model_json_schema())
+    schema = allow_units(_described(DesignSpec.model_json_schema()), "Variable", "Limit")
     run, measured = run_schema(installed), inverse_schema(installed)
     bases = {
         name: {"type": "object", "properties": one["properties"], "additionalProperties": False}

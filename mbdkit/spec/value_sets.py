@@ -19,6 +19,7 @@ from pydantic import BeforeValidator, WithJsonSchema
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LARGEST_NUMBER, Path, found
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import QUANTITY, Unit, read_quantity
 
 #: Larger sets are assumed to be mistakes.
 LARGEST_SET = 10_000
@@ -50,6 +51,8 @@ class Value:
         Whether `value` is a mapping of several dotted keys; the axis then has a name instead of a key.
     if_installed
         The value is skipped if this distribution is not installed; empty if it needs none.
+    unit
+        SI unit, if the value is written with a unit; empty otherwise.
     """
 
     value: Any
@@ -57,6 +60,7 @@ class Value:
     place: Path
     together: bool = False
     if_installed: str = ""
+    unit: str = ""
 
 
 def check_values(given: Any) -> Any:
@@ -73,6 +77,7 @@ def check_values(given: Any) -> Any:
                 raise SpecError("needs at least one value")
             for index, entry in enumerate(given):
                 _check_labelled(entry, f"[{index}]")
+                _quantity(entry, f"[{index}]")
         case {"geomspace": limits, **others} | {"linspace": limits, **others}:
             kind = next(name for name in SPACED if name in given)
             if others:
@@ -115,8 +120,9 @@ def is_labelled(entry: Any) -> bool:
 
 
 def _check_limits(kind: str, limits: Any) -> None:
-    if not isinstance(limits, list) or len(limits) != 3 or not all(map(_is_number, limits)):
+    if not isinstance(limits, list) or len(limits) != 3 or not all(map(_is_number, _in_si(kind, limits))):
         raise SpecError(f"should be [first, last, number of values], not {found(limits)}", key=kind)
+    limits = _in_si(kind, limits)
     for place, limit in enumerate(limits):
         if not abs(limit) <= LARGEST_NUMBER:
             message = f"should be a finite number of at most {float(LARGEST_NUMBER):.2g} in size"
@@ -131,6 +137,22 @@ def _check_limits(kind: str, limits: Any) -> None:
         raise SpecError(
             "both limits should be non-zero and have the same sign: the spacing is geometric", key=f"{kind}[{place}]"
         )
+
+
+def _in_si(kind: str, limits: list[Any]) -> list[Any]:
+    """Return the limits of a set in SI units; raise SpecError unless both have units of one kind, or none."""
+    quantities = [_quantity(limit, f"{kind}[{place}]") for place, limit in enumerate(limits[:2])]
+    if len({None if one is None else one[1].si for one in quantities}) > 1:
+        raise SpecError("both limits should have units of the same kind, or none", key=kind)
+    return [limit if one is None else one[0] for one, limit in zip(quantities, limits, strict=False)] + limits[2:]
+
+
+def _quantity(given: Any, key: str) -> tuple[float, Unit] | None:
+    """Return the value and the unit of a number with a unit; None for anything else."""
+    try:
+        return read_quantity(given)
+    except SpecError as error:
+        raise error.located(prefix=key) from None
 
 
 def _is_number(value: Any) -> bool:
@@ -161,8 +183,10 @@ def expand(values: Any) -> tuple[Value, ...]:
         A list, or a mapping with ``geomspace`` or ``linspace``.
     """
     if isinstance(values, Mapping):
-        kind, (first, last, count) = next(iter(values.items()))
-        return tuple(Value(number, number, (kind,)) for number in _spaced(kind, first, last, int(count)))
+        kind, limits = next(iter(values.items()))
+        first, last, count = _in_si(kind, limits)
+        unit = quantity[1].si if (quantity := read_quantity(limits[0])) else ""
+        return tuple(Value(number, number, (kind,), unit=unit) for number in _spaced(kind, first, last, int(count)))
     entries = []
     for index, entry in enumerate(values):
         if is_labelled(entry):
@@ -170,7 +194,9 @@ def expand(values: Any) -> tuple[Value, ...]:
             needed = entry.get("if_installed", "")
             entries.append(Value(entry[kind], str(entry["label"]), (index, kind), kind == "set", needed))
         else:
-            entries.append(Value(entry, label_of(entry), (index,)))
+            quantity = read_quantity(entry)
+            value, unit = (entry, "") if quantity is None else (quantity[0], quantity[1].si)
+            entries.append(Value(value, label_of(value), (index,), unit=unit))
     return _told_apart(entries)
 
 
@@ -245,9 +271,10 @@ def _hashable(value: Any) -> Hashable:
     return hashable
 
 
+_NUMBER = {"type": ["number", "string"], "pattern": QUANTITY}
 _LIMITS = {
     "type": "array",
-    "prefixItems": [{"type": "number"}, {"type": "number"}, {"type": "integer", "minimum": 1}],
+    "prefixItems": [_NUMBER, _NUMBER, {"type": "integer", "minimum": 1}],
     "minItems": 3,
     "maxItems": 3,
     "description": "First value, last value, number of values.",

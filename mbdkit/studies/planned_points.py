@@ -19,6 +19,7 @@ from mbdkit.base.text import listed, shortened
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key, put
+from mbdkit.spec.sample_section import unit_of
 from mbdkit.spec.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand, size
 from mbdkit.studies.sampled_values import rows_of, table_place, values_of
@@ -57,6 +58,8 @@ class Grid:
 
     table: Mapping[str, np.ndarray] = field(default_factory=dict)
     table_place: Path = ()
+    sample_units: Mapping[str, str] = field(default_factory=dict)
+    """SI units of variables of the sample whose distributions have units."""
 
     @cached_property
     def base_json(self) -> str:
@@ -65,6 +68,22 @@ class Grid:
         for override in self.overrides:
             put(data, override.path, copy.deepcopy(override.value))
         return json.dumps(plain(data), separators=(",", ":"), ensure_ascii=False)
+
+    def with_units(self) -> list[Setting]:
+        """Return one value of each key and each unit that its values are written in, as text with this unit."""
+        found: dict[tuple[str, str], Setting] = {}
+        for number, axis in enumerate(self.axes):
+            for key, values in axis:
+                place = (*self.axes_place, number, key)
+                found |= {
+                    (key, one.unit): Setting(parse_key(key), f"{one.value!r} {one.unit}", (*place, *one.place))
+                    for one in reversed(values)
+                    if one.unit
+                }
+        for key, unit in self.sample_units.items():
+            value = float(self.table[key][0])
+            found[key, unit] = Setting(parse_key(key), f"{value!r} {unit}", ("sample", "variables", key))
+        return list(found.values())
 
     @property
     def count(self) -> int:
@@ -149,7 +168,9 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
     made = [_grid(spec, name, family, ("families", name)) for name, family in spec.families.items()]
     made = made or [_grid(spec, "", Family(axes=spec.axes), ())]
     table = values_of(spec)
-    return tuple(replace(grid, table=table, table_place=table_place(spec)) for grid in made)
+    variables = {} if spec.sample is None else spec.sample.variables
+    units = {key: unit.si for key, given in variables.items() if (unit := unit_of(given)) is not None}
+    return tuple(replace(grid, table=table, table_place=table_place(spec), sample_units=units) for grid in made)
 
 
 def number_of_points(spec: StudySpec) -> int:
@@ -275,6 +296,10 @@ class PlannedPoint:
         """Identifier of its reference run; empty if it has none."""
         return "" if self.reference is None else self.reference.run_id()
 
+    def check(self, setting: Setting) -> None:
+        """Raise SpecError if the run spec is not valid with one more setting."""
+        self._checked((*self.grid.overrides, *self.settings, setting), f"run {self.number}")
+
     def _checked(self, settings: tuple[Setting, ...], which: str) -> RunSpec:
         data = {"mbdkit": 1, **copy.deepcopy(dict(self.grid.base))}
         told = shortened(point_label(self.axes))
@@ -321,13 +346,16 @@ class PlannedPoints(Sequence[PlannedPoint]):
     Raises
     ------
     SpecError
-        If there are too many points.
+        If there are too many points, or if a value has a unit that its key does not have.
     """
 
     def __init__(self, spec: StudySpec):
         self.study = spec
         self.grids = grids(spec)
         self._ends = np.cumsum([grid.count for grid in self.grids]).tolist()
+        for end, grid in zip(self._ends, self.grids, strict=True):
+            for setting in grid.with_units():
+                self[end - grid.count].check(setting)
 
     def __len__(self) -> int:
         return int(self._ends[-1])

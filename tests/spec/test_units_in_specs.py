@@ -1,0 +1,168 @@
+"""Numbers with units in specs: their values are those of the definitions of the units, and wrong units are refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from typing import Any
+
+import jsonschema
+import pytest
+
+import mbdkit
+from mbdkit import SpecError
+from mbdkit.base.strict_model import description
+from mbdkit.base.units import described_units, read_quantity
+from mbdkit.spec.design_loading import load_design_spec
+from mbdkit.spec.inverse_sections import Butterworth
+from mbdkit.spec.loading import load_spec
+from mbdkit.spec.schema import run_schema
+from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.studies.planned_points import PlannedPoints
+
+SPEC: dict[str, Any] = {
+    "mbdkit": 1,
+    "parameters": {"k": "2 N/mm", "half": "25 cm"},
+    "model": {
+        "name": "mechanism",
+        "gravity": [0, "-981 cm/s^2"],
+        "bodies": {
+            "crank": {"mass": "1200 g", "inertia": "833 kg cm^2", "position": ["35 mm", 0], "angle": "30 deg",
+                      "angular_velocity": "60 rev/min"},
+            "slide": {"mass": 1, "position": [1, 0]},
+        },
+        "joints": {
+            "A": {"type": "revolute", "bodies": ["ground", "crank"], "points": [[0, 0], ["-half", 0]]},
+            "turn": {"type": "driver", "bodies": ["ground", "crank"], "coordinate": "angle", "motion": "30 deg"},
+            "push": {"type": "driver", "bodies": ["ground", "slide"], "coordinate": "x", "motion": "1 m"},
+        },
+        "forces": {
+            "spring": {"type": "spring-damper", "bodies": ["ground", "crank"], "points": [[0, "1 m"], [0, 0]],
+                       "stiffness": "k", "damping": "1 N*s/m"},
+            "hinge": {"type": "torsion-spring", "bodies": ["ground", "crank"], "stiffness": "2 N*m/deg"},
+            "motor": {"type": "torque", "body": "crank", "value": "300 N mm"},
+            "stop": {"type": "law", "law": "one-sided", "acts": "tension", "pathway": {"type": "relative-angle",
+                     "bodies": ["ground", "crank"]}, "stiffness": "1 N*m/deg", "free_length": "90 deg"},
+            "wire": {"type": "law", "law": "one-sided", "acts": "tension", "pathway": {"type": "two-points",
+                     "bodies": ["ground", "crank"], "points": [[1, 0], [0, 0]]}, "stiffness": "1 kN/m",
+                     "free_length": "90 mm"},
+        },
+    },
+    "integrator": {"name": "dopri5", "adaptive": True, "atol": "1 um"},
+    "time": {"end": "500 ms", "step": "0.1 ms"},
+    "limits": {"energy_jump": "5 %", "misalignment": "1 %"},
+}  # fmt: skip
+
+
+def changed(key: str, value: Any) -> dict[str, Any]:
+    """Return the spec with another value at a dotted key."""
+    spec = copy.deepcopy(SPEC)
+    *path, last = key.split(".")
+    holder: Any = spec
+    for part in path:
+        holder = holder[part]
+    holder[last] = value
+    return spec
+
+
+def test_values_are_those_of_the_definitions_of_the_units() -> None:
+    spec = load_spec(SPEC)
+    crank, forces = spec.mechanism().bodies["crank"], spec.mechanism().forces
+    assert (crank.mass, crank.inertia, crank.position) == (1.2, 0.0833, (0.035, 0.0))
+    assert (crank.angle, crank.angular_velocity) == (math.radians(30), 2 * math.pi)
+    assert spec.mechanism().gravity == (0.0, -9.81)
+    values = [forces["spring"].stiffness, forces["hinge"].stiffness]
+    assert values == pytest.approx([2000, 360 / math.pi], rel=1e-15)
+    assert (spec.time.end, spec.time.step, spec.limits.energy_jump) == (0.5, 1e-4, 0.05)
+    assert (spec.integrator.atol, spec.limits.misalignment) == (1e-6, 0.01)
+    assert spec.parameters == {"k": 2000.0, "half": 0.25}
+
+
+def test_specs_and_mechanisms_keep_si_values_only() -> None:
+    plain = json.loads(load_spec(SPEC).canonical_json())
+    assert plain["model"]["bodies"]["crank"]["angle"] == math.radians(30)
+    assert plain["model"]["forces"]["spring"]["stiffness"] == "k"
+    assert load_spec(plain).run_id() == load_spec(SPEC).run_id()
+    made = mbdkit.Mechanism.from_spec(SPEC["model"], SPEC["parameters"]).to_spec()
+    assert made["forces"]["motor"]["value"] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("time.end", "3 m", r"time\.end: '3 m' has the unit m, but this is a number in s"),
+        ("time.end", "500ms", r"'500ms' needs a space between the number and its unit: 500 ms"),
+        ("time.steps", "5 s", r"should be a whole number without a unit, not '5 s'"),
+        ("model.bodies.crank.mass", "2 N", r"bodies\.crank\.mass: '2 N' has the unit N, but this is a number in kg"),
+        ("model.bodies.crank.mass", "-2 kg", r"greater than 0, not -2\.0 \(the value of '-2 kg'\)"),
+        ("model.bodies.crank.inertia", "2 kg cm", r"unit kg cm, but this is a number in kg m\^2"),
+        ("model.bodies.crank.position", ["30 deg", 0], r"position\[0\]: '30 deg' has the unit deg, .* in m"),
+        ("model.bodies.crank.angle", "30 %", r"has the unit %, but this is a number in rad"),
+        ("model.bodies.crank.angular_velocity", "10 Hz", r"has the unit Hz, but this is a number in rad/s"),
+        ("model.joints.turn.motion", "30 mm", r"has the unit mm, but this is a number in rad"),
+        ("model.joints.push.motion", "30 deg", r"has the unit deg, but this is a number in m"),
+        ("model.forces.motor.value", "3 N", r"has the unit N, but this is a number in N m"),
+        ("model.forces.motor.value", "3 Nm", r"'Nm' is not a known unit \(did you mean 'N m'\?\)"),
+        ("model.forces.hinge.stiffness", "3 N/mm", r"has the unit N/mm, but this is a number in N m/rad"),
+        ("model.forces.stop.free_length", "3 mm", r"has the unit mm, but this is a number in rad"),
+        ("model.forces.wire.free_length", "3 deg", r"has the unit deg, but this is a number in m"),
+        ("model.forces.wire.stiffness", "3,5 N/mm", r"a point in place of the decimal comma"),
+        ("model.forces.motor.value", {"table": [["0 s", "1 s"], [0, 1]]}, r"without a unit, since tables are in SI"),
+        ("integrator.atol", "3 N", r"unit N, but this is a number in m, rad, m/s or rad/s"),
+        ("limits.energy_jump", "3 N", r"has the unit N, but this is a number without a unit"),
+        ("parameters.k", "2 kp", r"parameters\.k: '2 kp' is not a number with a unit: 'kp' is not a known unit"),
+        ("model.forces.wire.stiffness", "1e999 N/m", r"should be a finite number, not '1e999 N/m'"),
+    ],
+)  # fmt: skip
+def test_wrong_units_are_refused_with_key_and_both_units(key: str, value: Any, message: str) -> None:
+    with pytest.raises(SpecError, match=message):
+        load_spec(changed(key, value))
+
+
+def test_the_schema_accepts_units_where_specs_do() -> None:
+    check = jsonschema.Draft202012Validator(run_schema())
+    assert check.is_valid(SPEC)
+    assert not check.is_valid(changed("time.end", "500ms"))
+
+
+def test_studies_have_values_with_units() -> None:
+    base = {"model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.1}}
+    study = {"mbdkit_study": 1, "base": base}
+
+    def points(**given: Any) -> PlannedPoints:
+        return PlannedPoints(load_study_spec(study | given))
+
+    spaced = points(axes=[{"model.angle": {"linspace": ["0 deg", "60 deg", 3]}}, {"model.length": ["50 cm", 1]}])
+    assert [list(point.axes.values()) for point in spaced[2:4]] == [[pytest.approx(math.pi / 6), 0.5],
+                                                                      [pytest.approx(math.pi / 6), 1]]  # fmt: skip
+    drawn = points(sample={"n": 4, "variables": {"model.mass": {"uniform": ["10 g", "20 g"]}}})
+    assert all(0.01 < float(point.axes["model.mass"]) < 0.02 for point in drawn)
+    with pytest.raises(SpecError, match=r"axes\[0\]\.\"model\.angle\"\[1\].*unit m, but this is a number in rad"):
+        points(axes=[{"model.angle": [0.1, "20 mm"]}])
+    with pytest.raises(SpecError, match="unit s, but this is a number in kg"):
+        points(sample={"n": 4, "variables": {"model.mass": {"uniform": ["10 s", "20 s"]}}})
+    with pytest.raises(SpecError, match="`mean` and `std` should have units of the same kind, or none"):
+        points(sample={"n": 4, "variables": {"model.mass": {"normal": ["10 g", 1]}}})
+
+
+def test_bounds_of_designs_have_units() -> None:
+    base = {"mbdkit": 1, "model": {"name": "single-pendulum"}, "integrator": {"name": "rk4"},
+            "time": {"end": 1, "step": 0.1}}  # fmt: skip
+    design = {"mbdkit_design": 1, "base": base, "minimize": "max(abs(joints.J1.force))"}
+    limit = {"torque": {"value": "max(abs(joints.J1.force))", "max": "2 kN"}}
+    spec = load_design_spec(design | {"variables": {"model.length": {"bounds": ["20 cm", 1]}}, "subject_to": limit})
+    assert (spec.variables["model.length"].bounds, spec.subject_to["torque"].max) == ((0.2, 1.0), 2000.0)
+    with pytest.raises(SpecError, match="has the unit rad, but this is a number in m"):
+        load_design_spec(design | {"variables": {"model.length": {"bounds": ["20 deg", "1 rad"]}}})
+
+
+def test_every_unit_in_a_description_is_a_unit() -> None:
+    assert described_units("Stiffness [N/m or N m/rad].") == ("N/m", "N m/rad")
+    assert described_units("Points ``[[x, y], [x, y]]`` [m].") == ("m",)
+    assert described_units(description(Butterworth, "cutoff")) == ("Hz",)
+
+
+@pytest.mark.parametrize("text", ["2*k", "2 sin(t)", "2", "2e3", "k", "", "N", "two N", "2 k/3*(1)"])
+def test_what_is_no_number_with_a_unit_is_left_to_expressions(text: str) -> None:
+    assert read_quantity(text, {"k"}) is None
