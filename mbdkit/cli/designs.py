@@ -67,8 +67,11 @@ def design(
     """
     from mbdkit.base.errors import MbdkitError
     from mbdkit.designs.gains import costs
+    from mbdkit.designs.robustness import robustness, robustness_text
+    from mbdkit.designs.solve_design import WORKER, evaluating
     from mbdkit.designs.solve_design import design as carry_out
-    from mbdkit.designs.store import runs_of
+    from mbdkit.designs.store import DesignFolder, runs_of
+    from mbdkit.studies.executor_pool import Engine
     from mbdkit.studies.executors import opened
 
     folder = output if output is not None else Path(stem(spec))
@@ -84,18 +87,25 @@ def design(
             assignments=assignments or (),
             overwrite=overwrite,
         )
+        there, engine = DesignFolder(folder), Engine(workers or cores(), executor, WORKER)
+        with there.locked(), evaluating(result.spec, there, engine, notify, progress) as evaluator:
+            deviations = robustness(evaluator, evaluator.point(result.best.variables))
     page = None
     if with_report:
         from mbdkit.report.report import write_report
 
         page, _ = write_report(folder, overwrite=True, workers=workers or cores())
     if printing.as_json:
-        show_json({"path": str(folder), **result.to_dict()} | ({} if page is None else {"report": str(page)}))
+        show_json(
+            {"path": str(folder), **result.to_dict(), "robustness": [one.to_dict() for one in deviations]}
+            | ({} if page is None else {"report": str(page)})
+        )
     elif not printing.quiet:
         show(result.summary())
         with suppress(MbdkitError), runs_of(result, folder) as pairs:  # archives may have been removed
             for cost in costs(pairs)[:LOADS_SHOWN]:
                 show(f"elsewhere: {cost.text()}")
+        show(robustness_text(evaluator, deviations))
         show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
     if not result.is_feasible:
         raise typer.Exit(STOPPED_EARLY)

@@ -306,7 +306,11 @@ class Evaluator:
 
     def totals(self, x: np.ndarray) -> np.ndarray:
         """Return the goals (G,) at a point (n,), summed over the scenarios by their weights; or the sum of squares."""
-        values, weights = self.values(x[None])[0][:, : len(self.spec.goals)], self.root_weights**2
+        return self.sums(self.values(x[None])[0])
+
+    def sums(self, outcomes: np.ndarray) -> np.ndarray:
+        """Return the goals (G,) of goals and limits (S, K), as `totals`."""
+        values, weights = outcomes[:, : len(self.spec.goals)], self.root_weights**2
         if self.spec.sums_squares:
             return np.array([weights @ np.sum(values**2, axis=1)])
         return np.asarray(weights @ values)

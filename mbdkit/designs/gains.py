@@ -1,4 +1,4 @@
-"""What a design gains, what it costs elsewhere, and how much of it is left if a variable is not met exactly."""
+"""What a design gains, and what it costs elsewhere."""
 
 from __future__ import annotations
 
@@ -14,15 +14,12 @@ from mbdkit.spec.design_spec import GOAL
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.designs.evaluation import Evaluator
     from mbdkit.designs.point import DesignPoint
     from mbdkit.designs.trust import Trust
     from mbdkit.spec.design_spec import DesignSpec
 
 LEAST_CHANGE = 0.01
 """Smallest relative change of a load that is reported as a cost."""
-OFF = 0.05
-"""Relative deviation of a variable from its best value in the table of robustness."""
 
 
 @dataclass(frozen=True)
@@ -115,14 +112,3 @@ def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
             if abs(cost.share) >= LEAST_CHANGE:
                 found.append(cost)
     return sorted(found, key=lambda cost: -cost.share)
-
-
-def robustness(evaluator: Evaluator, best: np.ndarray) -> dict[str, np.ndarray]:
-    """Return goals (2, G) with each variable `OFF` below and above its best value, within its bounds; nan where runs
-    fail.
-    """
-    values = evaluator.variables(best)
-    return {
-        name: np.array([evaluator.totals(evaluator.point({**values, name: value * (1 + off)})) for off in (-OFF, OFF)])
-        for name, value in values.items()
-    }

@@ -12,8 +12,9 @@ import numpy as np
 
 from mbdkit.base.terminal import say
 from mbdkit.designs.compared_settings import compared_with
-from mbdkit.designs.gains import costs, goal_units, goal_words, measure_units, robustness
+from mbdkit.designs.gains import costs, goal_units, goal_words, measure_units
 from mbdkit.designs.landscape import Cut, Sensitivity, cuts, sensitivities
+from mbdkit.designs.robustness import robustness
 from mbdkit.designs.solve_design import WORKER, evaluating
 from mbdkit.designs.store import WHICH, DesignFolder, runs_of
 from mbdkit.figures.mechanism_drawing import NamedPose

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.analysis.verdict import Answer, Claim, Verdict
 from mbdkit.base.text import counted
-from mbdkit.designs.gains import OFF, Cost, goal_units, goal_words, measure_units
+from mbdkit.designs.gains import Cost, goal_units, goal_words, measure_units
+from mbdkit.designs.robustness import Deviation
 from mbdkit.figures.page_model import Cell, Column, Table
 from mbdkit.report.design_charts import variable_unit
 from mbdkit.spec.key_words import key_words
@@ -145,19 +146,22 @@ def costs_table(costs: Sequence[Cost]) -> Table:
     )
 
 
-def robustness_table(design: Design, goals: Mapping[str, np.ndarray]) -> Table:
-    """Return the table of the goals with each variable a little off its best value."""
+def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
+    """Return the table of the goals with one number off its value at the best point."""
     units = goal_units(design.spec)
-    columns = [Column("variable"), Column("best")]
+    columns = [Column("number"), Column("off by")]
     for name in design.best.goals:
-        columns += [Column(f"{goal_words(name)} with {sign}{100 * OFF:g} %", units[name]) for sign in ("-", "+")]
+        columns += [Column(f"{goal_words(name)} if {word}", units[name]) for word in ("smaller", "larger")]
+    limits = bool(design.spec.subject_to)
     rows: list[tuple[Cell, ...]] = [
-        (key_words(name), design.best.variables[name], *(float(value) for value in around.T.ravel()))
-        for name, around in goals.items()
-    ]
+        (one.words, one.size, *(float(value) for value in one.goals.T.ravel()),
+         *((", ".join(one.exceeds),) if limits else ()))
+        for one in deviations
+    ]  # fmt: skip
     best = ", ".join(f"{goal_words(name)} {value:.4g}" for name, value in design.best.goals.items())
-    note = f"At the best point: {best}. Values are limited to the bounds of the variables."
-    return Table("robustness", "If a variable is not met exactly", tuple(columns), tuple(rows), note)
+    note = f"At the best point: {best}. Bounds of the variables do not apply here."
+    columns += [Column("limits exceeded")] if limits else []
+    return Table("robustness", "If a number is not met exactly", tuple(columns), tuple(rows), note)
 
 
 def _comparison_table(design: Design) -> Table:

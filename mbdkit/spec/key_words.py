@@ -26,6 +26,7 @@ _WORDS = {
 }
 _SECTIONS = {"model", "integrator", "time", "output", "limits", "stabilization", "parameters"}
 _KINDS = {"bodies", "joints", "forces", "markers", "muscles", "springs"}
+_ENDS = {"from": "point 1", "to": "point 2"}
 _VECTORS = {"position", "velocity", "point", "at", "from", "to", "axis", "gravity"}
 """Keys with a component along x and one along y."""
 
@@ -37,7 +38,7 @@ def key_words(key: str | Path) -> str:
         return _WORDS[".".join(path)]
     if len(path) > 3 and path[-3:-1] == ["pathway", "angles"]:
         return f"radius of {path[-4]} at {path[-1]}"
-    shown = [part.replace("_", " ") for part in path if part not in _KINDS]
+    shown = [_ENDS.get(part, part).replace("_", " ") for part in path if part not in _KINDS]
     if len(shown) > 1 and path[0] in _SECTIONS:
         shown = shown[1:]
     if "points" in shown[:-1] and shown[place := shown.index("points") + 1].isdigit():

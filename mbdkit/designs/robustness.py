@@ -1,0 +1,148 @@
+"""How much of a design is left if its device is not built, or its user not measured, exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.plain_data import Path, canonical
+from mbdkit.base.text import table
+from mbdkit.designs.evaluation import Evaluator, Job, Settings
+from mbdkit.designs.gains import goal_words
+from mbdkit.spec.design_spec import variable_path
+from mbdkit.spec.key_words import key_unit, key_words
+from mbdkit.spec.model_spec import ModelSpec
+
+OFF = 0.05
+"""Relative deviation of variables and masses."""
+MOVED = 0.002
+"""Deviation of a coordinate of an attachment [m]."""
+_ELEMENTS = ("forces", "springs")
+_POINTS = ("points", "point", "at", "from", "to")
+MOST = 12
+"""Number of masses that are varied, the largest ones, and of rows that are printed."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Goals and limits of a design with one number of its best point off.
+
+    Attributes
+    ----------
+    words, size
+        Name of the number, and its deviation, such as 5 % or 2 mm.
+    goals
+        (2, G) goals with the smaller and with the larger number; nan where a run fails.
+    exceeds
+        Names of the limits that one of both does not satisfy.
+    """
+
+    words: str
+    size: str
+    goals: np.ndarray
+    exceeds: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; None where a run fails."""
+        goals = [[value if np.isfinite(value) else None for value in side] for side in self.goals.tolist()]
+        return {"number": self.words, "off_by": self.size, "goals": goals, "exceeds": self.exceeds}
+
+
+def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
+    """Return goals and limits with each variable and each mass of the model 5 % off its value at the best point (n,),
+    and with each attachment of a force element 2 mm off along x and along y.
+    """
+    settings = evaluator.settings(best)
+    specs = [runs.at(settings) for runs in evaluator.scenarios]
+    moved = [dict(_numbers(spec, [path for path, _ in settings])) for spec in specs]
+    cases: list[tuple[str, str, list[Sequence[Settings]]]] = [
+        (key_words(name), f"{100 * OFF:g} %", [[[(variable_path(name), value * (1 + off))] for off in (-OFF, OFF)]]
+         * len(specs))
+        for name, value in evaluator.variables(best).items()
+    ]  # fmt: skip
+    for path in moved[0]:
+        if all(path in one for one in moved):
+            size = f"{1000 * MOVED:g} mm" if path[1] in _ELEMENTS else f"{100 * OFF:g} %"
+            cases.append((key_words(path), size, [one[path] for one in moved]))
+    jobs = [
+        Job(scenario, [*settings, *both[side]])
+        for _, _, by_scenario in cases
+        for side in (0, 1)
+        for scenario, both in zip(evaluator.spec.specs, by_scenario, strict=True)
+    ]
+    values = np.array([one.values for one in evaluator.run(jobs)])
+    values = values.reshape(len(cases), 2, len(specs), len(evaluator.names))
+    return [
+        Deviation(words, size, np.array([evaluator.sums(one) for one in of_case]), _exceeded(evaluator, of_case))
+        for (words, size, _), of_case in zip(cases, values, strict=True)
+    ]
+
+
+def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Sequence[Settings]]]:
+    """Yield the paths of masses and coordinates of attachments of a model, with the settings for both deviations."""
+    model = canonical(spec.model)
+    found = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
+    masses = [path for path in found if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
+    for path in sorted(masses, key=lambda path: -abs(_at(model, path)))[:MOST]:
+        value = _at(model, path)
+        yield path, [_setting(model, path, value * (1 + off)) for off in (-OFF, OFF)]
+    for path in found:
+        if path[1] in _ELEMENTS and any(key in path for key in _POINTS) and key_unit(path, [spec]) == "m":
+            value = _at(model, path)
+            yield path, [_setting(model, path, value + off) for off in (-MOVED, MOVED)]
+
+
+def _paths(holder: Any, path: Path) -> Iterator[Path]:
+    """Yield the paths of the numbers in plain data."""
+    if isinstance(holder, dict | list):
+        for key, value in holder.items() if isinstance(holder, dict) else enumerate(holder):
+            yield from _paths(value, (*path, key))
+    elif isinstance(holder, int | float) and not isinstance(holder, bool):
+        yield path
+
+
+def _at(model: Any, path: Path) -> Any:
+    for part in path[1:]:
+        model = model[part]
+    return model
+
+
+def _setting(model: Any, path: Path, value: float) -> Settings:
+    """Return the setting of a number; a number in a list is set with the whole list, which the base may omit."""
+    depth = next((place for place, part in enumerate(path) if isinstance(part, int)), len(path))
+    return [(path[:depth], _replaced(_at(model, path[:depth]), path[depth:], value))]
+
+
+def _replaced(holder: Any, path: Path, value: float) -> Any:
+    """Return nested lists with another number at a path."""
+    if not path:
+        return value
+    return [_replaced(one, path[1:], value) if place == path[0] else one for place, one in enumerate(holder)]
+
+
+def _exceeded(evaluator: Evaluator, values: np.ndarray) -> tuple[str, ...]:
+    """Return the names of the limits that values (2, S, K) do not satisfy; nan satisfies none."""
+    found = []
+    for name, limit in evaluator.spec.subject_to.items():
+        column = values[..., evaluator.names.index(name)]
+        slack = 1e-6 * max(abs(x) for x in (limit.min, limit.max) if x is not None)
+        low, high = (-np.inf if limit.min is None else limit.min), (np.inf if limit.max is None else limit.max)
+        if not np.all((column >= low - slack) & (column <= high + slack)):
+            found.append(name)
+    return tuple(found)
+
+
+def robustness_text(evaluator: Evaluator, deviations: Sequence[Deviation]) -> str:
+    """Return the deviations with the largest effect as a table for a terminal, the worst first."""
+    ranked = sorted(deviations, key=lambda one: -np.max(np.nan_to_num(one.goals[:, 0], nan=np.inf)))
+    sides = [f"{goal_words(name)} {sign}".upper() for name in evaluator.spec.totals for sign in "-+"]
+    rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if evaluator.spec.subject_to else ()))]
+    for one in ranked[:MOST]:
+        goals = (f"{value:.4g}" if np.isfinite(value) else "fails" for value in one.goals.T.ravel())
+        limits = (", ".join(one.exceeds),) if evaluator.spec.subject_to else ()
+        rows.append((one.words, one.size, *goals, *limits))
+    rest = len(ranked) - MOST
+    return table(rows) + (f"\nand {rest} numbers with a smaller effect, which the report has" if rest > 0 else "")

@@ -1,0 +1,51 @@
+"""Goals and limits with a number of the best point off: expected values are those of the spring's force, by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mbdkit.designs.evaluation import Evaluator
+from mbdkit.designs.robustness import robustness, robustness_text
+from mbdkit.spec.design_loading import load_design_spec
+
+DESIGN = {
+    "mbdkit_design": 1,
+    "base": {
+        "mbdkit": 1,
+        "model": {
+            "name": "mechanism",
+            "gravity": [0, -10],
+            "bodies": {"block": {"mass": 1, "inertia": 1, "position": [0.5, 0]}},
+            "joints": {"hold": {"type": "weld", "bodies": ["ground", "block"], "at": [0.5, 0]}},
+            "forces": {"spring": {"type": "spring-damper", "bodies": ["ground", "block"], "from": [0, 0],
+                                  "to": [0.5, 0], "stiffness": 50, "free_length": 0.3}},
+        },
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.02, "step": 0.01},
+    },
+    "variables": {"model.forces.spring.stiffness": {"bounds": [50, 100]}},
+    "minimize": {"pull": "max(abs(joints.hold.force_x))", "weight": "max(abs(joints.hold.force_y))"},
+    "subject_to": {"load": {"value": "max(abs(joints.hold.force))", "max": "14.2 N"}},
+}  # fmt: skip
+
+
+def test_variables_masses_and_attachments_are_off_by_five_percent_and_two_millimetres() -> None:
+    evaluator = Evaluator(load_design_spec(DESIGN))
+    found = {one.words: one for one in robustness(evaluator, np.array([0.0]))}
+    assert {words: one.size for words, one in found.items()} == {
+        "stiffness of spring": "5 %", "mass of block": "5 %", "x of point 1 of spring": "2 mm",
+        "y of point 1 of spring": "2 mm", "x of point 2 of spring": "2 mm", "y of point 2 of spring": "2 mm",
+    }  # fmt: skip
+    assert found["stiffness of spring"].goals == pytest.approx(np.array([[9.5, 10], [10.5, 10]]), rel=1e-9)
+    assert found["mass of block"].goals == pytest.approx(np.array([[10, 9.5], [10, 10.5]]), rel=1e-9)
+    assert found["x of point 2 of spring"].goals[:, 0] == pytest.approx([9.9, 10.1], rel=1e-9)
+    length = math.hypot(0.5, 0.002)
+    assert found["y of point 1 of spring"].goals[:, 0] == pytest.approx(50 * (1 - 0.3 / length) * 0.5, rel=1e-9)
+    assert found["stiffness of spring"].exceeds == ("load",)  # sqrt(10.5^2 + 10^2) = 14.5 N
+    assert found["x of point 1 of spring"].exceeds == ("load",)  # sqrt(10.1^2 + 10^2) = 14.21 N
+    assert found["y of point 1 of spring"].exceeds == ()
+    table = robustness_text(evaluator, list(found.values()))
+    assert table.splitlines()[1].split() == ["stiffness", "of", "spring", "5", "%", "9.5", "10.5", "10", "10", "load"]
