@@ -14,6 +14,7 @@ from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
 from mbdkit.quantities.table import BY_GROUP
@@ -275,6 +276,27 @@ class BeamHistory(View, of="beams"):
         """Position (x, y) and angle of every node, (T, nodes, 3), m and rad."""
         nodes = [k for k, body in enumerate(self.source.objects(BY_GROUP["trajectory"])) if self._has_node(body)]
         return self.source.array("trajectory/position")[:, nodes[0] : nodes[-1] + 1]
+
+    @property
+    def arc_length(self) -> np.ndarray:
+        """Distance along the beam of the values of `along`, (elements + 2,) [m], at the start of the run."""
+        return places_with_ends(self._length, self.moment.shape[1])
+
+    def along(self, component: str) -> np.ndarray:
+        """Return `axial`, `shear` or `moment` at end a, in the middle of the elements, and at end b, (T, elements + 2)
+        [N or N m]; see `mbdkit.mechanism.beam_shape.with_ends`.
+        """
+        elements = self.moment.shape[1]
+        forces = np.stack([self.axial, self.shear, self.moment], axis=-1)
+        nodes = 2 if len(self.nodes) == elements + 1 else 3
+        found = with_ends(forces, self._length / elements, nodes)
+        return np.asarray(found[..., ("axial", "shear", "moment").index(component)])
+
+    @property
+    def _length(self) -> float:
+        """Length of the line through the nodes in the first row [m]."""
+        steps = np.diff(self.position[0, :, :2], axis=0)
+        return float(np.sum(np.hypot(steps[:, 0], steps[:, 1])))
 
     def _has_node(self, body: str) -> bool:
         return beam_of(body) == self.name

@@ -19,11 +19,14 @@ def equilibrium(
         Path | None,
         typer.Option("--write", metavar="FILE.yaml", help="Write the spec with the equilibrium as its start."),
     ] = None,
+    output: Annotated[
+        Path | None, output_to("FILE.png", "Draw it, with the internal forces of beams, to a PNG, SVG or PDF file.")
+    ] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find a static equilibrium with reactions and stability.
+    """Find a static equilibrium with reactions, internal forces of beams and stability.
 
     The search begins at the start position and moves in the direction of the
     forces. Drivers and loads are evaluated at the start time; velocities are
@@ -35,6 +38,8 @@ def equilibrium(
 
     if write is not None:
         check_output(write, overwrite=overwrite, source=spec)
+    if output is not None:
+        _check_picture(output, spec)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = equilibrium_of(prepared)
     if write is not None:
@@ -42,6 +47,11 @@ def equilibrium(
 
         with replacing(write, overwrite=overwrite, source=spec) as temporary:
             temporary.write_text(write_yaml(spec_at(prepared, found)), encoding="utf-8")
+    if output is not None:
+        from mbdkit.plot.equilibrium_plot import plot_equilibrium
+
+        mechanism = prepared.spec.mechanism()
+        plot_equilibrium(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}", output)
     if as_json:
         show_json(mechanics_summary.equilibrium_data(found))
     else:
@@ -71,9 +81,7 @@ def modes(
     from mbdkit.mechanics.source import PreparedMechanism
 
     if output is not None:
-        from mbdkit.plot.style import FORMATS
-
-        check_output(check_suffix(output, FORMATS, "a plot"), overwrite=True, source=spec)
+        _check_picture(output, spec)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = modes_of(prepared, at, count)
     if output is not None:
@@ -113,3 +121,10 @@ def kinematics(
         show_json(mechanics_summary.kinematics_data(found))
     else:
         show(mechanics_summary.kinematics_text(found))
+
+
+def _check_picture(output: Path, spec: str) -> None:
+    """Raise SpecError if a picture cannot be written; an existing one is replaced."""
+    from mbdkit.plot.style import FORMATS
+
+    check_output(check_suffix(output, FORMATS, "a plot"), overwrite=True, source=spec)

@@ -4,6 +4,7 @@ equilibrium.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Unpack
 
@@ -19,6 +20,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.kernels.projection import STAGNANT
 from mbdkit.engine.nearest_state import ROUND_OFF
+from mbdkit.engine.observed_states import StateObserver
 from mbdkit.mechanics.reduced import (
     DENSE,
     State,
@@ -33,6 +35,7 @@ from mbdkit.mechanics.reduced import (
 )
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanics.states_at_rest import StaticEquations
+from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.loading import RunSource, Sections
 
@@ -112,6 +115,9 @@ class Equilibrium(HtmlView):
         Number of Newton steps tried.
     states, state
         Names of the first-order states, and their values (Z,).
+    beams
+        Internal forces of each beam by name: (E + 2, 4) distance from its end a [m], axial force, shear force [N] and
+        moment [N m], at end a, in the middle of its elements, and at end b.
     mechanism
         The mechanism, from which notebooks draw the equilibrium.
     """
@@ -132,6 +138,7 @@ class Equilibrium(HtmlView):
     iterations: int
     states: tuple[str, ...] = ()
     state: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    beams: Mapping[str, np.ndarray] = field(default_factory=dict)
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, body: str) -> np.ndarray:
@@ -233,8 +240,25 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         iterations=found.iterations,
         states=tuple(one.name for one in compiled.states),
         state=found.z,
+        beams=_internal_forces(prepared, found),
         mechanism=prepared.spec.mechanism(),
     )
+
+
+def _internal_forces(prepared: PreparedMechanism, found: Rest) -> dict[str, np.ndarray]:
+    """Return the internal forces of the beams at rest by name; see `Equilibrium.beams`."""
+    mechanism, compiled = prepared.spec.mechanism(), prepared.workspace.mechanism
+    if not mechanism.beams:
+        return {}
+    observer = StateObserver(prepared.workspace.with_own_pivots())
+    out = observer.arrays(1)
+    q = np.append(found.q, np.zeros(3))[None]
+    observer.observe(np.array([prepared.equations.t0]), q, np.zeros_like(q), out, z=found.z[None])
+    forces = {}
+    for name, beam in mechanism.beams.items():
+        within = with_ends(out.beams[0, compiled.beam_elements(name), :3], beam.element_length, beam.nodes)
+        forces[name] = np.column_stack([places_with_ends(beam.length, beam.elements), within])
+    return forces
 
 
 def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:

@@ -41,11 +41,26 @@ def equilibrium_text(found: Equilibrium) -> str:
             for j, name in enumerate(found.joints)
         ]
         lines += ["", table(_some([("JOINT", "FORCE X [N]", "FORCE Y [N]", "TORQUE [N m]"), *loads]))]
+    if found.beams:
+        lines += ["", table(_some([("BEAM", "AT [m]", "MOMENT [N m]", "SHEAR [N]", "AXIAL [N]"), *beam_rows(found)]))]
     if found.states:
         values = [(name, f"{value:.9g}") for name, value in zip(found.states, found.state, strict=True)]
         lines += ["", table(_some([("STATE", "VALUE"), *values]))]
     lines += [note for note in [sharing(found)] if note]
     return "\n".join(lines)
+
+
+def beam_rows(found: Equilibrium) -> list[tuple[str, ...]]:
+    """Return the internal forces of each beam at its ends and where their magnitudes are largest, as text."""
+    rows = []
+    for name, values in found.beams.items():
+        largest = np.max(np.abs(values[:, 1:]))
+        places = {0, len(values) - 1, *(int(place) for place in np.argmax(np.abs(values[:, 1:]), axis=0))}
+        for place in sorted(places):
+            at, axial, shear, moment = values[place].tolist()
+            forces = (f"{0.0 if abs(x) < 1e-9 * largest else x:.6g}" for x in (moment, shear, axial))
+            rows.append((name, f"{at:.4g}", *forces))
+    return rows
 
 
 def equilibrium_facts(found: Equilibrium) -> list[tuple[str, str]]:
@@ -84,6 +99,10 @@ def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
             )
         },
         "multipliers": dict(zip(found.constraints, found.multiplier.tolist(), strict=True)),
+        "beams": {
+            name: dict(zip(("at", "axial", "shear", "moment"), values.T.tolist(), strict=True))
+            for name, values in found.beams.items()
+        },
         "not_unique": list(found.shared),
         "states": dict(zip(found.states, found.state.tolist(), strict=True)),
     }

@@ -94,3 +94,41 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
     dx, dy = rate(at).T
     angles = np.unwrap(np.arctan2(dy, dx))
     return [Place(*place) for place in np.column_stack([curve(at), angles]).tolist()], float(whole[-1])
+
+
+def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
+    """Return internal forces in the middle of the elements of a beam, and at both of its ends.
+
+    Axial and shear forces are extrapolated linearly. The moment at an end follows from that in the middle of the
+    element by equilibrium, m' = -r' x n. The moment at the clamp of a cantilever under its own weight is then that of
+    beam theory for any number of elements.
+
+    Parameters
+    ----------
+    forces
+        (..., E, 3) axial force, shear force [N] and moment [N m], in the order of the elements.
+    length
+        Length of an element [m].
+    nodes
+        Number of nodes of an element, 2 or 3.
+
+    Returns
+    -------
+    np.ndarray
+        (..., E + 2, 3) values at end a, in the middle of the elements, and at end b.
+    """
+    ends = []
+    for sign, first, second in ((1.0, 0, min(1, forces.shape[-2] - 1)), (-1.0, -1, max(-2, -forces.shape[-2]))):
+        middle, change = forces[..., first, :], forces[..., first, :] - forces[..., second, :]
+        end = middle + 0.5 * change
+        # The moment of an element of three nodes is the mean of two Gauss points, w h^2 / 24 beyond that in the
+        # middle under a distributed load w; the mean shear force of its half is that at a quarter of its length.
+        shear = middle[..., 1] + ((1 / 4 - 1 / 12) * change[..., 1] if nodes == 3 else 0.0)
+        end[..., 2] = middle[..., 2] + sign * 0.5 * length * shear
+        ends.append(end[..., None, :])
+    return np.concatenate([ends[0], forces, ends[1]], axis=-2)
+
+
+def places_with_ends(length: float, elements: int) -> np.ndarray:
+    """Return the arc lengths (E + 2,) [m] of `with_ends` along a beam of equal elements."""
+    return length / elements * np.array([0.0, *(np.arange(elements) + 0.5), elements])

@@ -25,6 +25,7 @@ from mbdkit.figures.plane_geometry import Array
 from mbdkit.gradients.gradient import Gradient
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.mechanics_summary import (
+    beam_rows,
     clean,
     equilibrium_facts,
     modes_facts,
@@ -172,7 +173,9 @@ def _(found: Equilibrium) -> View:
     tables = (
         Table("bodies", "Positions of the bodies", place, tuple(bodies)),
         Table("reactions", "Reactions in the joints", force, tuple(joints), sharing(found)),
-    )
+        Table("beams", "Internal forces at the ends of beams and where they are largest",
+              columns_of("beam; at [m]; moment [N m]; shear [N]; axial [N]"), tuple(beam_rows(found))),
+    )  # fmt: skip
     (_, stability), *facts = equilibrium_facts(found)
     tone = {"stable": "good", "unstable": "alarm"}.get(found.stability, "")
     picture = _posed(found.mechanism, found.position, found.time)

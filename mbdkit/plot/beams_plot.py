@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _TITLES = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
 _TIMES = 5
-_ALONG = Axis("distance from the end a / length")
+_ALONG = Axis("distance from the end a", "m")
 _TIME = Axis("time", "s")
 
 
@@ -43,7 +43,7 @@ class BeamPeak:
     time
         Its time [s].
     place
-        Middle of its element, as a share of the length from the end a.
+        Its distance from the end a along the beam [m].
     row
         Its row.
     """
@@ -55,12 +55,12 @@ class BeamPeak:
 
 
 def beam_peak(run: Run, beam: str, component: BeamForce) -> BeamPeak:
-    """Return the largest magnitude of an internal force of a beam over all elements and rows."""
-    values: Array = getattr(run.beams[beam], component)
+    """Return the largest magnitude of an internal force of a beam over the beam, its ends included, and all rows."""
+    values = run.beams[beam].along(component)
     size = np.where(np.isfinite(values), np.abs(values), -1.0)
     row, element = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
     value = float(values[row, element]) if size[row, element] >= 0 else float("nan")
-    return BeamPeak(value, float(run.time[row]), (element + 0.5) / values.shape[1], row)
+    return BeamPeak(value, float(run.time[row]), float(run.beams[beam].arc_length[element]), row)
 
 
 def panels(run: Run) -> list[Panel]:
@@ -141,17 +141,18 @@ def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, t
     rows = _rows(run, names[0], component) if times is None else _rows_at(run, times)
     lines = []
     for name in names:
-        values: Array = getattr(run.beams[name], component)
-        place = (np.arange(values.shape[1]) + 0.5) / values.shape[1]
+        values, place = run.beams[name].along(component), run.beams[name].arc_length
         lines += [
             Line(f"{name}, {run.time[row]:.4g} s" if len(names) > 1 else f"{run.time[row]:.4g} s", place, values[row],
                  group=f"{run.time[row]:.4g} s", color=PALETTE[k] if k < len(PALETTE) else "")
             for k, row in enumerate(rows)
         ]  # fmt: skip
     where = f" along {names[0]}" if len(names) == 1 else " along beams"
-    caption = f"In the middle of each element{where}; positive moments turn the far part counter-clockwise."
+    caption = (
+        f"In the middle of each element and at both ends{where}; positive moments turn the far part counter-clockwise."
+    )
     if component != "moment":
-        caption = f"In the middle of each element{where}, in the frame of its cross-section."
+        caption = f"In the middle of each element and at both ends{where}, in the frame of its cross-section."
     return Figure(f"beams-{component}", f"{_TITLES[component]}{where}", caption, _ALONG, _axis(component), tuple(lines))
 
 
@@ -175,13 +176,13 @@ def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = Non
     """Return the chart of the largest magnitude in a beam over time, for several beams."""
     chosen = _picked(run, None, component, MOST) if names is None else names
     time = np.asarray(run.time)
-    largest = np.stack([np.max(np.abs(getattr(run.beams[name], component)), axis=1) for name in chosen], axis=1)
+    largest = np.stack([np.max(np.abs(run.beams[name].along(component)), axis=1) for name in chosen], axis=1)
     found = bands(time, largest)
     axis = _axis(component)
     return Figure(
         f"beams-{component}-over-time",
         f"Largest {axis.label} over time",
-        "Largest magnitude over all elements of a beam.",
+        "Largest magnitude along a beam, ends included.",
         _TIME,
         axis,
         tuple(Line(name, *found.curve(k), group=name) for k, name in enumerate(chosen)),

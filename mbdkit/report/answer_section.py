@@ -223,8 +223,8 @@ def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
     worst = max(peaks, key=lambda name: abs(np.nan_to_num(peaks[name].value)))
     peak = peaks[worst]
     sentence = (
-        f"The largest bending moment is {abs(peak.value):.4g} N m, in {worst} at {peak.place:.2g} of its length, at "
-        f"{peak.time:.4g} s. Values are those in the middle of the elements."
+        f"The largest bending moment is {abs(peak.value):.4g} N m, in {worst} at {peak.place:.4g} m from its end a, at "
+        f"{peak.time:.4g} s."
     )
     drawing = _bent(run, mechanism, peak.row) if np.isfinite(peak.value) else None
     return Section("beams", "Beams", (sentence,), drawing, (_beam_table(run),))
@@ -251,7 +251,7 @@ def _beam_table(run: Run) -> Table:
     """Return the table of the largest internal forces and strain energy of each beam."""
     columns = [Column("beam")]
     for name, unit in (("bending moment", "N m"), ("shear force", "N"), ("axial force", "N")):
-        columns += [Column(f"largest {name}", unit), Column("at a share of the length"), Column("time", "s")]
+        columns += [Column(f"largest {name}", unit), Column("distance from a", "m"), Column("time", "s")]
     columns.append(Column("largest strain energy", "J"))
     rows: list[tuple[Cell, ...]] = []
     for name, beam in list(run.beams.items())[:ROWS]:

@@ -162,3 +162,21 @@ def test_a_column_that_buckles_ends_beside_its_upright_position(seed: int) -> No
     found = mbdkit.equilibrium(m)
     assert found.stability == "stable"
     assert found.stiffness > 0
+
+
+@pytest.mark.parametrize("nodes", [2, 3])
+def test_internal_forces_of_a_beam_at_rest_reach_its_ends(nodes: int) -> None:
+    """Beam theory, small deflections: moment w L^2 / 2 + P L and shear force w L + P at the clamp, P at the tip."""
+    length, weight, force = 2.0, 7850 * 1e-3 * 9.81, 10.0
+    m = mbdkit.Mechanism()
+    m.beam("bar", a=(0, 0), b=(length, 0), elements=8, nodes=nodes, E=2.1e13, nu=0.3, A=1e-3, I=5e-7, density=7850)
+    tip = m.beams["bar"].node_names("bar")[-1]
+    m.weld("clamp", m.ground, "bar.0", at=(0, 0))
+    m.force("tip", tip, value=(0, -force))
+    found = mbdkit.equilibrium(m, integrator={"name": "radau-iia"}, time={"end": 1.0, "step": 0.1})
+    at, axial, shear, moment = found.beams["bar"].T
+    assert at[[0, 1, -1]] == pytest.approx([0, length / 16, length])
+    assert -moment[0] == pytest.approx(weight * length**2 / 2 + force * length, rel=1e-6)
+    assert -moment[0] == pytest.approx(found.reaction_torque[0], rel=1e-6)
+    assert -shear[[0, -1]] == pytest.approx([weight * length + force, force], rel=1e-6)
+    assert [moment[-1], axial[0]] == pytest.approx([0, 0], abs=1e-5 * weight)
