@@ -294,9 +294,10 @@ class BeamHistory(View, of="beams"):
 
     @property
     def _length(self) -> float:
-        """Length of the line through the nodes in the first row [m]."""
-        steps = np.diff(self.position[0, :, :2], axis=0)
-        return float(np.sum(np.hypot(steps[:, 0], steps[:, 1])))
+        """Length of circular arcs through the nodes in the first row [m], which turn by the angles between them."""
+        steps = np.diff(self.position[0], axis=0)
+        turn = 0.5 * steps[:, 2]
+        return float(np.sum(np.hypot(steps[:, 0], steps[:, 1]) / np.sinc(turn / np.pi)))
 
     def _has_node(self, body: str) -> bool:
         return beam_of(body) == self.name

@@ -69,7 +69,7 @@ def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]
         return [_slider(spec, data, _path_of(spec, name)) for name in names]
     paths: list[Path] = [("parameters", name) for name, value in spec.parameters.items() if not isinstance(value, str)]
     found = [_slider(spec, data, path) for path in paths or _numbers(data["model"], ("model",))]
-    chosen = [one for one in found if one.low < one.high][:MOST]
+    chosen = [one for one in found if paths or one.value or one.unit == "rad"][:MOST]
     if not chosen:
         raise SpecError("the spec has no number that a slider could change; name some with --parameters")
     return chosen
@@ -107,5 +107,5 @@ def _slider(spec: ModelSpec, data: Any, path: Path) -> Slider:
     if unit == "rad":
         low, high = value - TURN, value + TURN
     else:
-        low, high = sorted((0.5 * value, 2.0 * value))
+        low, high = sorted((0.5 * value, 2.0 * value)) if value else (-1.0, 1.0)
     return Slider(path, key_words(path), unit, low, high, value)

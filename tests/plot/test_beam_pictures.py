@@ -78,7 +78,8 @@ def test_a_report_names_a_beam_once_and_never_its_nodes(run):
 def test_the_moment_of_a_circular_arc_is_bending_stiffness_by_radius(run):
     axes = run.plot.beams(times=0.0)
     (line,) = axes.get_lines()
-    np.testing.assert_allclose(line.get_xdata(), (np.arange(8) + 0.5) / 8)
+    share = np.array([0.0, *(np.arange(8) + 0.5), 8.0]) / 8
+    np.testing.assert_allclose(line.get_xdata(), RADIUS * np.pi / 2 * share, rtol=1e-12)
     np.testing.assert_allclose(line.get_ydata(), BENDING / RADIUS, rtol=1e-12)
     over_time = run.plot.beams(components="axial").get_lines()[0]
     assert len(over_time.get_xdata()) == len(run.time)
