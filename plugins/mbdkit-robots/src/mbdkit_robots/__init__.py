@@ -1,0 +1,81 @@
+"""Planar mechanisms of robots and linkages for mbdkit: the models `urdf`, `mjcf` and `pylinkage` read files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+import mbdkit
+from mbdkit_robots.linkages import read_linkage, to_pylinkage
+from mbdkit_robots.mjcf import read_mjcf
+from mbdkit_robots.planar import PlanarMechanism, Plane
+from mbdkit_robots.urdf import read_urdf
+
+__all__ = ["mbdkit_models", "to_pylinkage"]
+
+mbdkit_api = 1
+
+_HERE = Path(__file__).parent
+_STRICT = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class MjcfOptions(BaseModel):
+    """File, plane and start."""
+
+    model_config = _STRICT
+
+    file: str = Field(examples=[str(_HERE / "four_bar.xml")])
+    """Path of the MJCF file; relative to the current folder."""
+    plane: Plane = "xz"
+    """The plane of motion: its two axes become x and y."""
+    initial: dict[str, float] = Field(default_factory=dict)
+    """Initial values of joints by name, in the sign of the file [rad or m]; 0 by default."""
+    speeds: dict[str, float] = Field(default_factory=dict)
+    """Initial speeds of joints by name [rad/s or m/s]; 0 by default."""
+
+
+class UrdfOptions(MjcfOptions):
+    """File, plane, base and start."""
+
+    file: str = Field(examples=[str(_HERE / "arm.urdf")])
+    """Path of the URDF file; relative to the current folder."""
+    floating: bool = False
+    """Whether the root link moves freely; by default, it is fixed to the ground."""
+
+
+class LinkageOptions(BaseModel):
+    """File, and what linkages of pylinkage do not have: time and mass."""
+
+    model_config = _STRICT
+
+    file: str = Field(examples=[str(_HERE / "linkage.json")])
+    """Path of the JSON file that `pylinkage.mechanism.mechanism_to_json` wrote; relative to the current folder."""
+    steps_per_second: float = Field(default=100.0, gt=0)
+    """Number of steps of pylinkage in a second, whose angular velocities are radians per step [1/s]."""
+    mass_per_length: float = Field(default=1.0, gt=0)
+    """Mass of links by their length [kg/m]; links are thin rods between their joints."""
+
+
+def _of_urdf(options: UrdfOptions) -> mbdkit.Mechanism:
+    model = read_urdf(options.file, floating=options.floating)
+    return PlanarMechanism(model, options.plane).mechanism(options.initial, options.speeds)
+
+
+def _of_mjcf(options: MjcfOptions) -> mbdkit.Mechanism:
+    return PlanarMechanism(read_mjcf(options.file), options.plane).mechanism(options.initial, options.speeds)
+
+
+def _of_linkage(options: LinkageOptions) -> mbdkit.Mechanism:
+    rate, mass = options.steps_per_second, options.mass_per_length
+    return read_linkage(options.file, steps_per_second=rate, mass_per_length=mass)
+
+
+@mbdkit.hookimpl
+def mbdkit_models() -> list[mbdkit.ModelPlugin]:
+    """Register the models."""
+    return [
+        mbdkit.ModelPlugin("urdf", "The planar motion of a robot in a URDF file.", UrdfOptions, _of_urdf),
+        mbdkit.ModelPlugin("mjcf", "The planar motion of a model in an MJCF file of MuJoCo.", MjcfOptions, _of_mjcf),
+        mbdkit.ModelPlugin("pylinkage", "A linkage of pins that pylinkage wrote as JSON.", LinkageOptions, _of_linkage),
+    ]

@@ -1,0 +1,76 @@
+"""Files of strangers: XML without entities, and numbers in attributes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+import numpy as np
+from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from mbdkit_robots.planar import refused
+
+LARGEST = 10_000_000
+"""Largest file that is read [bytes]."""
+
+
+def read_bytes(file: str) -> bytes:
+    """Return the contents of a file; raise SpecError if it cannot be read or is too large."""
+    path = Path(file).expanduser()
+    try:
+        if path.stat().st_size > LARGEST:
+            raise refused(f"{path} has more than {LARGEST // 1_000_000} MB")
+        return path.read_bytes()
+    except OSError as error:
+        raise refused(f"{path} cannot be read: {error.strerror or error}") from None
+
+
+def read_xml(file: str, root: str) -> Element:
+    """Return the root of a file; raise SpecError if it is not XML with this root."""
+    try:
+        found: Element = fromstring(read_bytes(file), forbid_dtd=True)
+    except DefusedXmlException:
+        raise refused(f"{file} contains a document type definition or entities, which are not read") from None
+    except (ParseError, ValueError) as error:
+        raise refused(f"{file} is not XML: {error}") from None
+    if found.tag != root:
+        raise refused(f"{file} has the root <{found.tag}>, not <{root}>")
+    return found
+
+
+def numbers(element: Element | None, name: str, default: str, count: int | None = None) -> np.ndarray:
+    """Return the numbers of an attribute; raise SpecError if they are not finite, or not as many as they should be."""
+    text = default if element is None else element.get(name, default)
+    try:
+        found = np.array([float(word) for word in text.split()])
+    except ValueError:
+        found = np.array([math.nan])
+    if not np.all(np.isfinite(found)) or (count is not None and len(found) != count):
+        tag = "" if element is None else element.tag
+        wanted = "finite numbers" if count is None else f"{count} finite number{'s' * (count > 1)}"
+        raise refused(f'{name}="{text[:60]}" of <{tag}> should have {wanted}')
+    return found
+
+
+def number(element: Element | None, name: str, default: float) -> float:
+    """Return the number of an attribute."""
+    return float(numbers(element, name, repr(default), 1)[0])
+
+
+def about(axis: int, angle: float) -> np.ndarray:
+    """Return the matrix (3, 3) of a rotation about the x, y or z axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    found = np.eye(3)
+    found[i, i], found[i, j], found[j, i], found[j, j] = c, -s, s, c
+    return found
+
+
+def unit(vector: np.ndarray, what: str) -> np.ndarray:
+    """Return a vector with length 1; raise SpecError if it has none."""
+    size = float(np.linalg.norm(vector))
+    if not size > 0:
+        raise refused(f"{what} has no direction")
+    return vector / size

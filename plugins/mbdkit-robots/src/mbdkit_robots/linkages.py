@@ -1,0 +1,142 @@
+"""Linkages of pylinkage: the JSON of `pylinkage.mechanism.mechanism_to_json`, in both directions."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+from typing import Any
+
+import mbdkit
+from mbdkit import Mechanism
+from mbdkit.base.text import listed
+from mbdkit.mechanism.joints import Driver, Revolute
+from mbdkit_robots.documents import read_bytes
+from mbdkit_robots.planar import GROUND, refused
+
+
+def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) -> Mechanism:
+    """Return the mechanism of a JSON file of pylinkage.
+
+    Parameters
+    ----------
+    steps_per_second
+        Number of steps of pylinkage in a second: its angular velocities are radians per step.
+    mass_per_length
+        Mass of a link by the length of the lines through its joints [kg/m]; links are thin rods.
+
+    Raises
+    ------
+    SpecError
+        If the file is no such linkage, or has joints other than pins.
+    """
+    try:
+        data = json.loads(read_bytes(file))
+        joints = {one["id"]: one for one in data["joints"]}
+        links = [(one["id"], one.get("type", "link"), one["joints"], one) for one in data["links"]]
+        places = {name: (float(one["position"][0]), float(one["position"][1])) for name, one in joints.items()}
+    except (ValueError, KeyError, TypeError, IndexError):
+        raise refused(f"{file} is no mechanism of pylinkage, as mechanism_to_json writes it") from None
+    if wrong := [name for name, one in joints.items() if one.get("type") not in ("ground", "revolute")]:
+        raise refused(f"joints other than pins are not read: {listed(wrong)}")
+    m = Mechanism(name=str(data.get("name") or "linkage"))
+    at: dict[str, list[str]] = {name: [GROUND] for name, one in joints.items() if one.get("type") == "ground"}
+    for name, kind, ids, one in links:
+        if kind == "ground":
+            continue
+        if kind not in ("link", "driver"):
+            raise refused(f"link '{name}' has the type '{kind}', which is not read")
+        points = [places[joint] for joint in ids]
+        _add_rod(m, name, points, mass_per_length)
+        for joint in ids:
+            at.setdefault(joint, []).append(name)
+        if kind == "driver" and one.get("motor_joint") in places:
+            rate = float(one["angular_velocity"]) * steps_per_second
+            m.driver(f"{name} motor", GROUND, name, coordinate="angle", motion=f"{m.bodies[name].angle!r} + {rate!r}*t")
+    for joint, bodies in at.items():
+        for k, body in enumerate(bodies[1:]):
+            m.revolute(joint if k == 0 else f"{joint} {k + 1}", bodies[0], body, at=places[joint])
+        if len(bodies) == 1 and bodies[0] != GROUND:
+            m.marker(joint, bodies[0], at=places[joint])
+    return m
+
+
+def _add_rod(m: Mechanism, name: str, points: list[tuple[float, float]], mass_per_length: float) -> None:
+    """Add a body whose x axis points from its first joint to the second one; its mass is that of the lines between."""
+    if len(points) < 2:
+        raise refused(f"link '{name}' has fewer than two joints")
+    lengths = [math.dist(a, b) for a, b in pairwise(points)]
+    total = sum(lengths)
+    middles = [((a[0] + b[0]) / 2, (a[1] + b[1]) / 2) for a, b in pairwise(points)]
+    if not total > 0:
+        raise refused(f"link '{name}' has no length")
+    center = tuple(sum(s * p[k] for s, p in zip(lengths, middles, strict=True)) / total for k in (0, 1))
+    inertia = sum(s * (s**2 / 12 + math.dist(center, p) ** 2) for s, p in zip(lengths, middles, strict=True))
+    (x0, y0), (x1, y1) = points[0], points[1]
+    m.body(name, mass=mass_per_length * total, inertia=mass_per_length * inertia, position=(center[0], center[1]),
+           angle=math.atan2(y1 - y0, x1 - x0))  # fmt: skip
+
+
+def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> dict[str, Any]:
+    """Return a mechanism of pins as the data of `pylinkage.mechanism.mechanism_from_dict`.
+
+    Parameters
+    ----------
+    mechanism
+        Bodies, revolute joints, markers and drivers of the angle of a body against the ground with a constant rate.
+    steps_per_second
+        Number of steps of pylinkage in a second.
+
+    Raises
+    ------
+    SpecError
+        If it has other joints or drivers. Masses and forces are left out, because pylinkage has none.
+    """
+    joints: list[dict[str, Any]] = []
+    members: dict[str, list[str]] = {name: [] for name in (GROUND, *mechanism.bodies)}
+    rates: dict[str, float] = {}
+    pins_at: dict[tuple[str, float, float], str] = {}
+    for name, joint in mechanism.joints.items():
+        if isinstance(joint, Revolute) and joint.center is None:
+            place = mechanism.to_global(joint.bodies[0], joint.points[0])
+            pin = pins_at.setdefault((joint.bodies[0], *joint.points[0]), name)  # a pin may hold several bodies
+            if pin == name:
+                joints.append({"id": name, "type": "revolute", "position": list(place)})
+            if GROUND in joint.bodies:
+                next(one for one in joints if one["id"] == pin)["type"] = "ground"
+            for body in joint.bodies:
+                members[body] += [] if pin in members[body] else [pin]
+        elif isinstance(joint, Driver) and joint.coordinate == "angle" and joint.bodies[0] == GROUND:
+            rates[joint.bodies[1]] = _rate(name, joint)
+        else:
+            raise mbdkit.SpecError(f"joint '{name}' is no pin and no motor of constant rate against the ground")
+    for name, marker in mechanism.markers.items():
+        joints.append(
+            {"id": name, "type": "revolute", "position": list(mechanism.to_global(marker.body, marker.point))}
+        )
+        members[marker.body].append(name)
+    places = {one["id"]: one for one in joints}
+    links: list[dict[str, Any]] = [{"id": GROUND, "type": "ground", "joints": members.pop(GROUND)}]
+    for body, ids in members.items():
+        link: dict[str, Any] = {"id": body, "type": "link", "joints": ids}
+        pins = [one for one in ids if places[one]["type"] == "ground"]
+        if body in rates and pins:
+            other = next(places[one]["position"] for one in ids if one != pins[0])
+            x, y = places[pins[0]]["position"]
+            link |= {"type": "driver", "motor_joint": pins[0], "angular_velocity": rates[body] / steps_per_second,
+                     "initial_angle": math.atan2(other[1] - y, other[0] - x)}  # fmt: skip
+        links.append(link)
+    return {"name": mechanism.name, "joints": joints, "links": links, "ground": GROUND}
+
+
+def _rate(name: str, joint: Driver) -> float:
+    """Return the constant rate of a motor [rad/s]."""
+    probe = Mechanism()
+    probe.body("body", mass=1.0, inertia=1.0)
+    probe.revolute("pin", GROUND, "body", at=(0.0, 0.0))
+    probe.driver("motor", GROUND, "body", coordinate="angle", motion=joint.motion)
+    found = mbdkit.kinematics(probe, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.25})
+    rates = found["body"].velocity[:, 2]
+    if max(rates) - min(rates) > 1e-9 * max(abs(rates)):
+        raise mbdkit.SpecError(f"the rate of the motor '{name}' is not constant")
+    return float(rates[0])

@@ -1,0 +1,236 @@
+"""Parts and joints of a spatial model that move in one plane, and the mechanism that they form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from mbdkit import Mechanism, SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import did_you_mean, listed
+
+GROUND = "ground"
+KEY = "model.file"
+Plane = Literal["xy", "xz", "yz"]
+PARALLEL = 1e-6
+"""Largest sine of the angle between an axis and the direction that it should have."""
+MOST_NAMED = 6
+"""Names that a warning lists."""
+
+
+def refused(message: str) -> SpecError:
+    """Return the error of a file that cannot be read or is not planar."""
+    return SpecError(message, key=KEY)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A body at the zero position of all joints: centre of mass (3,) [m] and inertia (3, 3) [kg m^2], global frame."""
+
+    name: str
+    mass: float
+    center: np.ndarray
+    inertia: np.ndarray
+
+
+@dataclass(frozen=True)
+class Link:
+    """A joint of the tree at the zero position: a point (3,) [m] and an axis (3,) in the global frame.
+
+    `stiffness`, `damping` and `rest` are those of a spring on the coordinate, whose zero is the zero position.
+    """
+
+    name: str
+    kind: Literal["turn", "slide", "fixed", "free"]
+    parent: str
+    child: str
+    point: np.ndarray
+    axis: np.ndarray
+    stiffness: float = 0.0
+    damping: float = 0.0
+    rest: float = 0.0
+
+
+@dataclass(frozen=True)
+class Closure:
+    """A constraint beside the tree: a common point (3,) [m] of two parts at the zero position, or a weld there."""
+
+    name: str
+    kind: Literal["connect", "weld"]
+    parts: tuple[str, str]
+    point: np.ndarray
+
+
+@dataclass
+class SpatialModel:
+    """A model that was read from a file."""
+
+    name: str
+    parts: list[Part] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)
+    closures: list[Closure] = field(default_factory=list)
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    left_out: dict[str, list[str]] = field(default_factory=dict)
+    """Names of what is left out, by its kind in words."""
+
+    def leave_out(self, kind: str, name: str) -> None:
+        """Note the name of something that is left out."""
+        self.left_out.setdefault(kind, []).append(name)
+
+
+class PlanarMechanism:
+    """Projects a model onto a plane; frames of bodies are parallel to the global frame at the zero position."""
+
+    def __init__(self, model: SpatialModel, plane: Plane):
+        axes = np.eye(3)
+        self.model, self.across = model, plane
+        self.u, self.w = axes["xyz".index(plane[0])], axes["xyz".index(plane[1])]
+        self.normal = np.cross(self.u, self.w)
+        self.parts = {part.name: part for part in model.parts}
+        self.owner = self._owners()
+
+    def mechanism(self, initial: Mapping[str, float], speeds: Mapping[str, float]) -> Mechanism:
+        """Return the mechanism with the coordinates of joints at their initial values [rad or m] and speeds.
+
+        Raises
+        ------
+        SpecError
+            If a joint leaves the plane, or a coordinate does not exist.
+        """
+        names = [link.name for link in self.model.links if link.kind in ("turn", "slide")]
+        for given, key in ((initial, "initial"), (speeds, "speeds")):
+            for name in given:
+                if name not in names:
+                    hint = did_you_mean(name, names) or f"; there are {listed(names)}"
+                    raise SpecError(f"the file has no joint '{name}'{hint}", key=f"model.{key}.{quoted(name)}")
+        data: dict[str, Any] = {"gravity": self._flat(self.model.gravity), "bodies": {}, "joints": {}, "forces": {},
+                                "coordinates": {}}  # fmt: skip
+        moved = self._moved(initial, speeds)
+        for part in self.model.parts:
+            if self.owner[part.name] == part.name:
+                data["bodies"][part.name] = self._body(part, *moved[part.name])
+        for link in self.model.links:
+            self._add(link, data)
+        for closure in self.model.closures:
+            first, second = (self.owner[name] for name in closure.parts)
+            kind = {"connect": "revolute", "weld": "weld"}[closure.kind]
+            points = [self._local(first, closure.point), self._local(second, closure.point)]
+            data["joints"][closure.name] = {"type": kind, "bodies": [first, second], "points": points}
+        found = Mechanism.from_spec(data)
+        found.name = self.model.name
+        found.warnings = tuple(
+            f"{kind} left out: {listed(names[:MOST_NAMED])}{', ...' if len(names) > MOST_NAMED else ''}"
+            for kind, names in self.model.left_out.items()
+        )
+        return found
+
+    def _owners(self) -> dict[str, str]:
+        """Return the body that each part belongs to: parts without mass belong to those that they are fixed to."""
+        owner = {GROUND: GROUND}
+        for link in self.model.links:
+            part = self.parts[link.child]
+            if part.mass > 0:
+                owner[part.name] = part.name
+            elif link.kind == "fixed":
+                owner[part.name] = owner[link.parent]
+            else:
+                raise refused(f"'{part.name}' moves, by joint '{link.name}', but has no mass")
+        return owner
+
+    def _flat(self, vector: np.ndarray) -> list[float]:
+        return [float(self.u @ vector), float(self.w @ vector)]
+
+    def _local(self, body: str, point: np.ndarray) -> list[float]:
+        """Return a point in the frame of a body."""
+        return self._flat(point if body == GROUND else point - self.parts[body].center)
+
+    def _sign(self, link: Link) -> float:
+        """Return whether a joint turns counter-clockwise in the plane (1) or clockwise (-1)."""
+        if np.linalg.norm(np.cross(link.axis, self.normal)) > PARALLEL:
+            raise refused(
+                f"joint '{link.name}' turns about ({_text(link.axis)}), not normal to the plane {self.across}; "
+                "choose another `plane` if the mechanism is planar"
+            )
+        return math.copysign(1.0, float(link.axis @ self.normal))
+
+    def _direction(self, link: Link) -> np.ndarray:
+        """Return the direction (2,) of a slide."""
+        if abs(link.axis @ self.normal) > PARALLEL:
+            raise refused(f"joint '{link.name}' slides along ({_text(link.axis)}), out of the plane {self.across}")
+        return np.array(self._flat(link.axis))
+
+    def _moved(self, initial: Mapping[str, float], speeds: Mapping[str, float]) -> dict[str, tuple[Any, ...]]:
+        """Return angle, shift (2,), rate and velocity (2,) at the origin of every part, relative to zero positions."""
+        found: dict[str, tuple[Any, ...]] = {GROUND: (0.0, np.zeros(2), 0.0, np.zeros(2))}
+        for link in self.model.links:
+            angle, shift, rate, velocity = found[link.parent]
+            value, speed = initial.get(link.name, 0.0), speeds.get(link.name, 0.0)
+            if link.kind == "turn":
+                turn, spin = self._sign(link) * value, self._sign(link) * speed
+                point = np.array(self._flat(link.point))
+                shift = _turned(angle, point) + shift
+                velocity = velocity + spin * np.array([shift[1], -shift[0]])
+                angle, rate = angle + turn, rate + spin
+                shift = shift - _turned(angle, point)
+            elif link.kind == "slide":
+                way = _turned(angle, self._direction(link))
+                shift = shift + value * way
+                velocity = velocity + speed * way
+            found[link.child] = angle, shift, rate, velocity
+        return found
+
+    def _body(self, part: Part, angle: float, shift: np.ndarray, rate: float, velocity: np.ndarray) -> dict[str, Any]:
+        inertia = float(self.normal @ part.inertia @ self.normal)
+        position = _turned(angle, np.array(self._flat(part.center))) + shift
+        moving = velocity + rate * np.array([-position[1], position[0]])
+        rigid = {"inertia": inertia, "angle": angle, "angular_velocity": rate} if inertia > 0 else {}
+        return {"mass": part.mass, "position": position.tolist(), "velocity": moving.tolist(), **rigid}
+
+    def _add(self, link: Link, data: dict[str, Any]) -> None:
+        """Add a joint, its coordinate and its spring."""
+        first, second = self.owner[link.parent], self.owner[link.child]
+        if link.kind == "free" or first == second:
+            return
+        points = [self._local(first, link.point), self._local(second, link.point)]
+        joint: dict[str, Any] = {"bodies": [first, second], "points": points}
+        if link.kind == "fixed":
+            data["joints"][link.name] = {"type": "weld", **joint}
+            return
+        sign, spring = 1.0, {"stiffness": link.stiffness, "damping": link.damping}
+        has_spring, name = any(spring.values()), f"{link.name} spring"
+        if link.kind == "turn":
+            sign = self._sign(link)
+            data["joints"][link.name] = {"type": "revolute", **joint}
+            if has_spring:
+                data["forces"][name] = {"type": "torsion-spring", "bodies": [first, second], **spring,
+                                        "free_angle": sign * link.rest}  # fmt: skip
+        else:
+            way = self._direction(link)
+            data["joints"][link.name] = {"type": "prismatic", **joint, "axis": way.tolist(), "angle": 0.0}
+            if has_spring:
+                data["forces"][name] = self._slide_spring(link, way, first, second, spring)
+        data["coordinates"][link.name] = {"of": f"{quoted(link.name)}.angle", "scale": sign}
+
+    def _slide_spring(
+        self, link: Link, way: np.ndarray, first: str, second: str, spring: Mapping[str, float]
+    ) -> dict[str, Any]:
+        axis = int(np.argmax(np.abs(way)))
+        if abs(abs(way[axis]) - 1.0) > PARALLEL:
+            raise refused(f"the spring or damping of joint '{link.name}' acts along a line that is oblique to the axes")
+        apart = self.parts[second].center - (0.0 if first == GROUND else self.parts[first].center)
+        free = self._flat(apart)[axis] + math.copysign(link.rest, way[axis])
+        pathway = {"type": "coordinate", "bodies": [first, second], "coordinate": "xy"[axis]}
+        return {"type": "law", "law": "linear", "pathway": pathway, **spring, "free_length": free}
+
+
+def _turned(angle: float, vector: np.ndarray) -> np.ndarray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
+
+
+def _text(vector: Sequence[float] | np.ndarray) -> str:
+    return ", ".join(f"{x:.3g}" for x in vector)

@@ -1,0 +1,117 @@
+"""Read a URDF file: links at the zero position, and joints."""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mbdkit_robots.documents import about, number, numbers, read_xml, unit
+from mbdkit_robots.planar import GROUND, Link, Part, SpatialModel, refused
+
+KINDS = {"revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"}
+LEFT_OUT = {"transmission": "transmissions", "gazebo": "extensions of Gazebo", "material": "materials"}
+
+
+def read_urdf(file: str, *, floating: bool) -> SpatialModel:
+    """Return the model of a URDF file.
+
+    Parameters
+    ----------
+    floating
+        Whether the root link moves freely; it is fixed to the ground otherwise.
+
+    Raises
+    ------
+    SpecError
+        If the file is not a tree of links and joints that mbdkit has.
+    """
+    robot = read_xml(file, "robot")
+    model = SpatialModel(robot.get("name", "robot"))
+    links = {_name(one): one for one in robot.iterfind("link")}
+    joints = list(robot.iterfind("joint"))
+    below: dict[str, list[Element]] = {name: [] for name in links}
+    parents: dict[str, str] = {}
+    for joint in joints:
+        parent, child = (_link(joint, tag, links) for tag in ("parent", "child"))
+        if child in parents:
+            raise refused(f"link '{child}' is the child of two joints")
+        parents[child] = parent
+        below[parent].append(joint)
+    roots = [name for name in links if name not in parents]
+    if len(roots) != 1:
+        raise refused(f"the links should form one tree, but {len(roots)} of them have no parent")
+    for tag, words in LEFT_OUT.items():
+        for one in robot.iterfind(tag):
+            model.leave_out(words, one.get("name", one.get("reference", tag)))
+    root = roots[0]
+    _add_part(model, links[root], np.eye(3), np.zeros(3), is_fixed=not floating)
+    model.links.append(
+        Link(f"{root} to ground", "free" if floating else "fixed", GROUND, root, np.zeros(3), np.zeros(3))
+    )
+    pending = [(root, np.eye(3), np.zeros(3))]
+    while pending:
+        name, turn, place = pending.pop(0)
+        for joint in below[name]:
+            frame = joint.find("origin")
+            here = place + turn @ numbers(frame, "xyz", "0 0 0", 3)
+            turned = turn @ _rotation(frame)
+            child = _link(joint, "child", links)
+            _add_part(model, links[child], turned, here)
+            model.links.append(_joint(model, joint, name, child, here, turned))
+            pending.append((child, turned, here))
+    return model
+
+
+def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: np.ndarray, turned: np.ndarray) -> Link:
+    name, kind = _name(joint), joint.get("type", "")
+    if kind not in KINDS:
+        raise refused(f"joint '{name}' has the type '{kind}', which is not read")
+    if joint.find("mimic") is not None:
+        raise refused(f"joint '{name}' follows another one (<mimic>), which is not read")
+    if joint.find("limit") is not None and kind in ("revolute", "prismatic"):
+        model.leave_out("limits of joints", name)
+    dynamics = joint.find("dynamics")
+    if number(dynamics, "friction", 0.0):
+        model.leave_out("friction of joints", name)
+    axis = turned @ unit(numbers(joint.find("axis"), "xyz", "1 0 0", 3), f"the axis of joint '{name}'")
+    return Link(name, KINDS[kind], parent, child, here, axis, damping=number(dynamics, "damping", 0.0))  # type: ignore[arg-type]
+
+
+def _add_part(
+    model: SpatialModel, link: Element, turn: np.ndarray, place: np.ndarray, *, is_fixed: bool = False
+) -> None:
+    """Add a link whose frame is at `place` (3,), turned by `turn` (3, 3); without mass if it is fixed to the ground."""
+    name, inertial = _name(link), link.find("inertial")
+    for tag in ("visual", "collision"):
+        if link.find(tag) is not None:
+            model.leave_out(f"{tag} shapes of links", name)
+    if inertial is None or is_fixed:
+        model.parts.append(Part(name, 0.0, place, np.zeros((3, 3))))
+        return
+    frame, inertia = inertial.find("origin"), inertial.find("inertia")
+    xx, xy, xz, yy, yz, zz = (number(inertia, f"i{pair}", 0.0) for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    own = turn @ _rotation(frame)
+    tensor = own @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ own.T
+    mass = number(inertial.find("mass"), "value", 0.0)
+    model.parts.append(Part(name, mass, place + turn @ numbers(frame, "xyz", "0 0 0", 3), tensor))
+
+
+def _rotation(frame: Element | None) -> np.ndarray:
+    roll, pitch, yaw = numbers(frame, "rpy", "0 0 0", 3)
+    return about(2, yaw) @ about(1, pitch) @ about(0, roll)
+
+
+def _name(element: Element) -> str:
+    name = element.get("name")
+    if not name:
+        raise refused(f"a <{element.tag}> has no name")
+    return name
+
+
+def _link(joint: Element, tag: str, links: dict[str, Element]) -> str:
+    found = joint.find(tag)
+    name = "" if found is None else found.get("link", "")
+    if name not in links:
+        raise refused(f"joint '{_name(joint)}' has no <{tag}> among the links: '{name}'")
+    return name

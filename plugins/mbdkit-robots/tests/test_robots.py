@@ -1,0 +1,115 @@
+"""Planar mechanisms of URDF and MJCF: motions are those of MuJoCo 4.0.0, RK4 with steps of 0.1 ms, as printed there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+
+pytest.importorskip("defusedxml")
+import mbdkit_robots
+
+FILES = Path(mbdkit_robots.__file__).parent
+GAUSS = {"name": "gauss", "stages": 3}
+
+FOUR_BAR = [  # time, coordinates of A, B and D; the loop with solref="0.0005 1" solimp="0.9999 0.9999 0.001"
+    [0.1, -0.051639798, 0.054631072, -0.037813693],
+    [0.2, -0.223618939, 0.241058163, -0.159388471],
+    [0.3, -0.591014702, 0.675627713, -0.376189459],
+    [0.4, -1.239401469, 1.874905758, -0.151547115],
+    [0.5, -1.571717306, 2.748846631, 0.491593529],
+]
+ARM = [  # time, shoulder, elbow, from (0.8, -0.5) rad at (0.3, 1) rad/s
+    [0.2, 0.562450727, -0.285102488],
+    [0.4, -0.029264602, 0.157066467],
+    [0.6, -0.693292007, 0.121780558],
+    [0.8, -0.755343259, 0.471702576],
+    [1.0, -0.303229885, 0.559910789],
+]
+
+
+def coordinates(run: mbdkit.Run, model: dict[str, Any]) -> np.ndarray:
+    """Return the coordinates of joints in the signs of the file, (T, joints)."""
+    spec = mbdkit.RunSpec(mbdkit=1, model=model, integrator=GAUSS, time={"end": 1.0, "step": 0.1})
+    named = spec.mechanism().coordinates
+    columns = [one.scale * run.joints[name].angle + one.offset for name, one in named.items()]
+    return np.stack(columns, axis=1)
+
+
+def test_a_four_bar_of_mjcf_moves_as_in_mujoco() -> None:
+    model = {"name": "mjcf", "file": str(FILES / "four_bar.xml")}
+    run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.5, "step": 0.005},
+                     output={"every": 20})  # fmt: skip
+    expected = np.array(FOUR_BAR)
+    assert list(run.joints) == ["A", "B", "D", "C"]
+    np.testing.assert_allclose(run.time[1:], expected[:, 0], atol=1e-12)
+    np.testing.assert_allclose(coordinates(run, model)[1:], expected[:, 1:], atol=1e-7)  # MuJoCo's loop is soft
+    assert run.warnings[0].startswith("contacts of geoms left out: capsule of crank")
+    assert "elements of <sensor> left out: angle of A" in run.warnings
+
+
+def test_a_chain_of_urdf_moves_as_in_mujoco() -> None:
+    model = {"name": "urdf", "file": str(FILES / "arm.urdf"), "initial": {"shoulder": 0.8, "elbow": -0.5},
+             "speeds": {"shoulder": 0.3, "elbow": 1.0}}  # fmt: skip
+    run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 1.0, "step": 0.005},
+                     output={"every": 40})  # fmt: skip
+    assert [body.name for body in run.bodies.values()] == ["upper", "lower", "tool"]
+    np.testing.assert_allclose(coordinates(run, model)[1:], np.array(ARM)[:, 1:], atol=2e-9)
+    assert run.warnings == ["limits of joints left out: elbow"]
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "message"),
+    [
+        ("arm.urdf", '<axis xyz="0 -1 0"/>', '<axis xyz="1 0 0"/>', "'elbow' turns about .1, 0, 0., not normal"),
+        ("arm.urdf", "<mass value=\"1\"/>", "<mass value=\"0\"/>", "'lower' moves, by joint 'elbow', but has no mass"),
+        ("arm.urdf", 'type="revolute"', 'type="planar"', "joint 'elbow' has the type 'planar', which is not read"),
+        ("arm.urdf", '<child link="tip"/>', '<child link="tap"/>', "has no <child> among the links: 'tap'"),
+        ("arm.urdf", 'value="2"', 'value="two"', "should have 1 finite number"),
+        ("arm.urdf", "<robot", "<!DOCTYPE a><robot", "document type definition"),
+        ("four_bar.xml", "<connect", "<joint", "equality <joint> 'C' is not read"),
+        ("four_bar.xml", '<joint name="B"/>', '<joint name="B" type="ball"/>', "has the type 'ball'"),
+        ("four_bar.xml", '<joint name="B"/>', '<joint name="B"/><joint name="E" type="slide"/>', "has 2 joints"),
+        ("four_bar.xml", "<mujoco", "<robot", "is not XML"),
+    ],
+)  # fmt: skip
+def test_what_is_not_planar_or_not_read_is_refused(
+    tmp_path: Path, file: str, before: str, after: str, message: str
+) -> None:
+    text = (FILES / file).read_text()
+    assert before in text
+    path = tmp_path / file
+    path.write_text(text.replace(before, after))
+    model = {"name": "urdf" if file.endswith("urdf") else "mjcf", "file": str(path)}
+    with pytest.raises(mbdkit.SpecError, match=message):
+        mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.1, "step": 0.1})
+
+
+def test_shapes_have_the_masses_and_moments_of_mujoco(tmp_path: Path) -> None:
+    """The values for `crank` are those of MuJoCo's body_mass and body_inertia, to the digits it prints."""
+    spec = mbdkit.RunSpec(mbdkit=1, model={"name": "mjcf", "file": str(FILES / "four_bar.xml")}, integrator=GAUSS,
+                          time={"end": 1.0, "step": 0.1})  # fmt: skip
+    crank, coupler = (spec.mechanism().bodies[name] for name in ("crank", "coupler"))
+    assert (crank.mass, coupler.mass) == pytest.approx((0.387804467, 0.60684481), abs=1e-9)
+    assert (crank.inertia, coupler.inertia) == pytest.approx((0.003846478, 0.014633038), abs=1e-9)
+
+
+def test_a_slide_has_spring_and_travel_of_the_file(tmp_path: Path) -> None:
+    """A mass on a spring: x = cos(omega t) with omega = sqrt(stiffness / mass) = 2 rad/s."""
+    path = tmp_path / "slide.xml"
+    path.write_text(
+        '<mujoco><option gravity="0 0 0"/><worldbody><body name="cart" pos="3 0 1">'
+        '<joint name="x" type="slide" axis="-1 0 0" stiffness="4"/><inertial mass="1" pos="0 0 0.5"/>'
+        "</body></worldbody></mujoco>"
+    )
+    model = {"name": "mjcf", "file": str(path), "initial": {"x": 1.0}}
+    with pytest.raises(mbdkit.SpecError, match="inertia"):
+        mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 1.0, "step": 0.01})
+    path.write_text(path.read_text().replace('pos="0 0 0.5"', 'pos="0 0 0.5" diaginertia="1 1 1"'))
+    run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 1.0, "step": 0.01})
+    np.testing.assert_allclose(coordinates(run, model)[:, 0], np.cos(2 * run.time), atol=1e-9)
+    np.testing.assert_allclose(run["cart"].position[:, 0], 3 - np.cos(2 * run.time), atol=1e-9)
