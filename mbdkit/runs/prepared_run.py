@@ -120,7 +120,7 @@ class PreparedRun:
 def prepare(source: RunSource, **sections: Unpack[Sections]) -> PreparedRun:
     """Prepare a spec for many runs with other numbers, one after another, as in optimisation.
 
-    A small run then takes less than a millisecond in addition to its steps. If all numbers are known in advance,
+    A small run then takes about a millisecond in addition to its steps. If all numbers are known in advance,
     `mbdkit.ensemble` is faster.
 
     Parameters
