@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
-from functools import lru_cache
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache, lru_cache
+from types import MappingProxyType
 
 import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5o, h5t
 
-from mbdkit.archive.layout import ATTRIBUTES_HASH, is_hashed
+from mbdkit.archive.layout import ATTRIBUTES_HASH, LAYOUT, is_hashed
 from mbdkit.quantities.array import TEXT
 
 BLOCK_BYTES = 1 << 23
@@ -80,8 +81,14 @@ def data_sha256(file: h5py.File) -> str:
     return digest_lines(dataset_line(item) for item in datasets(file) if is_hashed(item.name))
 
 
-def attributes_sha256(file: h5py.File) -> str:
-    """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors."""
+def attributes_sha256(file: h5py.File, known: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors.
+
+    Parameters
+    ----------
+    known
+        Lines of attributes by ``PATH@NAME``, which are not read.
+    """
     lines = []
     for path, item in _identifiers(h5o.open(file.id, b"/"), ""):
         if isinstance(item, h5d.DatasetID) and not is_hashed(path):
@@ -89,7 +96,7 @@ def attributes_sha256(file: h5py.File) -> str:
         names: list[bytes] = []
         h5a.iterate(item, names.append)  # the high-level interface takes three times as long
         lines += [
-            _attribute_line(f"{path}@{name}", h5a.open(item, name.encode()))
+            known.get(f"{path}@{name}") or _attribute_line(f"{path}@{name}", h5a.open(item, name.encode()))
             for name in map(bytes.decode, names)
             if name not in OF_SCALES and f"{path}/{name}" not in _NOT_COVERED
         ]
@@ -126,6 +133,17 @@ def _attribute_line(path: str, attribute: h5a.AttrID) -> str:
     numbers = np.empty(attribute.shape, attribute.dtype)
     attribute.read(numbers)
     return line(path, numbers.dtype.str, attribute.shape, hashlib.sha256(numbers.tobytes()).hexdigest())
+
+
+@cache
+def layout_lines() -> Mapping[str, str]:
+    """Return the lines of the attributes with which arrays of the layout are created, by ``PATH@NAME``."""
+    texts = {
+        f"{array.path}@{name}": text
+        for array in LAYOUT
+        for name, text in (("units", array.units), ("long_name", array.long_name))
+    }
+    return {path: line(path, TEXT, (), hashlib.sha256(text_bytes([text])).hexdigest()) for path, text in texts.items()}
 
 
 def spec_sha256(spec_json: str) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.checkpoint import Checkpoint, StoredRows
-from mbdkit.archive.fingerprint import attributes_sha256, digest_lines
+from mbdkit.archive.fingerprint import attributes_sha256, digest_lines, layout_lines
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import create, set_text, set_texts
 from mbdkit.archive.hdf5_errors import cause
@@ -211,8 +211,9 @@ class ArchiveWriter(RunWriter):
                 file.attrs.modify("status", ending.status)  # written last, because it declares everything else valid
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
-                # read back from the file, so that it covers all attributes and arrays
-                set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file))
+                # read back from the file, so that it covers all attributes and arrays; only those that every array of
+                # this path has are known
+                set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, layout_lines()))
             if self._target is None:
                 self._end(started)
                 file.flush()
