@@ -78,6 +78,7 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
         )
         with within_double_precision():
             require_unique_start(workspace)
+            workspace.mechanism.length**2  # step guards divide by it
     except SpecError as error:
         raise spec.placed(error) from error
     return workspace, start
