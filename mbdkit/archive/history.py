@@ -345,6 +345,21 @@ class MuscleHistory(View, of="muscles"):
     force_error: np.ndarray
 
 
+class ContactHistory(View, of="contacts"):
+    """Gap, forces, slip and mode of one contact; friction and slip are those of its second body, along the normal
+    turned by -90 degrees.
+    """
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    gap: np.ndarray
+    normal_force: np.ndarray
+    friction_force: np.ndarray
+    slip: np.ndarray
+    mode: np.ndarray
+
+    bodies: tuple[str, str]
+
+
 class LoadHistory(View, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
@@ -565,6 +580,10 @@ class ActuatorHistories(Histories[ActuatorHistory]):
 
 class MuscleHistories(Histories[MuscleHistory]):
     """The muscles of a run by name."""
+
+
+class ContactHistories(Histories[ContactHistory]):
+    """The contacts of a run by name."""
 
 
 class LoadHistories(Histories[LoadHistory]):

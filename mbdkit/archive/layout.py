@@ -109,6 +109,9 @@ MUSCLES = tuple(
     )
 )  # fmt: skip
 
+#: Paths of the arrays of contacts; all of them are present if the mechanism has contacts.
+CONTACTS = tuple(array.path for array in LAYOUT if array.group == "contacts")
+
 #: Paths of those that inverse dynamics does not have.
 MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
 

@@ -21,6 +21,7 @@ from mbdkit.archive.history import (
     BodyHistories,
     BodyHistory,
     ConstraintHistories,
+    ContactHistories,
     Energy,
     Events,
     ForceHistories,
@@ -376,6 +377,11 @@ class Run(HtmlView):
     def muscles(self) -> MuscleHistories:
         """Lengths, activations and tensions of the muscles by name; empty without `recruitment`."""
         return MuscleHistories(BY_WORD["muscles"], self)
+
+    @cached_property
+    def contacts(self) -> ContactHistories:
+        """Gaps, forces, slip and modes of the contacts by name; a polygon has one contact for each corner, `NAME.i`."""
+        return ContactHistories(BY_WORD["contacts"], self)
 
     def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
         """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.

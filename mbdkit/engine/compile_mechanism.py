@@ -20,6 +20,7 @@ from mbdkit.engine.compiled_mechanism import (
     Row,
     SampledController,
 )
+from mbdkit.engine.contact_forces import ActingContact, acting_contacts, contact_laws
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
@@ -199,6 +200,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         states=tuple(forces.states),
         controllers=tuple(forces.controllers),
         muscles=tuple(forces.muscles),
+        contacts=tuple(forces.contacts),
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
@@ -261,7 +263,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         (name, type(one).__name__, one.__dict__)
         for kind, named in mechanism.elements.items()
         for name, one in named.items()
-        if kind != "muscles"
+        if kind not in ("muscles", "contacts")
     ]
     fixed = mechanism.assembly.fix
     data = [
@@ -271,6 +273,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
             mechanism.states,
             mechanism.controllers,
             mechanism.muscles if mechanism.muscles_act else {},
+            mechanism.contacts,
         )
         for name, one in named.items()
     ]
@@ -348,6 +351,9 @@ class _Forces:
         for name, muscle in acting_muscles(mechanism).items():
             self.muscles.append(ActingMuscle(muscle, len(self.states)))
             self.add_law(name, muscle, "muscles")
+        self.contacts = acting_contacts(mechanism, number)
+        for contact in self.contacts:
+            self.add_contact(contact)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
@@ -422,6 +428,41 @@ class _Forces:
         bodies = (self.number[load.body], self.number[load.reaction_body])
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
+
+    def add_contact(self, contact: ActingContact) -> None:
+        """Add a force and a torque at the centre of mass of each body that moves; see `contact_forces`."""
+        form, begin, name = contact.form, len(self.law_parameters), contact.pair.name
+        laws = contact_laws(form, len(contact.numbers))
+        first, places = len(self.inputs), {}
+        rows: dict[int, int] = {}
+        for component, law in laws.values.items():
+            compiled, block = bind_law(law, contact.options, name)
+            if not rows:
+                self.law_parameters += block
+                names = [parameter for parameter, _ in compiled.parameters]
+                for i, (kind, index, number) in enumerate(contact.inputs):
+                    self.inputs.append((kind, index, begin + 1 + names.index(f"input_{number:02d}")))
+                    places[number] = first + i
+            rows[component] = len(self.laws)
+            self._add_law_row(f"contact '{name}'", compiled, begin)
+        for side, count in enumerate(form.moving):
+            of_side = (("point_force", (0, 1)), ("torque", (2,)))[: count - 1 if count else 0]
+            for load_kind, components in of_side:
+                load = len(self.loads)
+                motions = [self.motions.add(f'contacts["{name}"].{3 * side + one}') for one in components]
+                body, ground = contact.bodies[side], self.number["ground"]
+                self.load_places.append(len(self.elements))
+                self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
+                self.loads.append((LOADS[load_kind], body, ground, *motions, *[-1] * (2 - len(motions))))
+                self.load_points.append((0.0, 0.0))
+                for place, one in enumerate(components):
+                    component = 3 * side + one
+                    self.load_values.append((rows[component], motions[place]))
+                    for (of, by), slope in laws.slopes.items():
+                        if of == component:
+                            self.slopes.append((load, place, len(self.laws), places[by], -1))
+                            compiled, _ = bind_law(slope, contact.options, name)
+                            self._add_law_row(f"contact '{name}'", compiled, begin)
 
     def add_expressions(self, mechanism: Mechanism) -> None:
         """Add the expressions of the state: values of loads, and rates of the mechanism's own states."""

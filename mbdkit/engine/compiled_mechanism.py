@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
+from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.expressions.program import Program
@@ -203,6 +204,7 @@ class CompiledMechanism:
     states: tuple[ElementState, ...] = ()
     controllers: tuple[SampledController, ...] = ()
     muscles: tuple[ActingMuscle, ...] = ()
+    contacts: tuple[ActingContact, ...] = ()
 
     def freedoms(self) -> str:
         """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
@@ -271,6 +273,7 @@ class CompiledMechanism:
             self.markers,
             self.states,
             tuple(one.force.name for one in self.muscles),
+            tuple(one.pair.name for one in self.contacts),
         )
 
     @cached_property

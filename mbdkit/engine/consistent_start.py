@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
+from mbdkit.engine.contact_forces import check_start
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import looped_rows
@@ -170,6 +172,10 @@ class Starts:
 
             check_springs(mechanism.forces, placed)
             check_centers(mechanism.joints, placed)
+            weight = sum(body.mass for body in mechanism.bodies.values()) * math.hypot(*mechanism.gravity)
+            check_start(
+                compiled.contacts, with_ground(start.q), with_ground(start.v), mechanism.assembly.tolerance, weight
+            )
             compiled = _with_fibers(mechanism, compiled, start.q, t0)
             if found.has_loops:
                 q, v = start.q.ravel(), start.v.ravel()

@@ -38,11 +38,14 @@ _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.sinh: lambda f, x: (np.cosh(x),),
     np.cosh: lambda f, x: (np.sinh(x),),
     np.tanh: lambda f, x: (1.0 - f * f,),
+    np.sin: lambda f, x: (np.cos(x),),
+    np.cos: lambda f, x: (-np.sin(x),),
+    **dict.fromkeys((np.less, np.less_equal, np.greater, np.greater_equal), lambda f, x, y: (0.0, 0.0)),
 }
 """Derivatives of a function with the value f by its operands; of the other functions, only values can be traced."""
 
 
-class _Source:
+class Source:
     """Collects the assignments of the source; equal terms are computed once."""
 
     def __init__(self) -> None:
@@ -77,9 +80,13 @@ class _Source:
 
 
 def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
-    """Return the result of a sum with 0, or of a product or quotient with 0 or 1; None of others."""
+    """Return the result of a sum with 0, of a product or quotient with 0 or 1, or of a choice between equals; None of
+    others.
+    """
     first, *others = operands
     second = others[0] if others else None
+    if function is np.where:
+        return second if second == others[1] else None
     if function is np.multiply:
         if 0.0 in (first, second):
             return 0.0
@@ -96,7 +103,7 @@ def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
 class Traced(NDArrayOperatorsMixin):
     """A number of a law while it is traced, with its derivatives by length and rate, if they are wanted."""
 
-    def __init__(self, source: _Source, term: Term, slopes: tuple[Any, ...] = ()):
+    def __init__(self, source: Source, term: Term, slopes: tuple[Any, ...] = ()):
         self.source, self.term, self.slopes = source, term, slopes
 
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **_: Any) -> Any:
@@ -109,6 +116,7 @@ class Traced(NDArrayOperatorsMixin):
         if function is np.arcsinh:  # dual numbers lack it
             (x,) = operands
             return np.log(x + np.sqrt(x * x + 1.0))
+        operands = [one.term if isinstance(one, Traced) and not isinstance(one.term, str) else one for one in operands]
         operands = [one.item() if isinstance(one, np.generic) else one for one in operands]
         if function is np.power and float(operands[1]).is_integer():
             operands[1] = int(operands[1])
@@ -119,14 +127,26 @@ class Traced(NDArrayOperatorsMixin):
             return value
         if function is np.where:
             pairs = [[one.slopes[k] if one.slopes else 0.0 for one in given[1:]] for k in range(count)]
-            return Traced(self.source, value.term, tuple(np.where(operands[0], *pair) for pair in pairs))
+            condition = Traced(self.source, given[0].term)
+            chosen = (a if a is b else _plain(np.where(condition, a, b)) for a, b in pairs)
+            return Traced(self.source, value.term, tuple(chosen))
         plain = [Traced(self.source, one.term) for one in given]
         factors = _SLOPES[function](value, *plain)
+        varying = [(factor, one.slopes) for factor, one in zip(factors, given, strict=True) if one.slopes]
         slopes = tuple(
-            sum((factor * one.slopes[k] for factor, one in zip(factors, given, strict=True) if one.slopes), start=0.0)
+            _plain(sum((factor * own[k] for factor, own in varying if not _is_zero(own[k])), start=0.0))
             for k in range(count)
         )
         return Traced(self.source, value.term, slopes)
+
+
+def _is_zero(slope: Any) -> bool:
+    return isinstance(slope, float) and slope == 0.0
+
+
+def _plain(slope: Any) -> Any:
+    """Return a derivative, as a number if it is constant."""
+    return slope.term if isinstance(slope, Traced) and not isinstance(slope.term, str) else slope
 
 
 def traced_source(law: TracedLaw, names: Sequence[str]) -> str:
@@ -138,13 +158,13 @@ def traced_source(law: TracedLaw, names: Sequence[str]) -> str:
     names
         Names of its parameters in the order of the array.
     """
-    source = _Source()
+    source = Source()
     seeds: tuple[tuple[float, ...], ...] = ((1.0, 0.0), (0.0, 1.0)) if law.has_derivatives else ((), ())
     length, rate = (Traced(source, name, seed) for name, seed in zip(ARGUMENTS, seeds, strict=False))
     parameters = {name: Traced(source, f"parameters[{i}]") for i, name in enumerate(names)}
     value = law.function(length, rate, Traced(source, ARGUMENTS[2]), parameters)
     slopes = value.slopes or (0.0, 0.0)
     results = [value.term, *(one.term if isinstance(one, Traced) else float(one) for one in slopes), 0.0]
-    lines = ["def law(length, rate, time, parameters):", *source.needed(results)]
+    lines = ["def law(length, rate, time, parameters):", *value.source.needed(results)]
     lines.append(f"    return {', '.join(f'float({one})' for one in results)}")
     return "\n".join(lines) + "\n"

@@ -27,6 +27,7 @@ class StateCompiler(RunCompiler):
         "forces": ("length", "rate", "value"),
         "beams": (),
         "muscles": ("length", "rate", "force"),
+        "contacts": (),
         "states": ("value",),
     }
     wanted = (

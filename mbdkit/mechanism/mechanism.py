@@ -17,6 +17,7 @@ from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element, Marker
 from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
+from mbdkit.mechanism.contacts import Contact, check_contacts
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
@@ -55,7 +56,7 @@ class Mechanism(HtmlView):
 
     Attributes
     ----------
-    bodies, joints, forces, markers, muscles : dict
+    bodies, joints, forces, markers, muscles, contacts : dict
         The elements by name, in the order in which they were added.
     beams : dict
         The beams by name. Their nodes are among the bodies, and the parts of their loads among the forces.
@@ -91,6 +92,7 @@ class Mechanism(HtmlView):
         self.forces: dict[str, Force] = {}
         self.markers: dict[str, Marker] = {}
         self.muscles: dict[str, Muscle] = {}
+        self.contacts: dict[str, Contact] = {}
         self.assembly = Assembly()
         self.coordinates: dict[str, NamedCoordinate] = {}
         self.states: dict[str, FirstOrderState] = {}
@@ -105,7 +107,7 @@ class Mechanism(HtmlView):
 
     @property
     def elements(self) -> dict[str, dict[str, Element]]:
-        """Joints, forces, markers and muscles by name, by kind."""
+        """Joints, forces, markers, muscles and contacts by name, by kind."""
         return {kind: getattr(self, kind) for kind in ELEMENTS}
 
     # ---- builder -------------------------------------------------------------------------------------------------
@@ -637,6 +639,55 @@ class Mechanism(HtmlView):
         self._add("muscles", Muscle, name, path=[dict(item) for item in path], **values, **properties)
         check_moving_points({name: self.muscles[name]}, self.coordinates, "model.")
 
+    def contact(
+        self,
+        name: str,
+        a: str | None = None,
+        b: str | None = None,
+        *,
+        shapes: Sequence[Mapping[str, Any]] | Mapping[str, Mapping[str, Any]],
+        among: Sequence[str] | None = None,
+        restitution: float = 0.0,
+        friction: float | Mapping[str, float] = 0.0,
+        compliance: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Add a contact between two bodies, or between all pairs of several bodies.
+
+        Parameters
+        ----------
+        name
+            Name of the contact.
+        a, b
+            The two bodies; the normal points from `a` to `b`.
+        shapes
+            The shapes of a and b in their frames: ``{"line": {"point": (x, y), "normal": (x, y)}}``,
+            ``{"point": (x, y)}``, ``{"circle": {"center": (x, y), "radius": r}}`` or ``{"polygon": [(x, y), ...]}``.
+            With `among`, a mapping from the body to its shape.
+        among
+            Instead of `a` and `b`: bodies that touch each other, all pairs but those that a joint connects.
+        restitution
+            Normal velocity after an impact over that before it, from 0 to 1.
+        friction
+            Coefficient of friction, or ``{"static": number, "kinetic": number}``.
+        compliance
+            ``law``, ``stiffness``, ``dissipation`` or ``impact_speed``, and ``transition_speed``; see ``Compliance``.
+
+        Examples
+        --------
+        >>> m = Mechanism()
+        >>> ball = m.body("ball", mass=0.5, inertia=2e-4, position=(0.0, 1.0))
+        >>> floor, outline = {"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.03}}
+        >>> m.contact("floor", m.ground, ball, shapes=[floor, outline], friction=0.4, compliance={"stiffness": 1e6})
+        """
+        for key, body in ((f"model.contacts.{quoted(name)}.bodies[{i}]", one) for i, one in enumerate((a, b))):
+            if among is None and body is None:
+                raise SpecError("is missing: a contact needs two bodies, or `among`", key=key)
+        pair = None if a is None and b is None else (a, b)
+        own: Any = dict(shapes) if isinstance(shapes, Mapping) else [dict(shape) for shape in shapes]
+        values = {"bodies": pair, "among": among, "shapes": own, "restitution": restitution, "friction": friction}
+        self._add("contacts", Contact, name, **values, compliance=compliance)
+        check_contacts({name: self.contacts[name]}, self.joints)
+
     def coordinate(
         self, name: str, of: str, *, relative_to: str | None = None, scale: float = 1.0, offset: float = 0.0
     ) -> None:
@@ -779,12 +830,17 @@ class Mechanism(HtmlView):
         """Return the names of all outputs and states of controllers, as ``controller.output``."""
         return [f"{name}.{value}" for name, one in self.controllers.items() for value in (*one.outputs, *one.states)]
 
+    def contact_names(self) -> list[str]:
+        """Return the names of all contacts, those of polygons with the number of each corner, ``contact.corner``."""
+        return [pair.name for name, one in self.contacts.items() for pair in one.pairs(name, self.joints)]
+
     def description(self) -> str:
         """Return a line of text with the numbers of elements and of constraint rows."""
         drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
         markers = f", {counted(len(self.markers), 'marker')}" if self.markers else ""
         markers += f", {counted(len(self.muscles), 'muscle')}" if self.muscles else ""
+        markers += f", {counted(len(self.contacts), 'contact')}" if self.contacts else ""
         beams = f"{counted(len(self.beams), 'beam')}, " if self.beams else ""
         return (
             f"{counted(len(self.bodies), 'body', 'bodies')}, {beams}{counted(len(self.joints) - drivers, 'joint')}, "
@@ -801,6 +857,7 @@ class Mechanism(HtmlView):
             With the key path of the first error.
         """
         check_mechanism(self.bodies, self.beams, self.elements, self.joints, self.assembly)
+        check_contacts(self.contacts, self.joints)
         check_centers(self.joints, self.bodies.__getitem__)
         for name in self.coordinates:
             check_name(name, f"model.coordinates.{quoted(name)}")
@@ -903,8 +960,8 @@ class Mechanism(HtmlView):
         ----------
         spec
             Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
-            ``muscles``, ``coordinates``, ``states``, ``controllers`` and ``assembly``; ``name`` is optional and must be
-            ``mechanism``.
+            ``muscles``, ``contacts``, ``coordinates``, ``states``, ``controllers`` and ``assembly``; ``name`` is
+            optional and must be ``mechanism``.
         parameters
             Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
 

@@ -13,6 +13,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
+from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.muscles import Muscle, check_moving_points
@@ -96,7 +97,7 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
         raise SpecError(f"'{one.relative_to}' is not another body", key=key)
 
 
-ELEMENTS = ("joints", "forces", "markers", "muscles")
+ELEMENTS = ("joints", "forces", "markers", "muscles", "contacts")
 """Kinds of elements on bodies: keys of the model, and attributes of `Mechanism`."""
 
 NO_BODY = "a mechanism needs at least one body or beam"
@@ -115,7 +116,7 @@ class MechanismData(StrictModel):
     """Data of the model `mechanism`: gravity, named bodies, beams, joints, forces, markers, muscles, and assembly."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "beams", "markers", "muscles", "coordinates", "states", "controllers",
+        "beams", "markers", "muscles", "contacts", "coordinates", "states", "controllers",
     )  # fmt: skip
 
     gravity: Point = (0.0, -9.81)
@@ -132,6 +133,8 @@ class MechanismData(StrictModel):
     """Points of bodies whose positions and velocities are recorded, by name."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
     """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
+    contacts: dict[str, Contact] = Field(default_factory=dict)
+    """Contacts between bodies by name."""
     coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)
     """Names of quantities, such as ``knee_angle: knee.angle`` or ``knee_angle: {of: knee.angle, scale: -1}``."""
     states: dict[str, FirstOrderState] = Field(default_factory=dict)

@@ -46,6 +46,8 @@ class ArchiveNames:
         Names of the actuators, and the unit of the value of each, ``N`` or ``N m``.
     muscles
         Names of the muscles.
+    contacts, contact_bodies
+        Names of the contacts and their corners, and first and second body of each.
     loads, load_bodies
         Names of the measured loads, and the body of each.
     """
@@ -70,6 +72,8 @@ class ArchiveNames:
     actuators: Sequence[str] = ()
     actuator_units: Sequence[str] = ()
     muscles: Sequence[str] = ()
+    contacts: Sequence[str] = ()
+    contact_bodies: Sequence[tuple[str, str]] = ()
     loads: Sequence[str] = ()
     load_bodies: Sequence[str] = ()
 
@@ -89,6 +93,7 @@ class ArchiveNames:
             "observed": len(self.observed),
             "actuator": len(self.actuators),
             "muscle": len(self.muscles),
+            "contact": len(self.contacts),
             "load": len(self.loads),
         }
 
@@ -113,4 +118,6 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         states=tuple(state.name for state in mechanism.states),
         state_units=tuple(state.unit for state in mechanism.states),
         muscles=tuple(one.force.name for one in mechanism.muscles),
+        contacts=tuple(one.pair.name for one in mechanism.contacts),
+        contact_bodies=tuple(one.pair.ordered for one in mechanism.contacts),
     )

@@ -147,6 +147,25 @@ class States:
         """(T, F, 5) length, rate, value, power and potential of each force element and load."""
         return self.observed.forces[:, : len(self.mechanism.forces)]
 
+    @cached_property
+    def _contacts(self) -> list[dict[str, np.ndarray]]:
+        """Quantities (T,) of each contact by name."""
+        return [one.values(self.q, self.v) for one in self.mechanism.contacts]
+
+    def of_contacts(self, name: str) -> np.ndarray:
+        """Return a quantity (T, C) of the contacts; empty if there are none.
+
+        Raises
+        ------
+        SpecError
+            If the states have derivatives by parameters.
+        """
+        if not self.mechanism.contacts:
+            return NONE
+        if self.q.ndim > 2:
+            raise SpecError(f"derivatives of {name} of contacts by parameters are not known")
+        return np.stack([one[name] for one in self._contacts], axis=1)
+
     def of_muscles(self, name: str) -> np.ndarray:
         """Return an array (T, M) of `Muscles`, or the excitations of a run; empty if there are no muscles.
 
@@ -164,7 +183,8 @@ class States:
             return NONE
         column = {"length": 0, "rate": 1, "force": 2, "power": 3}.get(name)
         if column is not None:
-            return np.asarray(self.observed.forces[:, len(self.mechanism.forces) :, column])
+            first = len(self.mechanism.forces)
+            return np.asarray(self.observed.forces[:, first : first + len(acting), column])
         return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
 
     def _energetics(self, name: str) -> np.ndarray:

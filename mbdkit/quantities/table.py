@@ -71,6 +71,13 @@ def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
     )
 
 
+def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
+    return Recorded(
+        name, ("time", "contact"), units, what, take=lambda s: s.of_contacts(name),
+        no_derivative="the derivatives of quantities of contacts by parameters are not known", **more,
+    )  # fmt: skip
+
+
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
     """Return a kind of arrays without the group in their paths; `since` and `optional` hold for all of them."""
     placed = (
@@ -253,6 +260,26 @@ KINDS = (
             row_units="rate_row_units"),
         since="1.1", optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
         unit_of=lambda mechanism, name: mechanism.states[name].unit if name in mechanism.states else "1",
+    ),
+    _kind(
+        "contacts",
+        _TIME,
+        _texts("contact", "contact", "name of the contact; of polygons, with the number of the corner",
+            lambda names: names.contacts),
+        _texts("first_body", "contact", "first body of the contact, from which the normal points",
+            lambda names: [first for first, _ in names.contact_bodies], label="bodies"),
+        _texts("second_body", "contact", "second body of the contact",
+            lambda names: [second for _, second in names.contact_bodies], label="bodies"),
+        _of_contacts("gap", "m", "distance of the two shapes, negative where they overlap"),
+        _of_contacts("normal_force", "N", "force that pushes the bodies apart",
+            charts=(Chart("contact-forces", "Normal forces of the contacts", "They push the bodies apart.", "force",
+                "N"),)),
+        _of_contacts("friction_force", "N",
+            "friction force on the second body, along the normal turned by -90 degrees"),
+        _of_contacts("slip", "m/s", "velocity of the second body relative to the first, in that direction"),
+        _of_contacts("mode", "1", "0: open, 1: sticks, 2: slips"),
+        since="1.1", optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
+        is_optional=True, unit_of=lambda mechanism, name: "m",
     ),
     _kind(
         "constraints",

@@ -215,8 +215,8 @@ class LaneRuns:
         spec, method, start = started.spec, started.method, started.start
         size = size or start.mechanism.length
         table = timetable(spec, guards(spec, size))
-        # Quantities of muscles are computed with numbers of the mechanism, which runs in lanes share.
-        if start.mechanism.muscles or not suits_lanes(method, start.mechanism, table):
+        # Quantities of muscles and contacts are computed with numbers of the mechanism, which runs in lanes share.
+        if start.mechanism.muscles or start.mechanism.contacts or not suits_lanes(method, start.mechanism, table):
             return None
         pivots = self._pivots.of(method, start, table)
         warnings = (*started.cautions, *start_warnings(spec, start.assembled))

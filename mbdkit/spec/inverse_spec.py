@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, create_model
 
-from mbdkit.base.plain_data import path_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.checks import check_name
@@ -19,6 +20,9 @@ from mbdkit.spec.inverse_sections import Actuator, Criterion, Load, MeasuredMoti
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.named_actuators import actuators_of, reserves_of
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
 
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:
@@ -66,6 +70,13 @@ class InverseSpec(ModelSpec):
     """The part of the motion that is used."""
     measures: RunMeasures = Field(default_factory=dict)
     """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, take from the result."""
+
+    def _accept(self, mechanism: Mechanism) -> None:
+        if mechanism.contacts:
+            raise SpecError(
+                "contacts have no place in inverse dynamics: leave them out, and give forces of the ground as `loads`",
+                key=f"model.contacts.{quoted(next(iter(mechanism.contacts)))}",
+            )
 
     @property
     def span(self) -> tuple[float, float] | None:

@@ -46,6 +46,7 @@ class Sections(TypedDict, total=False):
     accuracy: float | None
     choose: Literal["method", "step", "nothing"] | None
     impacts: Literal["refuse", "allow"]
+    contact: Section
 
 
 VERSION = 1

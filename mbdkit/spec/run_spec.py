@@ -22,6 +22,7 @@ from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.sections import (
     LARGEST_COUNT,
     UNSTABILIZED,
+    ContactTreatment,
     Event,
     Limits,
     Output,
@@ -106,6 +107,7 @@ class RunSpec(ModelSpec):
         "accuracy",
         "choose",
         "impacts",
+        "contact",
     )
 
     formulation: FormulationName = "index-1"
@@ -142,6 +144,8 @@ class RunSpec(ModelSpec):
     impacts: Literal["refuse", "allow"] = "refuse"
     """Whether the velocity of a driver may be discontinuous: `refuse` reports it as an error of the motion; `allow`
     changes velocities there by the smallest impulse that satisfies the constraints, whose work is recorded."""
+    contact: ContactTreatment = ContactTreatment()
+    """How contacts act."""
 
     _watched: Any = PrivateAttr(default=None)
     _settings: Any = PrivateAttr(default=None)

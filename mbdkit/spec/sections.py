@@ -38,6 +38,23 @@ class Section(StrictModel):
     """Base class of the sections of a spec."""
 
 
+TREATMENTS = ("compliant", "event-driven", "time-stepping")
+
+
+def _treatment(value: Any) -> Any:
+    """Refuse treatments that do not exist yet."""
+    if value in TREATMENTS[1:]:
+        raise SpecError(f"the treatment {value} does not exist yet; contacts are compliant")
+    return value
+
+
+class ContactTreatment(Section):
+    """How contacts of the mechanism act in the run."""
+
+    treatment: Annotated[Literal["compliant"], BeforeValidator(_treatment)] = "compliant"
+    """`compliant`: the bodies overlap by a little, and `compliance` of a contact determines the force."""
+
+
 class Time(Section):
     """Start time, end time and step of the run; give exactly one of `end` and `steps`."""
 

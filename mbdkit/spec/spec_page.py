@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from mbdkit.mechanism.angle_function import AngleTable
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import Body, Marker
+from mbdkit.mechanism.contacts import Compliance, Contact, Friction, Shape
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
@@ -61,7 +62,10 @@ def page(installed: Registry) -> str:
         "## Run spec",
         "\n".join([_version("mbdkit", run), *first, _keys(_without(run, PARTS))]),
         "## The model `mechanism`",
-        "Bodies, beams, joints, forces, markers and muscles have names, under which the archive records their results.",
+        (
+            "Bodies, beams, joints, forces, markers, muscles and contacts have names, under which the archive records "
+            "their results."
+        ),
         _keys(MechanismData.model_json_schema(), 0),
         *_model("### `bodies`", Body),
         *_model("### `beams`", Beam),
@@ -85,6 +89,10 @@ def page(installed: Registry) -> str:
         *_model("### `markers`", Marker),
         *_model("### `muscles`", Muscle),
         *_model("#### Items of `path`", PathItem),
+        *_model("### `contacts`", Contact),
+        *_model("#### Items of `shapes`", Shape),
+        *_model("#### `friction`", Friction),
+        *_model("#### `compliance`", Compliance),
         *_model("### `coordinates`", NamedCoordinate),
         *_model("### `states`", FirstOrderState),
         *_model("### `controllers`", Controller),

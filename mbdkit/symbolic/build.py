@@ -66,6 +66,8 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
         raise SpecError("first-order states have no symbolic form", key="model.states")
     if mechanism.muscles:
         raise SpecError("muscles have no symbolic form", key="model.muscles")
+    if mechanism.contacts:
+        raise SpecError("contacts have no symbolic form", key="model.contacts")
     return _Builder(mechanism, numbers).system()
 
 

@@ -1,0 +1,252 @@
+"""Contacts that act in a run: loads at the centres of mass, whose values are traced functions of the state.
+
+A contact acts on each of its bodies that moves with a force and a torque. Their values are laws without a pathway (see
+`mbdkit.engine.state_expressions`) that share one block of parameters: the coordinates and velocities of the bodies,
+which kernels renew, the numbers of the shapes, and those of the laws. The tangents are derivatives of the traced
+functions by these coordinates and velocities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.kernels.applied_forces import POSITION_INPUT, VELOCITY_INPUT
+from mbdkit.engine.traced_law import Source, Traced
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.contacts import Contact, ContactPair
+from mbdkit.mechanism.force_law import TracedLaw
+
+if TYPE_CHECKING:
+    from mbdkit.mechanism.mechanism import Mechanism
+
+OPEN, STICK, SLIP = range(3)
+"""Modes of a contact."""
+
+HEAVY = 10.0
+"""Largest normal force at the start, relative to the weight of all bodies, with which an overlap counts as that of
+bodies at rest."""
+
+COORDINATES = 6
+"""Coordinates and velocities of a body: x, y, angle and their rates."""
+
+FORCES = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "hertz", "linear": "linear",
+          "smooth-sphere-half-space": "smooth"}  # fmt: skip
+"""Form of the normal force of each law; see `mbdkit.symbolic.contact_definitions.normal_force`."""
+
+
+class Form(NamedTuple):
+    """What determines the programs of a contact, all but numbers.
+
+    Attributes
+    ----------
+    kind, law, has_friction
+        See `mbdkit.symbolic.contact_definitions.definition`.
+    moving
+        Number of coordinates of the first and of the second body: 0 for ground, 2 for a point mass, else 3.
+    """
+
+    kind: tuple[str, int]
+    law: str
+    has_friction: bool
+    moving: tuple[int, int]
+
+    @property
+    def inputs(self) -> list[int]:
+        """Coordinates and velocities that change, by their numbers among those of both bodies."""
+        return [
+            COORDINATES * side + 3 * rate + axis
+            for side, count in enumerate(self.moving)
+            for rate in range(2)
+            for axis in range(count)
+        ]
+
+    @property
+    def wrenches(self) -> list[int]:
+        """Components of force and torque that act, by their numbers among those of both bodies."""
+        return [3 * side + axis for side, count in enumerate(self.moving) for axis in range(count)]
+
+
+class ContactLaws(NamedTuple):
+    """Laws of one `Form`.
+
+    Attributes
+    ----------
+    values
+        Law of each component of `Form.wrenches`.
+    slopes
+        Laws of the derivatives that are not always zero, by the component and the input.
+    """
+
+    values: dict[int, TracedLaw]
+    slopes: dict[tuple[int, int], TracedLaw]
+
+
+@dataclass(frozen=True)
+class ActingContact:
+    """A row of a contact that acts in runs.
+
+    Attributes
+    ----------
+    pair
+        The row.
+    form
+        Its form.
+    bodies
+        Numbers of its bodies.
+    law
+        Numbers of its laws, in the order of `mbdkit.symbolic.contact_definitions.LAW`.
+    """
+
+    pair: ContactPair
+    form: Form
+    bodies: tuple[int, int]
+    law: tuple[float, ...]
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Numbers of the shapes and of the laws."""
+        return *self.pair.numbers, *self.law
+
+    @property
+    def inputs(self) -> list[tuple[int, int, int]]:
+        """Kind, index and name of each input; see `mbdkit.engine.kernels.applied_forces`."""
+        found = []
+        for one in self.form.inputs:
+            side, place = divmod(one, COORDINATES)
+            kind = POSITION_INPUT if place < 3 else VELOCITY_INPUT
+            found.append((kind, 3 * self.bodies[side] + place % 3, one))
+        return found
+
+    @cached_property
+    def options(self) -> dict[str, float]:
+        """Parameters of the laws by name; those of inputs are zero."""
+        given = {_input(one): 0.0 for one in self.form.inputs}
+        return given | {_number(i): float(x) for i, x in enumerate(self.numbers)}
+
+    def values(self, q: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the recorded quantities (T,) at positions and velocities (T, 3 (B + 1))."""
+        both = [x[:, 3 * body : 3 * body + 3].T for body in self.bodies for x in (q, v)]
+        with np.errstate(all="ignore"):
+            computed = _function(self.form)(*(row for one in both for row in one), *self.numbers)
+        gap, normal, friction, slip = (np.broadcast_to(x, (len(q),)) + 0.0 for x in computed[:4])
+        sticks = self.form.has_friction & (np.abs(slip) <= self.law[-1])
+        mode = np.where((gap < 0.0) & (normal > 0.0), np.where(sticks, STICK, SLIP), OPEN)
+        return {
+            "gap": gap,
+            "normal_force": normal,
+            "friction_force": friction,
+            "slip": slip,
+            "mode": mode.astype(float),
+        }
+
+
+def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[ActingContact]:
+    """Return all rows of the contacts of a mechanism.
+
+    Parameters
+    ----------
+    number
+        Number of each body, the ground's included.
+
+    Raises
+    ------
+    SpecError
+        If a contact has no compliance.
+    """
+    if not mechanism.contacts:
+        return []
+    found = []
+    for name, contact in mechanism.contacts.items():
+        for pair in contact.pairs(name, mechanism.joints):
+            if contact.compliance is None:
+                raise SpecError(
+                    "is missing: the compliant treatment needs a law of the normal force, such as {stiffness: 1.0e6}",
+                    key=f"{pair.key}.compliance",
+                )
+            moving = tuple(_coordinates(mechanism, body) for body in pair.bodies)
+            form = Form(pair.kind, FORCES[contact.compliance.law], contact.coefficients[0] > 0.0, moving)  # type: ignore[arg-type]
+            bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
+            found.append(ActingContact(pair, form, bodies, _law_numbers(contact, pair.radius)))
+    return found
+
+
+def _law_numbers(contact: Contact, radius: float) -> tuple[float, ...]:
+    return tuple(contact.law_numbers(radius).values())
+
+
+def _coordinates(mechanism: Mechanism, body: str) -> int:
+    if body == GROUND:
+        return 0
+    return 2 if mechanism.bodies[body].inertia is None else 3
+
+
+def _input(number: int) -> str:
+    return f"input_{number:02d}"
+
+
+def _number(index: int) -> str:
+    return f"number_{index:03d}"
+
+
+def _function(form: Form) -> Any:
+    from mbdkit.symbolic.contact_definitions import contact_function  # loads SymPy
+
+    return contact_function(form.kind, form.law, form.has_friction)
+
+
+@lru_cache(maxsize=64)
+def contact_laws(form: Form, numbers: int) -> ContactLaws:
+    """Return the laws of a form, whose shapes and laws have so many numbers."""
+    # The functions are traced once, with all derivatives; each law needs a part of what is computed.
+    source, inputs = Source(), form.inputs
+    parameters = [Traced(source, f"parameters[{i}]") for i in range(len(inputs) + numbers)]  # in the order of names
+    state: list[Any] = [0.0] * (2 * COORDINATES)
+    for i, one in enumerate(inputs):
+        seed = tuple(float(i == k) for k in range(len(inputs)))
+        state[one] = Traced(source, parameters[i].term, seed)
+    wrenches = _function(form)(*state, *parameters[len(inputs) :])[4:]
+    values, slopes = {}, {}
+    for component in form.wrenches:
+        value = wrenches[component]
+        values[component] = _law(value)
+        for by, slope in zip(inputs, value.slopes, strict=bool(value.slopes)):
+            if isinstance(slope, Traced):
+                slopes[component, by] = _law(slope)
+    return ContactLaws(values, slopes)
+
+
+def _law(value: Traced) -> TracedLaw:
+    plain = Traced(value.source, value.term)
+    return TracedLaw(lambda length, rate, time, p: plain, dict, has_derivatives=False)
+
+
+def check_start(
+    contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, tolerance: float, weight: float
+) -> None:
+    """Raise SpecError for the first contact whose shapes overlap at the start by more than those of bodies at rest.
+
+    Parameters
+    ----------
+    q, v
+        (3 (B + 1),) position and velocity, ground last.
+    tolerance
+        Overlap that always counts as closed [m].
+    weight
+        Weight of all bodies [N].
+    """
+    for one in contacts:
+        values = one.values(q[None], 0.0 * v[None])
+        depth, push = -float(values["gap"][0]), float(values["normal_force"][0])
+        if depth > tolerance and push > HEAVY * weight:
+            raise SpecError(
+                f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, where they would push each "
+                f"other apart with {push:.4g} N, more than {HEAVY:g} times the weight of all bodies; move the bodies "
+                "apart",
+                key=f"{one.pair.key}.shapes",
+            )

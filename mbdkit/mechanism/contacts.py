@@ -1,0 +1,432 @@
+"""Contacts between bodies: shapes in the frames of two bodies, friction, and the law of the compliant treatment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.bodies import Attachment, Element
+from mbdkit.mechanism.joints import Joint, Revolute, Weld
+from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequence
+
+Pair = tuple[float, float]
+
+MOST_CORNERS = 16
+"""Largest number of corners of a polygon, all of which are parameters of the program of each force."""
+
+RELEASED = 1e300
+"""Rate of the indentation [m/s] at which a law without dissipation would let go: never."""
+
+
+class LineShape(StrictModel):
+    """A straight line without ends, and the material on one side of it."""
+
+    point: Point = (0.0, 0.0)
+    """A point of the line in the body's frame [m]."""
+    normal: Point
+    """Direction (x, y) in the body's frame that points out of the material; any length."""
+
+    @model_validator(mode="after")
+    def _has_direction(self) -> LineShape:
+        if math.hypot(*self.normal) == 0.0:
+            raise SpecError("should be a direction other than [0, 0]", key="normal")
+        return self
+
+    @property
+    def unit(self) -> Pair:
+        """The normal with length 1."""
+        size = math.hypot(*self.normal)
+        return self.normal[0] / size, self.normal[1] / size
+
+
+class CircleShape(StrictModel):
+    """A circle of a body."""
+
+    center: Point = (0.0, 0.0)
+    """Center in the body's frame [m]."""
+    radius: Positive
+    """Radius [m]."""
+
+
+Corners = Annotated[tuple[Point, ...], BeforeValidator(sequence)]
+
+
+class Shape(StrictModel):
+    """The outline of a body where it touches others: exactly one of `line`, `point`, `circle` and `polygon`."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("line", "point", "circle", "polygon")
+
+    line: LineShape | None = None
+    """A straight line, ``{point: [x, y], normal: [x, y]}``, such as a floor."""
+    point: Point | None = None
+    """A point (x, y) [m] in the body's frame."""
+    circle: CircleShape | None = None
+    """A circle, ``{center: [x, y], radius: r}``."""
+    polygon: Corners | None = None
+    """A convex polygon: its corners [[x, y], ...] in the body's frame [m], counter-clockwise."""
+
+    @model_validator(mode="after")
+    def _one(self) -> Shape:
+        given = [name for name in self.ABSENT_BY_DEFAULT if getattr(self, name) is not None]
+        if len(given) != 1:
+            what = f"not {listed(given, 'and')}" if given else "for example {circle: {radius: 0.1}}"
+            raise SpecError(f"a shape is one of line, point, circle and polygon, {what}")
+        if self.polygon is not None:
+            _check_convex(self.polygon)
+        return self
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind of shape."""
+        return next(name for name in self.ABSENT_BY_DEFAULT if getattr(self, name) is not None)
+
+    @property
+    def circle_of(self) -> tuple[Pair, float]:
+        """Center and radius of a circle, or of a point, whose radius is 0."""
+        if self.point is not None:
+            return self.point, 0.0
+        assert self.circle is not None
+        return self.circle.center, self.circle.radius
+
+    def points(self) -> list[tuple[str, Pair]]:
+        """Return (key, point in the frame of the body) of each point of the shape."""
+        if self.line is not None:
+            return [("line.point", self.line.point)]
+        if self.point is not None:
+            return [("point", self.point)]
+        if self.circle is not None:
+            return [("circle.center", self.circle.center)]
+        return [(f"polygon[{i}]", corner) for i, corner in enumerate(self.polygon or ())]
+
+
+def _check_convex(corners: tuple[Pair, ...]) -> None:
+    """Raise SpecError unless a polygon is convex and its corners are counter-clockwise."""
+    if not 3 <= len(corners) <= MOST_CORNERS:
+        raise SpecError(f"a polygon has from 3 to {MOST_CORNERS} corners, not {len(corners)}", key="polygon")
+    turns = 0.0
+    for (ax, ay), (bx, by), (cx, cy) in zip(corners, corners[1:] + corners[:1], corners[2:] + corners[:2], strict=True):
+        across = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
+        if across <= 0.0:
+            message = "a polygon should be convex, with its corners in counter-clockwise order and none between others"
+            raise SpecError(message, key="polygon")
+        turns += math.atan2(across, (bx - ax) * (cx - bx) + (by - ay) * (cy - by))
+    if turns > 7.0:  # a star turns more than once
+        raise SpecError("the edges of a polygon should not cross", key="polygon")
+
+
+class Friction(StrictModel):
+    """Coefficients of Coulomb's friction."""
+
+    static: NotNegative
+    """Largest friction force over normal force while the contact sticks."""
+    kinetic: NotNegative
+    """Friction force over normal force while it slips."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Friction:
+        if self.kinetic > self.static:
+            raise SpecError(
+                f"should not be greater than `static`, {self.static:g}, but is {self.kinetic:g}", key="kinetic"
+            )
+        return self
+
+
+class Compliance(StrictModel):
+    """The normal force of the compliant treatment as a function of the indentation d = -gap and its rate."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("dissipation", "impact_speed")
+
+    law: Literal["hunt-crossley", "flores", "lankarani-nikravesh", "linear", "smooth-sphere-half-space"] = (
+        "hunt-crossley"
+    )
+    """`hunt-crossley`: ``k d^(3/2) (1 + 3/2 c d')``; `flores` and `lankarani-nikravesh`: the same, with c from
+    `restitution` and `impact_speed`; `linear`: ``k d + c d'``; `smooth-sphere-half-space`: the force of OpenSim for a
+    circle on a line."""
+    stiffness: Positive
+    """Stiffness k [N/m^1.5]; of `linear` [N/m]; of `smooth-sphere-half-space` [N/m^2]."""
+    dissipation: NotNegative | None = None
+    """Dissipation c [s/m]; of `linear` [N s/m]. By default, `hunt-crossley` computes it from `restitution` and
+    `impact_speed`, and the others have none."""
+    impact_speed: Positive | None = None
+    """Speed of approach [m/s] at which an impact has the `restitution` of the contact."""
+    transition_speed: Positive = 0.01
+    """Slip [m/s] at which the regularised friction force reaches its static value."""
+
+
+class ContactPair(NamedTuple):
+    """One row of a contact: a line, a circle or a polygon of the first body, and a circle or point of the second.
+
+    Attributes
+    ----------
+    name
+        Name of the row: that of the contact, with the number of the corner of a polygon.
+    key
+        Key of the contact in a spec.
+    bodies
+        The two bodies, in the order in which the formulas of the `kind` have them.
+    kind
+        Kind of geometry, see `mbdkit.symbolic.contact_definitions`; with the number of edges of a polygon.
+    numbers
+        Its numbers, in the frames of the bodies.
+    radius
+        Radius of the circle [m], 0 for a point.
+    swapped
+        Whether the bodies are in the opposite order of those of the contact.
+    """
+
+    name: str
+    key: str
+    bodies: tuple[str, str]
+    kind: tuple[str, int]
+    numbers: tuple[float, ...]
+    radius: float
+    swapped: bool = False
+
+    @property
+    def ordered(self) -> tuple[str, str]:
+        """The two bodies in the order of the contact."""
+        return (self.bodies[1], self.bodies[0]) if self.swapped else self.bodies
+
+
+class Contact(Element):
+    """Contact between two bodies, or between all pairs of several bodies.
+
+    The normal points from the first body to the second. Normal and friction forces of a compliant contact act at the
+    point midway between the two outlines.
+    """
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("bodies", "among", "compliance")
+
+    bodies: BodyPair | None = None
+    """Names of the two bodies [a, b]; `ground` is the fixed global frame."""
+    among: Annotated[tuple[str, ...], BeforeValidator(sequence)] | None = None
+    """Instead of `bodies`: names of bodies that touch each other, all pairs but those that a joint connects."""
+    shapes: Annotated[tuple[Shape, ...], BeforeValidator(sequence)] | dict[str, Shape]
+    """One shape for each of the two `bodies`; with `among`, a mapping from the body to its shape."""
+    restitution: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Coefficient of restitution: normal velocity after an impact over that before it."""
+    friction: NotNegative | Friction = 0.0
+    """Coefficient of friction, or ``{static: number, kinetic: number}``."""
+    compliance: Compliance | None = None
+    """Law of the normal force, which the compliant treatment needs."""
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Contact:
+        if (self.bodies is None) == (self.among is None):
+            raise SpecError("a contact has either `bodies`, two of them, or `among`", key="bodies")
+        if self.bodies is not None:
+            if not isinstance(self.shapes, tuple) or len(self.shapes) != 2:
+                raise SpecError("should be two shapes [SHAPE, SHAPE], one for each of the `bodies`", key="shapes")
+            _check_kinds(*self.shapes, "shapes")
+        else:
+            self._check_among()
+        self._check_law()
+        return self
+
+    def _check_among(self) -> None:
+        assert self.among is not None
+        if len(set(self.among)) != len(self.among) or len(self.among) < 2:
+            raise SpecError("should be two or more different bodies", key="among")
+        if not isinstance(self.shapes, dict):
+            raise SpecError("should be a mapping with one shape for each body, {BODY: SHAPE}", key="shapes")
+        for name in self.shapes:
+            if name not in self.among:
+                hint = did_you_mean(name, self.among) or "; `among` does not list it"
+                raise SpecError(f"'{name}' is not one of the bodies{hint}", key=f"shapes.{quoted(name)}")
+        for name in self.among:
+            if name not in self.shapes:
+                raise SpecError(f"has no shape for '{name}'", key="shapes")
+        for a, b in combinations(self.among, 2):
+            _check_kinds(self.shapes[a], self.shapes[b], "shapes")
+
+    def _check_law(self) -> None:
+        own = self.compliance
+        if own is None:
+            return
+        of_speed = own.law in ("flores", "lankarani-nikravesh")
+        if own.dissipation is not None and of_speed:
+            raise SpecError(
+                f"the law {own.law} computes it from `restitution` and `impact_speed`; leave it out",
+                key="compliance.dissipation",
+            )
+        if of_speed and own.impact_speed is None:
+            raise SpecError(
+                f"is missing: the law {own.law} needs the speed at which an impact has the `restitution`",
+                key="compliance.impact_speed",
+            )
+        if own.impact_speed is not None and own.law in ("linear", "smooth-sphere-half-space"):
+            raise SpecError(f"the law {own.law} does not use it; give `dissipation`", key="compliance.impact_speed")
+        if own.impact_speed is not None and own.dissipation is not None:
+            raise SpecError("give either `dissipation` or `impact_speed`", key="compliance.impact_speed")
+        if own.law == "flores" and self.restitution == 0.0:
+            raise SpecError("should be greater than 0: the law flores divides by it", key="restitution")
+        if own.law == "smooth-sphere-half-space":
+            kinds = sorted(shape.kind for shape in self._shapes())
+            if any(pair != ("circle", "line") for pair in combinations(kinds, 2)):
+                raise SpecError(
+                    f"the law smooth-sphere-half-space is that of a circle on a line, not of {listed(kinds, 'and')}",
+                    key="compliance.law",
+                )
+
+    def _shapes(self) -> list[Shape]:
+        return list(self.shapes.values() if isinstance(self.shapes, dict) else self.shapes)
+
+    @property
+    def by_body(self) -> list[tuple[str, str, str, Shape]]:
+        """Key of the name and of the shape, name and shape of each body."""
+        if self.bodies is not None:
+            names = [(f"bodies[{i}]", f"shapes[{i}]", name) for i, name in enumerate(self.bodies)]
+        else:
+            names = [(f"among[{i}]", f"shapes.{quoted(name)}", name) for i, name in enumerate(self.among or ())]
+        return [(*given, shape) for given, shape in zip(names, self._ordered(), strict=True)]
+
+    def _ordered(self) -> list[Shape]:
+        if isinstance(self.shapes, dict):
+            return [self.shapes[name] for name in self.among or ()]
+        return list(self.shapes)
+
+    @property
+    def coefficients(self) -> Pair:
+        """Static and kinetic coefficient of friction."""
+        if isinstance(self.friction, Friction):
+            return self.friction.static, self.friction.kinetic
+        return self.friction, self.friction
+
+    @property
+    def dissipation(self) -> float:
+        """Dissipation of the law: c, see `Compliance`."""
+        own = self.compliance
+        assert own is not None
+        if own.dissipation is not None:
+            return own.dissipation
+        if own.impact_speed is None:
+            return 0.0
+        e = self.restitution
+        # H. M. Lankarani and P. E. Nikravesh, J. Mech. Des. 112, 1990; P. Flores et al., Multibody Syst. Dyn. 25, 2011
+        slope = {"lankarani-nikravesh": 0.75 * (1.0 - e * e), "hunt-crossley": 1.5 * (1.0 - e)}
+        factor = slope[own.law] if own.law in slope else 1.6 * (1.0 - e) / e
+        return factor / (1.5 * own.impact_speed)
+
+    def law_numbers(self, radius: float) -> dict[str, float]:
+        """Return the numbers of the laws of normal force and friction by name; `radius` is that of the circle [m]."""
+        own = self.compliance
+        assert own is not None
+        static, kinetic = self.coefficients
+        c = self.dissipation
+        return {
+            "stiffness": own.stiffness,
+            "dissipation": c,
+            "release": 2.0 / (3.0 * c) if c > 0.0 else RELEASED,
+            "curvature": radius,
+            "static": static,
+            "kinetic": kinetic,
+            "transition": own.transition_speed,
+        }
+
+    def pairs(self, name: str, joints: Mapping[str, Joint]) -> Iterator[ContactPair]:
+        """Yield the rows of the contact; pairs of `among` that a joint connects are left out."""
+        held = {frozenset(joint.bodies) for joint in joints.values() if not joint.is_driver}
+        key = f"model.contacts.{quoted(name)}"
+        for (_, _, a, first), (_, _, b, second) in combinations(self.by_body, 2):
+            if self.among is None:
+                yield from _rows(name, key, (a, b), first, second)
+            elif frozenset((a, b)) not in held:
+                yield from _rows(f"{name}.{a}.{b}", key, (a, b), first, second)
+
+    def check_joints(self, key: str, joints: Mapping[str, Joint]) -> None:
+        """Raise SpecError if a pin or a weld holds the two bodies together."""
+        if self.bodies is None:
+            return
+        for name, joint in joints.items():
+            if isinstance(joint, Revolute | Weld) and set(joint.bodies) == set(self.bodies):
+                first, second = self.bodies
+                raise SpecError(
+                    f"joint '{name}' holds '{first}' and '{second}' together, so that a contact between them would "
+                    "work against it; remove one of the two",
+                    key=f"{key}.bodies",
+                )
+
+    def places(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body that the element refers to."""
+        return [(key, name) for key, _, name, _ in self.by_body]
+
+    def attachments(self) -> list[Attachment]:
+        """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""
+        return [
+            (f"{key}.{place}", name, point) for _, key, name, shape in self.by_body for place, point in shape.points()
+        ]
+
+    def angles(self) -> list[tuple[str, str]]:
+        """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
+        return [(key, name) for key, _, name, shape in self.by_body if shape.kind in ("line", "polygon")]
+
+
+def _check_kinds(first: Shape, second: Shape, key: str) -> None:
+    """Raise SpecError for two shapes that cannot touch."""
+    kinds = {first.kind, second.kind}
+    if kinds == {"line"}:
+        raise SpecError(
+            "two lines have no ends, so that they cross wherever they are; give one body a polygon", key=key
+        )
+    if kinds == {"point"}:
+        raise SpecError("two points do not touch; give one of them a radius, {circle: {center, radius}}", key=key)
+
+
+def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
+    """Yield the rows of two shapes, of which either may be the circle."""
+    order = {"line": 0, "polygon": 1, "circle": 2, "point": 3}
+    swapped = order[first.kind] > order[second.kind]
+    if swapped:
+        bodies, first, second = (bodies[1], bodies[0]), second, first
+
+    def row(number: int | None, kind: str, numbers: Sequence[float], radius: float) -> ContactPair:
+        own = name if number is None else f"{name}.{number}"
+        count = 0 if first.polygon is None else len(first.polygon)
+        return ContactPair(own, key, bodies, (kind, count), tuple(numbers), radius, swapped)
+
+    if second.polygon is not None:
+        for i, corner in enumerate(second.polygon):
+            if first.line is not None:
+                yield row(i, "line", (*corner, 0.0, *first.line.point, *first.line.unit), 0.0)
+            else:
+                yield row(i, "inside", (*corner, 0.0, *_edges(first.polygon or ())), 0.0)
+        if first.polygon is not None:
+            begin, bodies, swapped = len(second.polygon), (bodies[1], bodies[0]), not swapped
+            first, second = second, first
+            for i, corner in enumerate(second.polygon or (), begin):
+                yield row(i, "inside", (*corner, 0.0, *_edges(first.polygon or ())), 0.0)
+        return
+    center, radius = second.circle_of
+    if first.polygon is not None:
+        corners = first.polygon
+        for i in range(len(corners)):
+            around = (*corners[i - 1], *corners[i], *corners[(i + 1) % len(corners)])
+            yield row(i, "edge", (*center, radius, *around, *_edges(corners)), radius)
+    elif first.line is not None:
+        yield row(None, "line", (*center, radius, *first.line.point, *first.line.unit), radius)
+    else:
+        middle, other = first.circle_of
+        yield row(None, "circles", (*center, radius, *middle, other), radius)
+
+
+def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
+    """Return a point and the unit normal of each edge, which points outwards."""
+    found: list[float] = []
+    for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
+        size = math.hypot(bx - ax, by - ay)
+        found += [ax, ay, (by - ay) / size, (ax - bx) / size]
+    return tuple(found)
+
+
+def check_contacts(contacts: Mapping[str, Contact], joints: Mapping[str, Joint]) -> None:
+    """Raise SpecError for the first contact that a joint contradicts, or in which the ground touches itself."""
+    for name, contact in contacts.items():
+        contact.check_joints(f"model.contacts.{quoted(name)}", joints)

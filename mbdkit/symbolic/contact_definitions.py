@@ -1,0 +1,264 @@
+"""Contacts in SymPy: gap, normal, forces and slip of two shapes, and the functions that evaluate them.
+
+The first body has a line or a polygon, or a circle; the second body a circle with center c and radius r, or a point
+with r = 0. The normal n points from the first body to the second. Both forces act at the point
+``P = c - n (r + gap/2)``, midway between the two outlines, whose velocity on the second body relative to the first has
+the components ``gap'`` along n, and the slip along n turned by -90 degrees. The second
+body gets the force ``N n + T t``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import sympy as sp
+from sympy.printing.numpy import NumPyPrinter
+
+FIRST = sp.symbols("x1 y1 th1 vx1 vy1 w1", real=True)
+SECOND = sp.symbols("x2 y2 th2 vx2 vy2 w2", real=True)
+"""Position, angle, velocity and angular velocity of the two bodies."""
+cx, cy, r = CIRCLE = sp.symbols("cx cy r", real=True)
+"""Center in the frame of the second body, and radius."""
+LAW = sp.symbols("stiffness dissipation release curvature static kinetic transition", positive=True)
+"""Numbers of the laws; see `mbdkit.mechanism.contacts.Contact.law_numbers`."""
+LAWS = ("none", "hertz", "linear", "smooth")
+
+CF, BD, BV = 1e-5, 300.0, 50.0
+"""Constants of smoothing of Simbody's SmoothSphereHalfSpaceForce, the defaults of OpenSim."""
+
+choose = sp.Function("choose")
+"""``choose(x, a, b)`` is a where x > 0, else b. SymPy's ``Piecewise`` would be rearranged whenever it is nested, which
+takes minutes for polygons."""
+
+VALUES = ("gap", "normal_force", "friction_force", "slip")
+WRENCHES = ("x1", "y1", "torque1", "x2", "y2", "torque2")
+"""Force (x, y) and torque at the centre of mass, on the first and on the second body."""
+
+
+def numbers_of(kind: tuple[str, int]) -> tuple[sp.Symbol, ...]:
+    """Return the symbols of the numbers of a kind of geometry, in the order of `ContactPair.numbers`."""
+    name, count = kind
+    if name == "line":
+        return (*CIRCLE, *sp.symbols("px py mx my", real=True))
+    if name == "circles":
+        return (*CIRCLE, *sp.symbols("px py other", real=True))
+    edges = [one for i in range(count) for one in sp.symbols(f"px{i} py{i} mx{i} my{i}", real=True)]
+    around = sp.symbols("ax ay bx by ex ey", real=True) if name == "edge" else ()
+    return (*CIRCLE, *around, *edges)
+
+
+class Steps:
+    """Names intermediate quantities in their order, so that formulas stay small; a name stands for its expression."""
+
+    def __init__(self) -> None:
+        self.named: list[tuple[sp.Symbol, sp.Expr]] = []
+
+    def __call__(self, expression: sp.Expr) -> sp.Expr:
+        """Return the name of an expression; numbers and symbols need none."""
+        if expression.is_Atom:
+            return expression
+        symbol = sp.Symbol(f"s{len(self.named)}", real=True)
+        self.named.append((symbol, expression))
+        return symbol
+
+    def rotated(self, angle: sp.Expr, x: sp.Expr, y: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+        """Return a vector rotated by an angle."""
+        c, s = self(sp.cos(angle)), self(sp.sin(angle))
+        return self(c * x - s * y), self(s * x + c * y)
+
+    def direction(self, dx: sp.Expr, dy: sp.Expr) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
+        """Return the length of a vector and its direction, which is (0, 0) where the length is 0."""
+        square = self(dx**2 + dy**2)
+        divisor = self(sp.sqrt(choose(square, square, 1)))
+        return self(choose(square, divisor, 0)), self(dx / divisor), self(dy / divisor)
+
+
+Outline = tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]
+"""Gap, normal (x, y), and a number that is positive where the row may exert a force."""
+
+
+def geometry(kind: tuple[str, int], step: Steps) -> Outline:
+    """Return the gap of a kind of geometry, its normal in the global frame, and where it acts."""
+    (x1, y1, th1), (x2, y2, th2) = FIRST[:3], SECOND[:3]
+    px, py = step.rotated(th2, cx, cy)
+    gx, gy = step(x2 + px - x1), step(y2 + py - y1)  # the center from the first body's centre of mass
+    numbers = numbers_of(kind)[3:]
+    if kind[0] == "circles":
+        ox, oy = step.rotated(th1, *numbers[:2])
+        distance, nx, ny = step.direction(gx - ox, gy - oy)
+        return distance - r - numbers[2], nx, ny, sp.Integer(1)
+    ux, uy = step.rotated(-th1, gx, gy)  # the center in the frame of the first body
+    of_kind = {"line": _of_line, "inside": _of_corner, "edge": _of_edge}[kind[0]]
+    gap, mx, my, active = of_kind(ux, uy, numbers, step)
+    return gap, *step.rotated(th1, mx, my), active
+
+
+def _of_line(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps) -> Outline:
+    px, py, mx, my = numbers
+    return (ux - px) * mx + (uy - py) * my - r, mx, my, sp.Integer(1)
+
+
+def _of_corner(ux: sp.Expr, uy: sp.Expr, edges: Sequence[sp.Symbol], step: Steps) -> Outline:
+    """A point in a polygon is pushed out through the nearest edge; outside, the gap is the largest of the distances
+    from the lines of the edges, which are points and normals.
+    """
+    rows = [edges[i : i + 4] for i in range(0, len(edges), 4)]
+    (height, mx, my), *others = [(step((ux - px) * mx + (uy - py) * my), mx, my) for px, py, mx, my in rows]
+    for other, ox, oy in others:
+        more = step(other - height)
+        height, mx, my = step(choose(more, other, height)), step(choose(more, ox, mx)), step(choose(more, oy, my))
+    return height - r, mx, my, sp.Integer(1)
+
+
+def _of_edge(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps) -> Outline:
+    """A row acts where the nearest part of the polygon is its edge from b to e, or the corner b after the edge from a
+    to b; elsewhere its gap is the distance from the edge.
+    """
+    ax, ay, bx, by, ex, ey = numbers[:6]
+    deepest = step(_of_corner(ux, uy, numbers[6:], step)[0] + r)
+    size, tx, ty = step.direction(ex - bx, ey - by)
+    along, height = step((ux - bx) * tx + (uy - by) * ty), step((ux - bx) * ty - (uy - by) * tx)
+    before, fx, fy = step.direction(bx - ax, by - ay)
+    past = step((ux - ax) * fx + (uy - ay) * fy - before)
+    to_corner, dx, dy = step.direction(ux - bx, uy - by)
+    to_end, _, _ = step.direction(ux - ex, uy - ey)
+
+    def where_it_is(at_corner: sp.Expr, at_end: sp.Expr, at_edge: sp.Expr, inside: sp.Expr) -> sp.Expr:
+        outside = choose(-along, at_corner, choose(along - size, at_end, at_edge))
+        return step(choose(deepest, outside, inside))
+
+    distance = where_it_is(to_corner, to_end, height, height)
+    mx, my = where_it_is(dx, tx, ty, ty), where_it_is(dy, ty, -tx, -tx)
+    active = where_it_is(choose(past, 1, 0), sp.Integer(0), choose(height, 1, 0), choose(deepest - height, 0, 1))
+    return distance - r, mx, my, active
+
+
+def normal_force(law: str, depth: sp.Expr, rate: sp.Expr) -> sp.Expr:
+    """Return the normal force of a law at an indentation and its rate."""
+    k, c, release, curvature = LAW[:4]
+    if law == "none":
+        return sp.Integer(0)
+    if law == "smooth":
+        modulus = k ** sp.Rational(2, 3) / 2
+        hertz = sp.Rational(4, 3) * modulus * sp.sqrt(curvature * modulus)
+        hertz *= sp.sqrt(depth**2 + CF) ** sp.Rational(3, 2) * (1 + sp.tanh(BD * depth)) / 2
+        return hertz * (1 + sp.Rational(3, 2) * c * rate) * (1 + sp.tanh(BV * (rate + release))) / 2
+    if law == "linear":
+        pushed = k * depth + c * rate
+    else:
+        pushed = k * depth ** sp.Rational(3, 2) * (1 + sp.Rational(3, 2) * c * rate)
+    return choose(depth, choose(pushed, pushed, 0), 0)
+
+
+def friction_force(law: str, normal: sp.Expr, slip: sp.Expr) -> sp.Expr:
+    """Return Coulomb's friction force, regularised as in Simbody: it is largest, `static` times the normal force, at
+    the slip `transition`, and approaches `kinetic` times the normal force beyond.
+
+    The slip of the smooth law is ``sqrt(slip^2 + CF)``, as in SmoothSphereHalfSpaceForce.
+    """
+    static, kinetic, transition = LAW[4:]
+    square = slip**2 + (CF if law == "smooth" else 0)
+    ratio = square / transition**2
+    size = kinetic + 2 * (static - kinetic) / (1 + ratio)
+    if law == "smooth":
+        share = slip / sp.sqrt(square) * choose(1 - ratio, sp.sqrt(ratio), 1)
+    else:
+        share = choose(1 - ratio, slip / transition, choose(slip, 1, -1))
+    return -normal * size * share
+
+
+@dataclass(frozen=True)
+class Definition:
+    """The quantities of a contact.
+
+    Attributes
+    ----------
+    steps
+        Intermediate quantities in terms of `FIRST`, `SECOND`, the numbers of the kind, `LAW` and earlier ones.
+    quantities
+        Those of `VALUES`, followed by those of `WRENCHES`.
+    """
+
+    steps: tuple[tuple[sp.Symbol, sp.Expr], ...]
+    quantities: tuple[sp.Expr, ...]
+
+
+@lru_cache(maxsize=64)
+def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definition:
+    """Return the definition of a contact.
+
+    Parameters
+    ----------
+    kind
+        Kind of geometry, ``line``, ``circles``, ``inside`` or ``edge``, and the number of edges of a polygon.
+    law
+        One of `LAWS`.
+    has_friction
+        Whether there is friction.
+    """
+    step = Steps()
+    gap, nx, ny, active = (step(one) for one in geometry(kind, step))
+    (x1, y1, _, vx1, vy1, w1), (x2, y2, th2, vx2, vy2, w2) = FIRST, SECOND
+    px, py = step.rotated(th2, cx, cy)
+    px, py = (step(p - (r + gap / 2) * n) for p, n in ((px, nx), (py, ny)))  # P from the second body's centre of mass
+    ox, oy = step(x2 + px - x1), step(y2 + py - y1)
+    vx, vy = step(vx2 - w2 * py - vx1 + w1 * oy), step(vy2 + w2 * px - vy1 - w1 * ox)
+    slip, rate = step(vx * ny - vy * nx), step(vx * nx + vy * ny)
+    normal = step(choose(active, normal_force(law, -gap, -rate), 0) if active != 1 else normal_force(law, -gap, -rate))
+    friction = step(friction_force(law, normal, slip)) if has_friction else sp.Integer(0)
+    fx, fy = step(normal * nx + friction * ny), step(normal * ny - friction * nx)
+    wrenches = (-fx, -fy, oy * fx - ox * fy, fx, fy, px * fy - py * fx)
+    return Definition(tuple(step.named), (gap, normal, friction, slip, *wrenches))
+
+
+class _Printer(NumPyPrinter):
+    """Writes powers as products and roots, which are rounded correctly for arrays of any length."""
+
+    def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+        if expr.exp == sp.Rational(3, 2):
+            base = self._print(expr.base)
+            return f"(({base})*sqrt({base}))"
+        if expr.exp == sp.Rational(3, 4):
+            base = self._print(expr.base)
+            return f"(sqrt({base})*sqrt(sqrt({base})))"
+        written: str = super()._print_Pow(expr, rational=rational)
+        return written
+
+
+@lru_cache(maxsize=64)
+def contact_function(kind: tuple[str, int], law: str, has_friction: bool) -> Callable[..., list[Any]]:
+    """Return a function that evaluates a `definition` for numbers, arrays, or operands that are traced."""
+    arguments = (*FIRST, *SECOND, *numbers_of(kind), *LAW)
+    functions = {"choose": _choose, **{name: _of_each(name) for name in ("cos", "sin", "tanh")}}
+    defined = definition(kind, law, has_friction)
+    found: Callable[..., list[Any]] = sp.lambdify(
+        arguments,
+        list(defined.quantities),
+        modules=[functions, "numpy"],
+        printer=_Printer({"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}),
+        cse=lambda quantities: (defined.steps, quantities),
+    )
+    return found
+
+
+def _choose(condition: Any, first: Any, second: Any) -> Any:
+    return np.where(condition > 0.0, first, second)
+
+
+def _of_each(name: str) -> Callable[[Any], Any]:
+    """Return a function that computes the items of arrays one by one, because the last bits of NumPy's functions depend
+    on how many there are.
+    """
+    of_any, of_number = getattr(np, name), getattr(math, name)
+
+    def function(x: Any) -> Any:
+        if isinstance(x, np.ndarray):
+            return np.array([of_number(item) for item in x.ravel().tolist()]).reshape(x.shape)
+        return of_any(x)
+
+    return function

@@ -1,0 +1,84 @@
+"""Contacts in specs: what is refused, and what comes back from `to_spec`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import mbdkit
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec import load_spec
+
+FLOOR: dict[str, Any] = {"line": {"normal": [0.0, 1.0]}}
+BALL: dict[str, Any] = {"circle": {"radius": 0.1}}
+
+
+def spec(contact: dict[str, Any], **more: Any) -> dict[str, Any]:
+    own = {"bodies": ["ground", "b"], "shapes": [FLOOR, BALL], "compliance": {"stiffness": 1e5}, **contact}
+    own = {key: value for key, value in own.items() if value is not None}
+    bodies = {"b": {"mass": 1.0, "inertia": 0.1, "position": [0.0, 0.5]}, "c": {"mass": 1.0, "inertia": 0.1}}
+    pin = {"type": "revolute", "bodies": ["b", "c"], "at": [0.0, 0.2]}
+    return {
+        "mbdkit": 1,
+        "model": {"name": "mechanism", "bodies": bodies, "joints": {"pin": pin}, "contacts": {"k": own}},
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.001, "step": 0.001},
+        **more,
+    }
+
+
+REFUSED = {
+    "restitution": ({"restitution": 1.2}, "model.contacts.k.restitution", "at most 1"),
+    "friction": ({"friction": -0.1}, "model.contacts.k.friction", "at least 0"),
+    "order of friction": ({"friction": {"static": 0.2, "kinetic": 0.3}}, "model.contacts.k.friction.kinetic", "static"),
+    "stiffness": ({"compliance": {"stiffness": -1.0}}, "model.contacts.k.compliance.stiffness", "greater than 0"),
+    "text": ({"compliance": {"stiffness": "1 MN"}}, "model.contacts.k.compliance.stiffness", "number"),
+    "unknown body": ({"bodies": ["ground", "bb"]}, "model.contacts.k.bodies[1]", "there is no body 'bb'"),
+    "held by a joint": ({"bodies": ["b", "c"], "shapes": [BALL, BALL]}, "model.contacts.k.bodies", "joint 'pin' holds"),
+    "two lines": ({"shapes": [FLOOR, FLOOR]}, "model.contacts.k.shapes", "two lines"),
+    "two points": ({"shapes": [{"point": [0, 0]}, {"point": [0, 0]}]}, "model.contacts.k.shapes", "two points"),
+    "clockwise": (
+        {"shapes": [FLOOR, {"polygon": [[0, 0], [0, 1], [1, 0]]}]},
+        "model.contacts.k.shapes[1].polygon",
+        "counter-clockwise",
+    ),
+    "overlap": ({"shapes": [FLOOR, {"circle": {"radius": 0.7}}]}, "model.contacts.k.shapes", "overlap by 0.2 m"),
+    "no compliance": ({"compliance": None}, "model.contacts.k.compliance", "is missing"),
+    "flores": (
+        {"compliance": {"law": "flores", "stiffness": 1.0}},
+        "model.contacts.k.compliance.impact_speed",
+        "needs",
+    ),
+    "no shape": ({"shapes": [FLOOR, {}]}, "model.contacts.k.shapes[1]", "one of line, point, circle and polygon"),
+    "among": ({"bodies": None, "among": ["b", "c"]}, "model.contacts.k.shapes", "mapping"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_contacts_are_refused_with_the_key(name: str) -> None:
+    contact, key, words = REFUSED[name]
+    with pytest.raises(SpecError) as caught:
+        mbdkit.run(spec(contact))
+    assert caught.value.key == key
+    assert words in caught.value.message
+
+
+def test_treatments_that_do_not_exist_are_refused() -> None:
+    with pytest.raises(SpecError, match=r"event-driven does not exist yet") as caught:
+        load_spec({**spec({}), "contact": {"treatment": "event-driven"}})
+    assert caught.value.key == "contact.treatment"
+
+
+def test_contacts_come_back_from_to_spec_and_numbers_may_be_expressions() -> None:
+    contact = {"friction": "2*mu", "compliance": {"stiffness": "k"}}
+    given = load_spec(spec(contact, parameters={"mu": 0.2, "k": 1e5})).mechanism()
+    assert given.contacts["k"].coefficients == (0.4, 0.4)
+    model = given.to_spec()
+    assert Mechanism.from_spec(model).to_spec() == model
+
+
+def test_bodies_that_touch_each_other_have_a_contact_for_each_pair_without_a_joint() -> None:
+    contact = {"bodies": None, "among": ["b", "c", "ground"], "shapes": {"b": BALL, "c": BALL, "ground": FLOOR}}
+    assert load_spec(spec(contact)).mechanism().contact_names() == ["k.b.ground", "k.c.ground"]
