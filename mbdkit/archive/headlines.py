@@ -66,7 +66,7 @@ def headlines(run: Run) -> list[Headline]:
         for name, value in run.measures.items()
         if math.isfinite(value)
     ]
-    return (measured or [*_activations(run), *_actuators(run), *largest_loads(run)])[:MOST]
+    return (measured or [*_activations(run), *_actuators(run), *_contacts(run), *largest_loads(run)])[:MOST]
 
 
 def largest_loads(run: Run) -> list[Headline]:
@@ -98,6 +98,12 @@ def _activations(run: Run) -> list[Headline]:
     if not run.records("muscles/activation"):
         return []
     return _largest("activation of", list(run.muscles), run.array("muscles/activation"), "1", None)[:2]
+
+
+def _contacts(run: Run) -> list[Headline]:
+    if not run.records("contacts/normal_force"):
+        return []
+    return _largest("normal force at", list(run.contacts), run.array("contacts/normal_force"), "N", None)[:2]
 
 
 def _errors(run: Run, name: str) -> np.ndarray | None:

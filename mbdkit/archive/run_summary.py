@@ -11,6 +11,7 @@ import numpy as np
 from mbdkit.archive.headlines import ROUND_OFF, Headline, headlines, plus_minus
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.contacts import STICK
 from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
@@ -78,6 +79,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("actuators", _actuators(run)),
         ("muscles", _muscles(run)),
         ("contact", _contact_forces(run)),
+        ("contacts", _contacts(run)),
         ("reserves", _reserves(run)),
         ("events", _events(run)),
         *_gradients(run),
@@ -357,6 +359,21 @@ def _muscles(run: Run) -> str:
     peaks.sort(key=lambda peak: -peak[0])
     more = f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
     return f"largest activations {'; '.join(text for _, text in peaks[:JOINTS_NAMED])}{more}" if peaks else ""
+
+
+def _contacts(run: Run) -> str:
+    """Return the deepest overlap of each contact, its time, and the largest slip while it sticks; the deepest first."""
+    told = []
+    for name, contact in run.contacts.items():
+        row = int(np.argmin(contact.gap))
+        depth = -float(contact.gap[row])
+        if depth > 0.0:
+            creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
+            crept = f", creeps at up to {creep:.2g} m/s" if creep else ""
+            told.append((depth, f"{name} overlaps by up to {depth:.3g} m at {run.time[row]:.4g} s{crept}"))
+    told.sort(key=lambda one: -one[0])
+    more = f"; {len(told) - JOINTS_NAMED} more" if len(told) > JOINTS_NAMED else ""
+    return "; ".join(text for _, text in told[:JOINTS_NAMED]) + more
 
 
 def _contact_forces(run: Run) -> str:

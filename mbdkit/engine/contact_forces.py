@@ -19,14 +19,11 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.kernels.applied_forces import POSITION_INPUT, VELOCITY_INPUT
 from mbdkit.engine.traced_law import Source, Traced
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.contacts import Contact, ContactPair
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, Contact, ContactPair
 from mbdkit.mechanism.force_law import TracedLaw
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
-
-OPEN, STICK, SLIP = range(3)
-"""Modes of a contact."""
 
 HEAVY = 10.0
 """Largest normal force at the start, relative to the weight of all bodies, with which an overlap counts as that of

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mbdkit.base.plain_data import plain
 from mbdkit.figures.beam_curves import BeamCurve
 from mbdkit.figures.cable_geometry import Place, cable_places
+from mbdkit.figures.contact_geometry import contact_places
 from mbdkit.figures.muscle_geometry import muscle_places
 from mbdkit.figures.plane_geometry import Array, convex_hull
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
@@ -26,6 +27,7 @@ from mbdkit.mechanism.pathways import JointAngles
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.beams import Beam
+    from mbdkit.mechanism.contacts import Shape
     from mbdkit.mechanism.joints import SlidingJoint
     from mbdkit.mechanism.mechanism import Mechanism
 
@@ -61,6 +63,8 @@ class Drawing:
         Pairs of points joined by a spring, or by a massless bar (a distance joint).
     muscles
         Points that each muscle passes.
+    shapes
+        Points that the outline of each shape of a contact passes.
     guides, sliders
         Pairs of points that are the ends of the line of a sliding joint, and the points that slide on them.
     welds
@@ -81,6 +85,7 @@ class Drawing:
     springs: tuple[tuple[int, int], ...] = ()
     bars: tuple[tuple[int, int], ...] = ()
     muscles: tuple[tuple[int, ...], ...] = ()
+    shapes: tuple[tuple[int, ...], ...] = ()
     guides: tuple[tuple[int, int], ...] = ()
     sliders: tuple[int, ...] = ()
     welds: tuple[int, ...] = ()
@@ -207,6 +212,9 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
             sketch.cable(cable_places(mechanism.joints, pathway))
     for muscle in mechanism.muscles.values():
         sketch.muscle(muscle_places(mechanism, muscle))
+    for contact in mechanism.contacts.values():
+        for _, _, body, shape in contact.by_body:
+            sketch.shape(body, shape, contact_places(mechanism, body, shape))
     for name, marker in mechanism.markers.items():
         sketch.marker(name, marker.body, marker.held)
     return sketch.finish()
@@ -238,6 +246,7 @@ class _Sketch:
         self.bars: list[tuple[int, int]] = []
         self.springs: list[tuple[int, int]] = []
         self.muscles: list[tuple[int, ...]] = []
+        self.shapes: dict[tuple[int, ...], None] = {}  # without those that several contacts share
         self.guides: list[tuple[int, int]] = []
         self.sliders: list[int] = []
         self.welds: list[int] = []
@@ -287,6 +296,14 @@ class _Sketch:
     def muscle(self, places: Sequence[Place]) -> None:
         """Add the line of a muscle through points of bodies."""
         self.muscles.append(tuple(self.point(self.index[body], local) for body, local in places))
+
+    def shape(self, body: str, shape: Shape, places: Sequence[Place]) -> None:
+        """Add the outline of a shape of a contact; a body is drawn up to its points and corners."""
+        owner = self.index[body]
+        if places:
+            self.shapes[tuple(self.point(owner, local) for _, local in places)] = None
+        if owner != GROUND and shape.line is None:
+            self.touched[owner] += [self.point(owner, local) for _, local in shape.points()]
 
     def joint(self, name: str, joint: Any) -> None:
         """Add a joint: a distance joint as a bar, a driver not at all, any other as a mark at its point."""
@@ -350,6 +367,7 @@ class _Sketch:
             springs=tuple(self.springs),
             bars=tuple(self.bars),
             muscles=tuple(self.muscles),
+            shapes=tuple(self.shapes),
             guides=tuple(self.guides),
             sliders=tuple(self.sliders),
             welds=tuple(self.welds),

@@ -151,6 +151,8 @@ def draw_sketch(
     _draw_beams(canvas, drawing, at, moments)
     for ends in drawing.bars:
         canvas.line(at[list(ends)], "bar")
+    for points in drawing.shapes:
+        canvas.line(at[list(points)], "bar")
     for points in drawing.muscles:
         canvas.line(at[list(points)], "muscle")
     for start, end in drawing.springs:

@@ -69,6 +69,7 @@ def _scene_data(shown: Scene) -> dict[str, Any]:
         "centres": list(drawing.centres),
         "springs": [list(ends) for ends in drawing.springs],
         "muscles": [list(points) for points in drawing.muscles],
+        "shapes": [list(points) for points in drawing.shapes],
         "bars": [list(ends) for ends in drawing.bars],
         "guides": [list(ends) for ends in drawing.guides],
         "sliders": list(drawing.sliders),

@@ -101,14 +101,10 @@ class Pose:
             line(self._strokes(drawing.guides), color=FAINT, linewidth=1.2, zorder=2.2)
         if drawing.bars:
             line(self._strokes(drawing.bars), color=INK, linewidth=1.2, zorder=4)
-        if drawing.muscles:
-            gap = len(drawing.owner)  # the index after the last point
-            line(
-                [index for points in drawing.muscles for index in (*points, gap)],
-                color=MUSCLE,
-                linewidth=1.3,
-                zorder=4.5,
-            )
+        gap = len(drawing.owner)  # the index after the last point
+        for paths, color in ((drawing.shapes, INK), (drawing.muscles, MUSCLE)):
+            if paths:
+                line([index for points in paths for index in (*points, gap)], color=color, linewidth=1.3, zorder=4.5)
         (self._springs,) = axes.plot(
             [], [], color=SPRING, linewidth=1.3, alpha=alpha, zorder=5, solid_joinstyle="round"
         )

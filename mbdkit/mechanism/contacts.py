@@ -13,11 +13,14 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.mechanism.bodies import Attachment, Element
+from mbdkit.mechanism.bodies import GROUND, Attachment, Element
 from mbdkit.mechanism.joints import Joint, Revolute, Weld
 from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequence
 
 Pair = tuple[float, float]
+
+OPEN, STICK, SLIP = range(3)
+"""Modes of a contact."""
 
 MOST_CORNERS = 16
 """Largest number of corners of a polygon, all of which are parameters of the program of each force."""
@@ -342,11 +345,14 @@ class Contact(Element):
                 yield from _rows(f"{name}.{a}.{b}", key, (a, b), first, second)
 
     def check_joints(self, key: str, joints: Mapping[str, Joint]) -> None:
-        """Raise SpecError if a pin or a weld holds the two bodies together."""
+        """Raise SpecError if a weld holds the two bodies together, or a pin two bodies that move: these overlap around
+        the pin. What is pinned to the ground may touch other parts of the ground.
+        """
         if self.bodies is None:
             return
         for name, joint in joints.items():
-            if isinstance(joint, Revolute | Weld) and set(joint.bodies) == set(self.bodies):
+            holds = isinstance(joint, Weld) or (isinstance(joint, Revolute) and GROUND not in joint.bodies)
+            if holds and set(joint.bodies) == set(self.bodies):
                 first, second = self.bodies
                 raise SpecError(
                     f"joint '{name}' holds '{first}' and '{second}' together, so that a contact between them would "

@@ -15,6 +15,7 @@ MODELINE = (
     "# yaml-language-server: $schema=https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
 )
 NAMES = [
+    "bouncing-ball",
     "car-axis",
     "chain",
     "crank-press",
@@ -36,6 +37,7 @@ NAMES = [
     "quick-return",
     "roll-up",
     "series-elastic-knee",
+    "sit-down",
     "sit-to-stand",
     "slider-crank",
     "spin-up-beam",

@@ -173,6 +173,7 @@ class Stage {
     film.outlines.forEach((outline, body) => this.body(outline, film.colors[body]));
     this.beams(frame);
     for (const ends of film.bars) this.stroke(colors.ink, 1.8, () => this.line(ends.map(end => this.at(end))));
+    for (const points of film.shapes) this.stroke(colors.ink, 1.4, () => this.line(points.map(k => this.at(k))));
     for (const points of film.muscles) this.stroke(colors.muscle, 1.6, () => this.line(points.map(k => this.at(k))));
     film.springs.forEach(ends => this.spring(ends));
     if (!this.crowd) this.marks();

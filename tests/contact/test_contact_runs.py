@@ -1,0 +1,141 @@
+"""Runs with contacts: against SciPy and closed forms, and what archives, measures, events and pictures have of them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mbdkit
+from mbdkit.archive.run import Run
+from mbdkit.figures.drawing_geometry import draw_mechanism
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec import load_spec
+
+G = 9.81
+DOPRI5 = {"name": "dopri5", "adaptive": True, "rtol": 1e-12, "atol": 1e-13}
+
+
+def ball(**compliance: Any) -> Mechanism:
+    m = Mechanism()
+    m.body("ball", mass=1.0, position=(0.0, 1.0))
+    m.contact(
+        "floor", "ground", "ball", shapes=[{"line": {"normal": (0, 1)}}, {"point": (0, 0)}], compliance=compliance
+    )
+    return m
+
+
+def run(m: Mechanism, end: float, integrator: dict[str, Any] = DOPRI5, step: float | None = None, **more: Any) -> Run:
+    time = {"end": end} if step is None else {"end": end, "step": step}
+    return mbdkit.run({"mbdkit": 1, "model": m.to_spec(), "time": time, "integrator": integrator, **more})
+
+
+def test_a_bouncing_ball_moves_as_scipy_integrates_it(tmp_path: Path) -> None:
+    # expected: DOP853 of SciPy on the equation of motion, with steps that do not jump over impacts
+    def slope(t: float, y: np.ndarray) -> list[float]:
+        force = 1e6 * max(0.0, -y[0]) ** 1.5 * max(0.0, 1.0 - 0.15 * y[1])
+        return [y[1], force - G]
+
+    wanted = solve_ivp(slope, (0.0, 1.5), [1.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-14, max_step=2e-3).y[:, -1]
+    more: dict[str, Any] = {
+        "measures": {"peak": "max(contacts.floor.normal_force)", "overlap": "-min(contacts.floor.gap)"},
+        "events": {"touch": {"when": "contacts.floor.gap", "direction": "falling"}},
+    }
+    with run(ball(stiffness=1e6, dissipation=0.1), 1.5, **more) as done:
+        height, speed = done["ball"].position[-1, 1], done["ball"].velocity[-1, 1]
+        np.testing.assert_allclose([height, speed], wanted, rtol=0, atol=1e-9)
+        assert done.events.time[0] == pytest.approx(math.sqrt(2.0 / G), abs=1e-10)  # 0.451523640985731 s
+        assert np.abs(done.energy.balance).max() < 1e-9  # what the impacts take is in the work
+        assert done.energy.total[-1] < 0.9 * done.energy.total[0]
+        floor, acceleration = done.contacts["floor"], done["ball"].acceleration[:, 1]
+        np.testing.assert_allclose(floor.normal_force, acceleration + G, rtol=1e-12, atol=1e-11)
+        np.testing.assert_array_equal(floor.mode == 0, floor.normal_force == 0)
+        assert done.measures["peak"] >= floor.normal_force.max()
+        assert floor.bodies == ("ground", "ball")
+        assert "floor overlaps by up to" in done.summary()
+    path = tmp_path / "ball.h5"
+    spec = {"mbdkit": 1, "model": ball(stiffness=1e6).to_spec(), "time": {"end": 0.5}, "integrator": DOPRI5}
+    mbdkit.run(spec, archive=path).close()
+    with mbdkit.load(path) as stored:
+        assert stored.contacts["floor"].gap[0] == 1.0
+        assert stored.array("contacts/mode").shape == (len(stored.time), 1)
+
+
+def test_stiff_contacts_tend_to_a_rigid_impact() -> None:
+    """Without dissipation, the ball is at its first height after 2 sqrt(2 h/g) and the duration of the contact, which
+    H. Hertz found to be proportional to k^(-2/5); until then it still rises, at a speed proportional to this duration.
+    """
+    speeds = [run(ball(stiffness=k), 2.0 * math.sqrt(2.0 / G))["ball"].velocity[-1, 1] for k in (1e6, 1e8, 1e10)]
+    assert speeds[0] / speeds[1] == pytest.approx(100**0.4, rel=0.01)
+    assert speeds[1] / speeds[2] == pytest.approx(100**0.4, rel=0.01)
+
+
+def incline(friction: float, transition: float) -> Mechanism:
+    """A block of 1 kg on an incline of 30 degrees that moves upwards at 2 m/s."""
+    m, turn = Mechanism(), math.pi / 6
+    normal, stiffness = (-math.sin(turn), math.cos(turn)), 1e5
+    depth = G * math.cos(turn) / stiffness
+    position, velocity = (-depth * normal[0], -depth * normal[1]), (2.0 * math.cos(turn), 2.0 * math.sin(turn))
+    m.body("block", mass=1.0, position=position, velocity=velocity)
+    law = {"law": "linear", "stiffness": stiffness, "dissipation": 600.0, "transition_speed": transition}
+    shapes = [{"line": {"normal": normal}}, {"point": (0, 0)}]
+    m.contact("slope", "ground", "block", shapes=shapes, friction=friction, compliance=law)
+    return m
+
+
+def test_a_block_on_an_incline_slides_as_with_coulomb_friction_as_the_transition_speed_falls() -> None:
+    # expected: closed form with friction 0.3: it stops at 0.268322655232618 s, slides back, and is there after 1 s
+    wanted, errors = -0.362398577094839, []
+    for transition in (0.04, 0.02, 0.01):
+        done = run(incline(0.3, transition), 1.0, {"name": "radau-iia"}, 2e-3)
+        x, y = done["block"].position[-1]
+        errors.append(abs(x * math.cos(math.pi / 6) + y * math.sin(math.pi / 6) - wanted))
+    assert errors[2] < 0.002
+    np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2.0, rtol=0.03)
+
+
+def test_a_block_on_a_rough_incline_sticks() -> None:
+    # expected: friction of 0.7 holds it with m g sin(30 degrees) = 4.905 N, and it creeps at that share of the speed
+    with run(incline(0.7, 0.01), 0.5, {"name": "radau-iia"}, 2e-3) as done:
+        slope = done.contacts["slope"]
+        assert slope.friction_force[-1] == pytest.approx(4.905, rel=1e-9)
+        assert slope.slip[-1] == pytest.approx(-0.01 * math.tan(math.pi / 6) / 0.7, rel=1e-6)
+        assert slope.mode[-1] == 1
+
+
+@pytest.mark.parametrize(("integrator", "order"), [({"name": "rk4"}, 4), ({"name": "gauss", "stages": 2}, 4)])
+def test_methods_keep_their_order_in_a_smooth_contact(integrator: dict[str, Any], order: int) -> None:
+    m = Mechanism()
+    m.body("ball", mass=1.0, inertia=0.01, position=(0.0, 0.098), velocity=(0.4, -0.1), angular_velocity=1.0)
+    law = {"law": "smooth-sphere-half-space", "stiffness": 1e5, "dissipation": 1.0, "transition_speed": 2.0}
+    shapes = [{"line": {"normal": (0, 1)}}, {"circle": {"radius": 0.1}}]
+    m.contact("floor", "ground", "ball", shapes=shapes, friction=0.5, compliance=law)
+    ends = [run(m, 0.1, integrator, 0.1 / n)["ball"].position[-1] for n in (100, 200, 1600)]
+    errors = [np.linalg.norm(end - ends[-1]) for end in ends[:-1]]
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.2)
+
+
+def test_formulations_agree_about_a_rod_that_a_pin_holds_and_a_floor_stops() -> None:
+    m = Mechanism()
+    m.body("rod", mass=2.0, inertia=0.1, position=(0.4, 0.3), angle=0.0)
+    m.revolute("pin", "ground", "rod", at=(0.0, 0.3))
+    shapes = [{"line": {"normal": (0, 1)}}, {"polygon": [(-0.4, -0.02), (0.4, -0.02), (0.4, 0.02), (-0.4, 0.02)]}]
+    m.contact("floor", "ground", "rod", shapes=shapes, friction=0.2, compliance={"stiffness": 1e5, "dissipation": 0.5})
+    angles = []
+    for formulation in ("index-1", "index-2", "index-3", "ggl"):
+        done = run(m, 0.5, {"name": "radau-iia"}, 2e-4, formulation=formulation)
+        assert list(done.contacts) == ["floor.0", "floor.1", "floor.2", "floor.3"]
+        assert done.contacts["floor.1"].normal_force.max() > 100.0
+        angles.append(done["rod"].angle[-1])
+    np.testing.assert_allclose(angles, angles[0], rtol=0, atol=1e-8)
+
+
+def test_drawings_have_the_shapes_of_contacts() -> None:
+    drawing = draw_mechanism(load_spec("bouncing-ball").mechanism())
+    floor, outline = drawing.shapes
+    assert len(floor) == 2
+    assert np.hypot(*drawing.local[list(outline)].T) == pytest.approx(0.1)
