@@ -31,7 +31,7 @@ OUTLINE = """\
 
 <!-- Written by `python -m tests.benchmarks.trust_page mbdkit/guide/trust.md`; do not edit. -->
 
-The verdict of a run, what its errors are estimated to be, what is not promised, and measured errors.
+The verdict on a run, the estimates of its errors, their limits, and errors that were measured.
 
 Every run has a verdict. It is given at the top of the summary, in `run.verdict` and `run.verdict_reasons`, with
 `--json`, in the archive, in reports and in the table of a study.
