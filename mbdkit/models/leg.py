@@ -1,4 +1,4 @@
-r"""A human leg in the sagittal plane: thigh, shank and foot, with a pinned knee or with a four-bar knee.
+r"""Human legs in the sagittal plane: thigh, shank and foot, with a pinned knee or with a four-bar knee.
 
 The person faces +x; with all angles zero, the leg is straight and the foot flat::
 
@@ -16,8 +16,13 @@ The person faces +x; with all angles zero, the leg is straight and the foot flat
 
 Root
     With ``root: hip``, the hip is pinned to the ground. With ``root: trunk``, a body `trunk` with head and arms carries
-    the hip and is free in the plane. The mechanism has one leg. In motions that are the same on both sides, this leg
-    carries half of the trunk (``trunk_share: 0.5``); otherwise, the force of the other leg must be given as a load.
+    the hip and is free in the plane.
+Legs
+    By default, the mechanism has one leg. In motions that are the same on both sides, this leg carries half of the
+    trunk (``trunk_share: 0.5``); otherwise, the force of the other leg must be given as a load. With ``legs: 2``, a
+    second leg hangs at the same hip: its bodies, joints, coordinates and markers have the same names with `_left`, such
+    as `shank_left`, `knee_left`, `knee_flexion_left` and `toe_left`, and `left` has its pose at the start. With
+    ``symmetric_muscles: true``, each muscle that is attached to the first leg is also on the second, as `NAME_left`.
 Segments
     Masses, lengths, centres of mass and radii of gyration are fractions of body mass and height by `table`: Winter's,
     or those of de Leva for women and men. De Leva's shank ends at the lateral malleolus, which counts as the ankle
@@ -39,35 +44,37 @@ coordinates at the start.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force
-from mbdkit.mechanism.joints import Joint, Revolute
+from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.values import Number, Point, Positive
-from mbdkit.models._knee_linkage import Frame, knee_of, xy
+from mbdkit.models._knee_linkage import Frame, xy
+from mbdkit.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
 from mbdkit.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, Person
 from mbdkit.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
 
-SUMMARY = "A leg of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free trunk."
+SUMMARY = "One or two legs of thigh, shank and foot, scaled by body mass and height, on a fixed hip or on a free trunk."
 FOUR_BAR_SUMMARY = "The same leg with a knee that is a crossed four-bar linkage."
 REFERENCES = (WINTER, DE_LEVA, FRACTIONS, GAIT2D)
 FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
 
 
-class LegOptions(StrictModel):
+class LegOptions(LegPose):
     """Parameters of `leg`."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("muscles",)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("legs", "left", "muscles", "symmetric_muscles")
 
     height: Positive = 1.8
     """Body height [m]; scales the segments."""
@@ -87,18 +94,10 @@ class LegOptions(StrictModel):
     """Initial angle of the trunk from upright, counter-clockwise [rad]; hip flexion is counted from here."""
     trunk_rate: Number = 0.0
     """Initial angular velocity of the trunk [rad/s]; only with ``root: trunk``."""
-    hip_flexion: Number = 0.0
-    """Initial angle from trunk to thigh, forward [rad]."""
-    knee_flexion: Number = 0.0
-    """Initial angle from thigh to shank, backward [rad]."""
-    ankle_dorsiflexion: Number = 0.0
-    """Initial angle from shank to foot, toes up [rad]."""
-    hip_flexion_rate: Number = 0.0
-    """Initial rate of hip flexion [rad/s]."""
-    knee_flexion_rate: Number = 0.0
-    """Initial rate of knee flexion [rad/s]."""
-    ankle_dorsiflexion_rate: Number = 0.0
-    """Initial rate of ankle dorsiflexion [rad/s]."""
+    legs: Literal[1, 2] = 1
+    """Number of legs; a second one has names with `_left`."""
+    left: LegPose = LegPose()
+    """Pose of the second leg at the start; only with ``legs: 2``."""
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""
     joints: dict[str, Joint] = Field(default_factory=dict)
@@ -109,6 +108,9 @@ class LegOptions(StrictModel):
     """Further points of bodies whose positions and velocities are recorded, by name."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
     """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
+    symmetric_muscles: bool = False
+    """Whether each muscle that is attached to the first leg is also on the second one, as `NAME_left`; only with
+    ``legs: 2``."""
 
 
 class LegFourBarOptions(LegOptions):
@@ -128,10 +130,10 @@ def build(options: LegOptions) -> Mechanism:
     Raises
     ------
     SpecError
-        If the trunk has a motion but ``root: hip``, or if a further joint, force or marker has the name of one of the
-        leg or refers to a body that is not there.
+        If the trunk has a motion but ``root: hip``, if an option of the second leg is given without it, or if a further
+        joint, force, marker or muscle has the name of one of the leg or refers to a body that is not there.
     """
-    return _Leg(options).mechanism("leg")
+    return _mechanism("leg", options, pinned_leg)
 
 
 def build_four_bar(options: LegFourBarOptions) -> Mechanism:
@@ -142,126 +144,56 @@ def build_four_bar(options: LegFourBarOptions) -> Mechanism:
     SpecError
         As for `build`; also if the linkage cannot be assembled at the flexion of the knee.
     """
-    leg = _Leg(options)
-    person, thigh = leg.person, leg.frames["thigh"]
-    top = Frame(
-        thigh.to_global(-1j * person.thigh_length),
-        thigh.turn,
-        thigh.angle,
-        thigh.velocity_of(-1j * person.thigh_length),
-        thigh.rate,
-    )
     four_bar = linkage(options.height, options.links, options.pitches)
-    flexion = options.knee_flexion, options.knee_flexion_rate
-    try:
-        knee = knee_of(four_bar, options.height, top, flexion, options.rod_mass)
-    except SpecError as error:
-        raise SpecError(error.message, key="knee_flexion") from None
-    leg.place_below_knee(knee.shank)
-    acl, pcl = knee.ends["acl"], knee.ends["pcl"]
-    on_shank = {name: xy(point - person.shank.centre) for name, point in knee.tibial.items()}
-    down = person.thigh.centre + 1j * person.thigh_length
-    on_thigh = {name: xy(point - down) for name, point in knee.femoral.items()}
-    leg.bodies |= knee.rods
-    del leg.joints["knee"]
-    flexion_of_bodies = NamedCoordinate(of="shank.angle", relative_to="thigh", scale=-1.0)
-    leg.coordinates |= {"knee_flexion": flexion_of_bodies}
-    leg.joints |= {
-        "A": Revolute(bodies=("pcl", "shank"), points=((pcl, 0.0), on_shank["A"])),
-        "B": Revolute(bodies=("acl", "shank"), points=((acl, 0.0), on_shank["B"])),
-        "C": Revolute(bodies=("thigh", "acl"), points=(on_thigh["C"], (-acl, 0.0))),
-        "D": Revolute(bodies=("thigh", "pcl"), points=(on_thigh["D"], (-pcl, 0.0))),
-    }
-    return leg.mechanism("leg-four-bar")
+    return _mechanism("leg-four-bar", options, partial(four_bar_leg, linkage=four_bar, rod_mass=options.rod_mass))
 
 
-class _Leg:
-    """Bodies, joints and markers of a leg with a pinned knee."""
-
-    def __init__(self, options: LegOptions):
-        o = self.options = options
-        person = self.person = Person(o.body_mass, o.height, o.table)
-        self.segments = {"thigh": person.thigh, "shank": person.shank, "foot": person.foot}
-        trunk = Frame.at(complex(*o.hip_position), o.trunk_angle, complex(*o.hip_velocity), o.trunk_rate)
-        thigh = Frame.at(trunk.origin, trunk.angle + o.hip_flexion, trunk.velocity, trunk.rate + o.hip_flexion_rate)
-        self.frames = {"thigh": thigh}
-        self.joints: dict[str, Joint] = {}
-        hip = (GROUND, o.hip_position)
-        if o.root == "trunk":
-            self.frames["trunk"], self.segments["trunk"] = trunk, o.trunk_share * person.trunk
-            hip = ("trunk", xy(-person.trunk.centre))
-        else:
-            for key in ("hip_velocity", "trunk_rate"):
-                if getattr(o, key) not in (0.0, (0.0, 0.0)):
-                    raise SpecError(
-                        "with `root: hip` the trunk is at rest: leave this out, or use `root: trunk`", key=key
-                    )
-        knee, ankle = -1j * person.thigh_length, -1j * person.shank_length
-        for name, (upper, point), lower in (
-            ("hip", hip, "thigh"),
-            ("knee", ("thigh", xy(knee - person.thigh.centre)), "shank"),
-            ("ankle", ("shank", xy(ankle - person.shank.centre)), "foot"),
-        ):
-            points = (point, xy(-self.segments[lower].centre))
-            self.joints[name] = Revolute(bodies=(upper, lower), points=points)
-        self.coordinates = {
-            "hip_flexion": NamedCoordinate(of="hip.angle"),
-            "knee_flexion": NamedCoordinate(of="knee.angle", scale=-1.0),
-            "ankle_dorsiflexion": NamedCoordinate(of="ankle.angle"),
-        }
-        if o.root == "trunk":
-            root = {"hip_x": "hip.x", "hip_y": "hip.y", "trunk_tilt": "trunk.angle"}
-            self.coordinates |= {name: NamedCoordinate(of=of) for name, of in root.items()}
-        self.bodies: dict[str, Body] = {}
-        self.place_below_knee(
-            Frame.at(
-                thigh.to_global(knee),
-                thigh.angle - o.knee_flexion,
-                thigh.velocity_of(knee),
-                thigh.rate - o.knee_flexion_rate,
+def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], LegParts]) -> Mechanism:
+    """Return the mechanism of one or two legs and the further elements of the options."""
+    person = Person(o.body_mass, o.height, o.table)
+    trunk = Frame.at(complex(*o.hip_position), o.trunk_angle, complex(*o.hip_velocity), o.trunk_rate)
+    bodies: dict[str, Body] = {}
+    root: dict[str, NamedCoordinate] = {}
+    hip, at_hip = Hip(trunk, GROUND, o.hip_position), Marker(body="thigh", point=xy(-person.thigh.centre))
+    if o.root == "trunk":
+        bodies = {"trunk": trunk.carry(o.trunk_share * person.trunk)}
+        hip = Hip(trunk, "trunk", xy(-person.trunk.centre))
+        at_hip = Marker(body="trunk", point=hip.point)
+        of = {"hip_x": "hip.x", "hip_y": "hip.y", "trunk_tilt": "trunk.angle"}
+        root = {key: NamedCoordinate(of=quantity) for key, quantity in of.items()}
+    for key in ("hip_velocity", "trunk_rate") if o.root == "hip" else ():
+        if getattr(o, key) not in (0.0, (0.0, 0.0)):
+            raise SpecError("with `root: hip` the trunk is at rest: leave this out, or use `root: trunk`", key=key)
+    first = leg(person, o, hip)
+    legs, muscles = [first], o.muscles
+    if o.legs == 2:
+        try:
+            legs.append(second_leg(first, leg(person, o.left, hip)))
+        except SpecError as error:
+            raise SpecError(error.message, key=f"left.{error.key}") from None
+        muscles = muscles_of_both(muscles, first) if o.symmetric_muscles else muscles
+    elif o.left != LegPose() or o.symmetric_muscles:
+        key = "symmetric_muscles" if o.left == LegPose() else "left"
+        raise SpecError("belongs to a second leg, which `legs: 2` adds", key=key)
+    joints: dict[str, Joint] = {}
+    coordinates: dict[str, NamedCoordinate] = {}
+    markers: dict[str, Marker] = {"hip": at_hip}
+    for one in legs:
+        bodies, joints = bodies | one.bodies, joints | one.joints
+        coordinates, markers = coordinates | one.coordinates, markers | one.markers
+    for kind, own, further in (("joints", joints, o.joints), ("markers", markers, o.markers)):
+        for key in own.keys() & further.keys():
+            raise SpecError(
+                f"the leg itself has an element of this name (it has {listed(sorted(own))})",
+                key=f"{kind}.{quoted(key)}",
             )
-        )
-
-    def place_below_knee(self, shank: Frame) -> None:
-        """Add shank and foot, given the frame of the shank."""
-        o, ankle = self.options, -1j * self.person.shank_length
-        foot = Frame.at(
-            shank.to_global(ankle),
-            shank.angle + o.ankle_dorsiflexion,
-            shank.velocity_of(ankle),
-            shank.rate + o.ankle_dorsiflexion_rate,
-        )
-        self.frames |= {"shank": shank, "foot": foot}
-        order = [name for name in ("trunk", "thigh", "shank", "foot") if name in self.frames]
-        self.bodies = {name: self.frames[name].carry(self.segments[name]) for name in order}
-
-    def mechanism(self, name: str) -> Mechanism:
-        """Return the mechanism with the further elements of the options."""
-        person, o = self.person, self.options
-        places = {
-            "hip": ("trunk", 0j) if "trunk" in self.frames else ("thigh", 0j),
-            "knee": ("shank", 0j),
-            "ankle": ("foot", 0j),
-            "heel": ("foot", person.heel),
-            "toe": ("foot", person.toe),
-        }
-        markers = {
-            key: Marker(body=body, point=xy(point - self.segments[body].centre))
-            for key, (body, point) in places.items()
-        }
-        for kind, own, more in (("joints", self.joints, o.joints), ("markers", markers, o.markers)):
-            for key in own.keys() & more.keys():
-                raise SpecError(
-                    f"the leg itself has an element of this name (it has {listed(sorted(own))})",
-                    key=f"{kind}.{quoted(key)}",
-                )
-        data = MechanismData(
-            gravity=o.gravity,
-            bodies=self.bodies,
-            joints=self.joints | o.joints,
-            forces=o.forces,
-            markers=markers | o.markers,
-            muscles=o.muscles,
-            coordinates=self.coordinates,
-        )
-        return Mechanism.from_data(data, name=name)
+    data = MechanismData(
+        gravity=o.gravity,
+        bodies=bodies,
+        joints=joints | o.joints,
+        forces=o.forces,
+        markers=markers | o.markers,
+        muscles=muscles,
+        coordinates=coordinates | root,
+    )
+    return Mechanism.from_data(data, name=name)

@@ -147,27 +147,32 @@ def with_hip(gait: Gait) -> Gait:
         accelerated, carried = (np.linalg.lstsq(waves, part(one), rcond=None)[0] for one in (force, legs))
         square = np.repeat((2 * np.pi / STRIDE * np.arange(1, SINES + 1)) ** 2, 2)
         series[f"hip_{axis}"] = np.array([0.0, *(-(accelerated[1:] / square + carried[1:]) / PERSON_MASS)])
-    found = Gait(series)
-    foot = np.exp(1j * found.angles(FLAT)[2])
-    sole = found.hip(FLAT) + found.below_hip(FLAT)[1] + (PERSON.heel + PERSON.toe) / 2 * foot
-    series["hip_y"][0] = -np.mean(sole.imag)
-    return Gait(series)
+    return with_sole(Gait(series))
 
 
-def pressure(gait: Gait, winter: Any) -> Array:
-    """Return the centre of pressure x (P,) on the ground at `PHASES`, nan where the ground does not push."""
+def with_sole(gait: Gait) -> Gait:
+    """Return the gait at the height of the hip with which the sole is on the ground, on average while it is flat."""
+    foot = np.exp(1j * gait.angles(FLAT)[2])
+    sole = gait.hip(FLAT) + gait.below_hip(FLAT)[1] + (PERSON.heel + PERSON.toe) / 2 * foot
+    raised = gait.series["hip_y"].copy()
+    raised[0] -= np.mean(sole.imag)
+    return Gait(gait.series | {"hip_y": raised})
+
+
+def pressure(gait: Gait, winter: Any, phases: Array) -> Array:
+    """Return the centre of pressure x (P,) on the ground at phases (P,), nan where the ground does not push."""
     step = 1e-4
-    near = [PHASES - step, PHASES, PHASES + step]
+    near = [phases - step, phases, phases + step]
     feet = [np.exp(1j * gait.angles(one)[2]) for one in near]
     ankles = [gait.hip(one) + gait.below_hip(one)[1] for one in near]
     centres = [ankle + PERSON.foot.centre * foot for ankle, foot in zip(ankles, feet, strict=True)]
     acceleration = (centres[0] - 2 * centres[1] + centres[2]) / (step * STRIDE) ** 2
-    ankle, foot, force = ankles[1], feet[1], gait.force(PHASES)
+    ankle, foot, force = ankles[1], feet[1], gait.force(phases)
     inert = PERSON.foot.mass * (acceleration + 1j * GRAVITY)
-    rest = _cross(centres[1] - ankle, inert) + PERSON.foot.inertia * gait.angles(PHASES, 2)[2]
+    rest = _cross(centres[1] - ankle, inert) + PERSON.foot.inertia * gait.angles(phases, 2)[2]
     kept = ~np.isin(winter["gait_percent"], MISPRINTS)
     percent, published = winter["gait_percent"][kept], winter["ankle_moment"][kept]
-    moment = PERSON_MASS * np.interp(np.mod(100 * PHASES, 100.0), percent, published)
+    moment = PERSON_MASS * np.interp(np.mod(100 * phases, 100.0), percent, published)
     # about the ankle: (x - ankle_x) F_y + ankle_y F_x - moment = rest
     with np.errstate(divide="ignore", invalid="ignore"):
         arm = (moment + rest - ankle.imag * force.real) / force.imag
@@ -183,26 +188,44 @@ COLUMNS = ("hip_x", "hip_y", "trunk_tilt", *HARMONICS, "force_x", "force_y")
 ANGLES = ("trunk_tilt", *HARMONICS)
 
 
-def text(gait: Gait, cop: Array) -> str:
-    """Return the table: comments with the coefficients of all series, headings, and rows."""
-    lines = [
+def header(module: str) -> list[str]:
+    """Return the first comments of the table that a module of the benchmarks writes."""
+    return [
         "# Normal gait at natural cadence, as Fourier series fitted to the means of D. A. Winter, Biomechanics and",
         "# Motor Control of Human Gait, 2nd edition, University of Waterloo Press 1991, as tabulated in",
         "# https://github.com/mechmotum/gait-closed-loop-id (data/Winter_normal.csv), for 75 kg and 1.8 m.",
         f"# Stride {STRIDE} s, walking speed {SPEED} m/s; heel strike of the right foot at 0.3 and 1.3 strides.",
-        "# Written by `python -m tests.benchmarks.walking_data`, which tells how it was made; lengths in m, angles in",
+        f"# Written by `python -m tests.benchmarks.{module}`, which tells how it was made; lengths in m, angles in",
         "# degrees, forces in N. Series (rad, m, N): of a motion, the constant, then cosine and sine of each harmonic",
         "# of the stride from heel strike; of a force, sines of the contact, from -0.5 to 66 % of the stride.",
     ]
+
+
+def text(gait: Gait, cop: Array) -> str:
+    """Return the table: comments with the coefficients of all series, headings, and rows."""
+    lines = header("walking_data")
     lines += [f"# {name}: {' '.join(f'{round(x, 9):.6g}' for x in gait.series[name])}" for name in COLUMNS]
     lines.append(",".join(("time", *COLUMNS, "pressure_x")))
-    values = [np.degrees(gait.at(name, PHASES)) if name in ANGLES else gait.at(name, PHASES) for name in COLUMNS]
-    for row, phase in enumerate(PHASES):
-        digits = [4 if name in ANGLES else 2 if name.startswith("force") else 5 for name in COLUMNS]
-        cells = [f"{column[row]:.{places}f}" for column, places in zip(values, digits, strict=True)]
-        point = "" if np.isnan(cop[row]) else f"{cop[row]:.4f}"
-        lines.append(",".join([f"{(phase - PHASES[0]) * STRIDE:.6f}", *cells, point]))
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *map(",".join, rows(gait, PHASES, cop))]) + "\n"
+
+
+def rows(gait: Gait, phases: Array, cop: Array, digits: tuple[int, int, int] = (4, 2, 5)) -> list[list[str]]:
+    """Return the cells of the rows at phases (P,): time from the first one, `COLUMNS` and `cop` (P,).
+
+    Parameters
+    ----------
+    digits
+        Decimal places of angles, forces and lengths; the centre of pressure has one less.
+    """
+    values = [np.degrees(gait.at(name, phases)) if name in ANGLES else gait.at(name, phases) for name in COLUMNS]
+    of_angle, of_force, of_length = digits
+    decimals = [of_angle if name in ANGLES else of_force if name.startswith("force") else of_length for name in COLUMNS]
+    found = []
+    for row, phase in enumerate(phases):
+        cells = [f"{column[row]:.{places}f}" for column, places in zip(values, decimals, strict=True)]
+        point = "" if np.isnan(cop[row]) else f"{cop[row]:.{of_length - 1}f}"
+        found.append([f"{(phase - phases[0]) * STRIDE:.6f}", *cells, point])
+    return found
 
 
 def series_in(table_text: str) -> Gait:
@@ -215,7 +238,7 @@ def main(path: str) -> None:
     """Write the table."""
     winter = table(reference("winter_normal_gait.csv"))
     gait = fitted(winter)
-    Path(path).write_text(text(gait, pressure(gait, winter)), encoding="utf-8")
+    Path(path).write_text(text(gait, pressure(gait, winter, PHASES)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -21,6 +21,10 @@ from mbdkit.spec import load_spec
 
 POSE = {"hip_flexion": 0.4, "knee_flexion": 0.9, "ankle_dorsiflexion": -0.2, "trunk_angle": -0.1}
 RATES = {"hip_flexion_rate": 1.1, "knee_flexion_rate": -2.3, "ankle_dorsiflexion_rate": 0.7, "trunk_rate": 0.5}
+MUSCLE = {
+    "path": [{"body": "thigh", "point": [0, 0]}, {"body": "shank", "point": [0, 0]}],
+    "max_force": 1, "optimal_length": 0.1, "tendon_length": 0.1, "excitation": 0.1,
+}  # fmt: skip
 LEGS = [(LegOptions, build), (LegFourBarOptions, build_four_bar)]
 
 
@@ -89,6 +93,43 @@ def test_joints_are_closed_and_markers_stand_at_the_joints(options: type[LegOpti
         marker = leg.markers[name]
         body, point = leg.joints[name].bodies[0], leg.joints[name].points[0]
         assert leg.to_global(marker.body, marker.point) == pytest.approx(leg.to_global(body, point), abs=1e-15)
+
+
+@pytest.mark.parametrize(("options", "build"), LEGS)
+def test_the_second_leg_is_a_leg_in_its_own_pose(options: type[LegOptions], build: Any) -> None:
+    pose = {key: value for key, value in (POSE | RATES).items() if not key.startswith("trunk")}
+    trunk = {"root": "trunk", "trunk_angle": -0.1, "trunk_rate": 0.5, "hip_position": (1.0, 2.0)}
+    both, alone = build(options(legs=2, left=pose, **trunk)), build(options(**pose, **trunk))
+    for name, body in alone.bodies.items():
+        assert both.bodies[name if name == "trunk" else f"{name}_left"] == body
+    for joint in both.joints.values():
+        places = [both.to_global(body, point) for body, point in zip(joint.bodies, joint.points, strict=True)]
+        assert places[0] == pytest.approx(places[1], abs=1e-15)
+    assert sum(both.bodies[name].mass for name in ("trunk", *PARTS)) == pytest.approx(75.0)
+    assert both.coordinates["knee_flexion_left"].of.partition(".")[0] in ("knee_left", "shank_left")
+
+
+PARTS = [f"{name}{side}" for name in ("thigh", "shank", "foot") for side in ("", "_left")]
+
+
+def test_muscles_of_the_second_leg_refer_to_its_own_bodies_coordinates_and_muscles() -> None:
+    path = [
+        {"body": "trunk", "point": [0, 0]},
+        {"body": "thigh", "point": [0, 0.1], "when": {"knee.angle": [-1, 0]}},
+        {"wrap": {"body": "thigh", "center": [0, -0.2], "radius": 0.02, "side": "left"}},
+        {"body": "shank", "point": [{"table": [[0, 1], [0, 0.1]], "of": "knee_flexion"}, "0.1*knee_flexion"]},
+    ]
+    muscle = {"max_force": 1, "optimal_length": 0.1, "tendon_length": 0.1, "path": path}
+    muscles = {"left": {**muscle, "excitation": "0.1 + muscles.left.rate + joints.knee.angle"}}
+    leg = build(LegOptions(legs=2, root="trunk", symmetric_muscles=True, muscles=muscles))
+    first, second = leg.muscles["left"], leg.muscles["left_left"]
+    assert first.path[1].on == "thigh"
+    assert [item.on for item in second.path] == ["trunk", "thigh_left", "thigh_left", "shank_left"]
+    assert list(second.path[1].when) == ["knee_left.angle"]
+    assert second.path[2].wrap.side == "left"
+    assert second.path[3].point[0].of == "knee_flexion_left"
+    assert second.path[3].point[1] == "0.1*knee_flexion_left"
+    assert second.excitation == "0.1 + muscles.left_left.rate + joints.knee_left.angle"
 
 
 def test_flexion_of_hip_and_knee_lifts_the_leg_as_when_climbing_a_stair() -> None:
@@ -178,6 +219,13 @@ def test_a_free_leg_falls_with_its_trunk() -> None:
         ),
         ({"forces": {"s": {"type": "torque", "body": "trunk", "value": 1}}}, r"model\.forces\.s.*trunk"),
         ({"height": -1}, r"model\.height"),
+        ({"left": {"hip_flexion": 0.1}}, r"model\.left: belongs to a second leg, which `legs: 2` adds"),
+        ({"legs": 3}, r"model\.legs: .*2"),
+        ({"legs": 2, "markers": {"toe_left": {"body": "foot", "point": [0, 0]}}}, r"model\.markers\.toe_left"),
+        (
+            {"legs": 2, "symmetric_muscles": True, "muscles": {"m": MUSCLE, "m_left": MUSCLE}},
+            r"model\.muscles\.m_left: with `symmetric_muscles: true`, 'm' is on the second leg under this name",
+        ),
     ],
 )
 def test_wrong_legs_are_refused_by_key(model: dict[str, Any], message: str) -> None:

@@ -1,0 +1,213 @@
+"""One leg on a given hip, with a pinned or a four-bar knee, and its copy under other names as the second leg."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.bodies import Body, Marker
+from mbdkit.mechanism.coordinate_function import CoordinateTable
+from mbdkit.mechanism.joints import Joint, Revolute
+from mbdkit.mechanism.mechanism_data import NamedCoordinate
+from mbdkit.mechanism.muscles import Muscle, PathItem
+from mbdkit.mechanism.values import Number
+from mbdkit.models._crossed_four_bar import CrossedFourBar
+from mbdkit.models._knee_linkage import Frame, knee_of, xy
+from mbdkit.models._segments import Person
+
+SUFFIX = "_left"
+"""End of the names of the second leg."""
+
+
+class LegPose(StrictModel):
+    """Pose of a leg and its motion at the start."""
+
+    hip_flexion: Number = 0.0
+    """Initial angle from trunk to thigh, forward [rad]."""
+    knee_flexion: Number = 0.0
+    """Initial angle from thigh to shank, backward [rad]."""
+    ankle_dorsiflexion: Number = 0.0
+    """Initial angle from shank to foot, toes up [rad]."""
+    hip_flexion_rate: Number = 0.0
+    """Initial rate of hip flexion [rad/s]."""
+    knee_flexion_rate: Number = 0.0
+    """Initial rate of knee flexion [rad/s]."""
+    ankle_dorsiflexion_rate: Number = 0.0
+    """Initial rate of ankle dorsiflexion [rad/s]."""
+
+
+class Hip(NamedTuple):
+    """Frame of the trunk with its origin at the hip, name of the body that carries the leg, and the hip in its frame
+    [m].
+    """
+
+    frame: Frame
+    body: str
+    point: tuple[float, float]
+
+
+class LegParts(NamedTuple):
+    """Elements of a leg by name."""
+
+    bodies: dict[str, Body]
+    joints: dict[str, Joint]
+    coordinates: dict[str, NamedCoordinate]
+    markers: dict[str, Marker]
+
+
+def pinned_leg(person: Person, pose: LegPose, hip: Hip) -> LegParts:
+    """Return a leg with a pinned knee."""
+    thigh, knee = _thigh(pose, hip), -1j * person.thigh_length
+    shank = Frame.at(
+        thigh.to_global(knee),
+        thigh.angle - pose.knee_flexion,
+        thigh.velocity_of(knee),
+        thigh.rate - pose.knee_flexion_rate,
+    )
+    parts = _leg(person, pose, hip, thigh, shank)
+    points = (xy(knee - person.thigh.centre), xy(-person.shank.centre))
+    pin = Revolute(bodies=("thigh", "shank"), points=points)
+    joints = {"hip": parts.joints["hip"], "knee": pin, "ankle": parts.joints["ankle"]}
+    return parts._replace(joints=joints)
+
+
+def four_bar_leg(person: Person, pose: LegPose, hip: Hip, *, linkage: CrossedFourBar, rod_mass: float) -> LegParts:
+    """Return a leg with a four-bar knee.
+
+    Raises
+    ------
+    SpecError
+        If the linkage cannot be assembled at the flexion of the knee.
+    """
+    thigh, down = _thigh(pose, hip), -1j * person.thigh_length
+    top = Frame(thigh.to_global(down), thigh.turn, thigh.angle, thigh.velocity_of(down), thigh.rate)
+    try:
+        knee = knee_of(linkage, person.height, top, (pose.knee_flexion, pose.knee_flexion_rate), rod_mass)
+    except SpecError as error:
+        raise SpecError(error.message, key="knee_flexion") from None
+    parts = _leg(person, pose, hip, thigh, knee.shank)
+    acl, pcl = knee.ends["acl"], knee.ends["pcl"]
+    on_shank = {name: xy(point - person.shank.centre) for name, point in knee.tibial.items()}
+    on_thigh = {name: xy(point - person.thigh.centre + down) for name, point in knee.femoral.items()}
+    joints = {
+        "A": Revolute(bodies=("pcl", "shank"), points=((pcl, 0.0), on_shank["A"])),
+        "B": Revolute(bodies=("acl", "shank"), points=((acl, 0.0), on_shank["B"])),
+        "C": Revolute(bodies=("thigh", "acl"), points=(on_thigh["C"], (-acl, 0.0))),
+        "D": Revolute(bodies=("thigh", "pcl"), points=(on_thigh["D"], (-pcl, 0.0))),
+    }
+    flexion = NamedCoordinate(of="shank.angle", relative_to="thigh", scale=-1.0)
+    return LegParts(
+        parts.bodies | knee.rods, parts.joints | joints, parts.coordinates | {"knee_flexion": flexion}, parts.markers
+    )
+
+
+def _thigh(pose: LegPose, hip: Hip) -> Frame:
+    trunk = hip.frame
+    return Frame.at(trunk.origin, trunk.angle + pose.hip_flexion, trunk.velocity, trunk.rate + pose.hip_flexion_rate)
+
+
+def _leg(person: Person, pose: LegPose, hip: Hip, thigh: Frame, shank: Frame) -> LegParts:
+    """Return a leg without the joints of its knee, given the frames of thigh and shank."""
+    ankle = -1j * person.shank_length
+    foot = Frame.at(
+        shank.to_global(ankle),
+        shank.angle + pose.ankle_dorsiflexion,
+        shank.velocity_of(ankle),
+        shank.rate + pose.ankle_dorsiflexion_rate,
+    )
+    segments = {"thigh": person.thigh, "shank": person.shank, "foot": person.foot}
+    frames = {"thigh": thigh, "shank": shank, "foot": foot}
+    places = {"knee": ("shank", 0j), "ankle": ("foot", 0j), "heel": ("foot", person.heel), "toe": ("foot", person.toe)}
+    on_foot = (xy(ankle - person.shank.centre), xy(-person.foot.centre))
+    return LegParts(
+        {name: frame.carry(segments[name]) for name, frame in frames.items()},
+        {
+            "hip": Revolute(bodies=(hip.body, "thigh"), points=(hip.point, xy(-person.thigh.centre))),
+            "ankle": Revolute(bodies=("shank", "foot"), points=on_foot),
+        },
+        {
+            "hip_flexion": NamedCoordinate(of="hip.angle"),
+            "knee_flexion": NamedCoordinate(of="knee.angle", scale=-1.0),
+            "ankle_dorsiflexion": NamedCoordinate(of="ankle.angle"),
+        },
+        {name: Marker(body=body, point=xy(point - segments[body].centre)) for name, (body, point) in places.items()},
+    )
+
+
+def second_leg(first: LegParts, same: LegParts) -> LegParts:
+    """Return the elements of a leg, which has the same names as the first one, under the names of the second leg."""
+    of_second = _Names({name for kind in first for name in kind})
+    return LegParts(
+        {of_second.of(name): body for name, body in same.bodies.items()},
+        {
+            of_second.of(name): joint.model_copy(update={"bodies": tuple(map(of_second.of, joint.bodies))})
+            for name, joint in same.joints.items()
+        },
+        {
+            of_second.of(name): one.model_copy(
+                update={"of": of_second.of(one.of), "relative_to": of_second.of(one.relative_to)}
+            )
+            for name, one in same.coordinates.items()
+        },
+        {
+            of_second.of(name): marker.model_copy(update={"body": of_second.of(marker.body)})
+            for name, marker in same.markers.items()
+        },
+    )
+
+
+def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str, Muscle]:
+    """Return muscles, each followed by its copy on the second leg if it is attached to the first one.
+
+    Raises
+    ------
+    SpecError
+        If there is a muscle already that has the name of a copy.
+    """
+    found: dict[str, Muscle] = {}
+    leg = {name for kind in first for name in kind}
+    on_leg, with_muscles = _Names(leg), _Names(leg | set(muscles))
+    for name, muscle in muscles.items():
+        found[name] = muscle
+        if not any(item.on in first.bodies for item in muscle.path):
+            continue
+        if name + SUFFIX in muscles:
+            raise SpecError(
+                f"with `symmetric_muscles: true`, '{name}' is on the second leg under this name; choose another one",
+                key=f"muscles.{quoted(name + SUFFIX)}",
+            )
+        change = {"path": [_on_second(item, on_leg) for item in muscle.path]}
+        found[name + SUFFIX] = muscle.model_copy(update=change | {"excitation": with_muscles.of(muscle.excitation)})
+    return found
+
+
+class _Names:
+    """Names of the second leg in place of given names of the first."""
+
+    def __init__(self, own: set[str]):
+        self._own = own
+
+    def of(self, value: Any) -> Any:
+        """Return a name or expression with the names of the second leg; other values as they are."""
+        if not isinstance(value, str) or value in self._own:
+            return value + SUFFIX if isinstance(value, str) else value
+        return re.sub(r"[^\W\d]\w*", lambda found: found[0] + SUFFIX * (found[0] in self._own), value)
+
+
+def _on_second(item: PathItem, names: _Names) -> PathItem:
+    """Return a point or circle of a path on the second leg."""
+    change: dict[str, Any] = {"body": names.of(item.body)}
+    if item.wrap is not None:
+        change["wrap"] = item.wrap.model_copy(update={"body": names.of(item.wrap.body)})
+    if item.when is not None:
+        change["when"] = {names.of(name): bounds for name, bounds in item.when.items()}
+    if item.point is not None:
+        change["point"] = tuple(
+            part.model_copy(update={"of": names.of(part.of)}) if isinstance(part, CoordinateTable) else names.of(part)
+            for part in item.point
+        )
+    return item.model_copy(update=change)
