@@ -183,6 +183,7 @@ class _Compiler:
         assert isinstance(function, ast.FunctionDef)
         self.parameters = parameters
         self.constants: list[float] = []
+        self.places: dict[str, int] = {}
         self.code: list[tuple[str, int, int, int]] = []
         self.names: dict[str, int] = {name: i for i, name in enumerate(ARGUMENTS)}
         # Values are numbered as they are computed: negative numbers stand for constants until their count is known.
@@ -244,8 +245,11 @@ class _Compiler:
         return self._append("power", base, self.value(node.right))
 
     def _constant(self, number: float) -> int:
-        self.constants.append(float(number))
-        return -len(self.constants)
+        bits = float(number).hex()  # 0.0 and -0.0 are different constants
+        if bits not in self.places:
+            self.places[bits] = len(self.constants)
+            self.constants.append(float(number))
+        return -1 - self.places[bits]
 
     def _append(self, name: str, *operands: int) -> int:
         self.values += 1

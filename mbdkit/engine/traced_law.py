@@ -106,6 +106,11 @@ class Traced(NDArrayOperatorsMixin):
     def __init__(self, source: Source, term: Term, slopes: tuple[Any, ...] = ()):
         self.source, self.term, self.slopes = source, term, slopes
 
+    @property
+    def plain(self) -> Traced:
+        """The number without its derivatives, with which an iteration gets close to a solution at no further cost."""
+        return Traced(self.source, self.term)
+
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **_: Any) -> Any:
         return self._applied(ufunc, operands)
 

@@ -49,7 +49,7 @@ class MuscleForce:
     @cached_property
     def force_law(self) -> TracedLaw:
         """The law of the tension."""
-        return muscle_law(self.muscle.tendon, self._excitation[0])
+        return muscle_law(self.muscle.tendon, self.muscle.curves, self._excitation[0])
 
     @property
     def numbers(self) -> list[float]:
@@ -163,15 +163,19 @@ def check_acting(mechanism: Mechanism) -> None:
                 "is missing: in a run, a muscle needs an excitation between 0 and 1 (number, expression or table)",
                 key=f"{key}.excitation",
             )
-        if len(MuscleForce(name, muscle).numbers) > MOST_NUMBERS:
+        if len(MuscleForce(name, muscle).numbers) > MOST_NUMBERS[muscle.curves]:
             raise SpecError(
                 "the excitation has too many points for a run; leave out some, or split the run",
                 key=f"{key}.excitation",
             )
-        if muscle.curves != "de-groote-fregly":
-            raise SpecError("runs have only the curves de-groote-fregly so far", key=f"{key}.curves")
         if muscle.tendon == "elastic" and not muscle.tendon_length:
             raise SpecError("should be greater than 0: an elastic tendon has a length", key=f"{key}.tendon_length")
+        if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
+            raise SpecError(
+                "should be greater than 0: with the curves millard, only damped fibres have a velocity of equilibrium "
+                "with an elastic tendon for every force",
+                key=f"{key}.damping",
+            )
         for index, item in enumerate(muscle.path):
             place = f"{key}.path[{index}]"
             if item.wrap is not None:

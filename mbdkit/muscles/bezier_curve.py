@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,17 @@ ROUNDING = 4 * np.finfo(float).eps
 
 GRID = np.linspace(0.0, 1.0, 129)
 """Parameters of the table from which Newton's method starts; two or three iterations are usual then."""
+
+
+HALLEY = 4
+"""Iterations of Halley's method that find the parameter of each curve of Millard within 1e-12 from the linear start; a
+step of Newton's method follows."""
+
+MORE_HALLEY = 6
+"""The same for sums of two coordinates of a curve."""
+
+Points = Sequence[Any]
+"""First control point of a segment, and the differences to each following one."""
 
 
 class Corner(NamedTuple):
@@ -83,6 +94,40 @@ class BezierCurve:
             slope = np.where(beyond, own, slope)
         return value, slope
 
+    def value(self, x: Any) -> Any:
+        """Return values at x, by a fixed sequence of operations that can be traced; see `mbdkit.engine.traced_law`."""
+        plain, (first, last) = without_slopes(x), self._ends
+        inside = np.where(plain < first, first, np.where(plain > last, last, x))
+        begins = self.x[1:, 0].tolist()
+        u = _reached(_chosen(self.x, begins, plain), inside, HALLEY)
+        found = _bezier_of(_chosen(self.y, begins, plain), u)[0]
+        below, above = (
+            at_end + slope * (x - end)
+            for end, at_end, slope in zip((first, last), (self.y[0, 0], self.y[-1, -1]), self.slopes, strict=True)
+        )
+        return np.where(plain < first, below, np.where(plain > last, above, found))
+
+    def x_where(self, p: Any, q: Any, r: Any) -> Any:
+        """Return the x at which ``p y + q x = r``, by a fixed sequence of operations that can be traced.
+
+        The left side is a Bezier curve of the same parameter. It has to increase, and to reach r: p is not negative, q
+        is positive.
+        """
+        first, last = (q * x + p * y for x, y in ((self.x[0, 0], self.y[0, 0]), (self.x[-1, -1], self.y[-1, -1])))
+        begins = [q * x + p * y for x, y in zip(self.x[1:, 0].tolist(), self.y[1:, 0].tolist(), strict=True)]
+        xs, ys = (_chosen(points, begins, r) for points in (self.x, self.y))
+        inside = np.where(r < first, first, np.where(r > last, last, r))
+        u = _reached([q * x + p * y for x, y in zip(xs, ys, strict=True)], inside, MORE_HALLEY)
+        below, above = (
+            end + (r - at_end) / (q + p * slope)
+            for end, at_end, slope in zip(self._ends, (first, last), self.slopes, strict=True)
+        )
+        return np.where(r < first, below, np.where(r > last, above, _bezier_of(xs, u)[0]))
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        return float(self.x[0, 0]), float(self.x[-1, -1])
+
     def _near(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return parameters close to those at which segments reach x."""
         u = np.zeros_like(x)
@@ -95,6 +140,57 @@ class BezierCurve:
     def _tables(self) -> list[np.ndarray]:
         """The x of each segment at the parameters of `GRID`."""
         return [_bezier(points, GRID)[0] for points in self.x]
+
+
+def without_slopes(x: Any) -> Any:
+    """Return a number without derivatives, for comparisons and starts of iterations; arrays have none."""
+    return getattr(x, "plain", x)
+
+
+def _chosen(points: np.ndarray, begins: Sequence[Any], x: Any) -> Points:
+    """Return the points of the segment in which x lies.
+
+    Parameters
+    ----------
+    points
+        (S, 4) control points of all segments.
+    begins
+        (S - 1,) begins of the segments but the first.
+    """
+    steps = np.column_stack([points[:, 0], np.diff(points, axis=1)]).tolist()
+    found = list(steps[0])
+    for begin, step in zip(begins, steps[1:], strict=True):
+        found = [np.where(x >= begin, new, old) for new, old in zip(step, found, strict=True)]
+    return found
+
+
+def _bezier_of(points: Points, u: Any) -> tuple[Any, Any, Any]:
+    """Return value, first and second derivative by u of the curve."""
+    start, a, b, c = points
+    w = 1.0 - u
+    uu, ww = u * u, w * w
+    rises = b * (u * uu * (10.0 * ww + 5.0 * u * w + uu))
+    value = start + a * (1.0 - w * ww * ww) + rises + c * (u * uu * uu)
+    derivative = 5.0 * (a * (ww * ww) + b * (6.0 * uu * ww) + c * (uu * uu))
+    second = 20.0 * (b * (3.0 * u * w * (w - u)) + c * (u * uu) - a * (w * ww))
+    return value, derivative, second
+
+
+def _reached(points: Points, goal: Any, iterations: int) -> Any:
+    """Return the parameter at which a segment reaches a value.
+
+    Only the last step has derivatives: there the parameter is known, so that they are those of the inverse function.
+    """
+    plain = without_slopes(goal)
+    start, a, b, c = points
+    u = (plain - start) / (a + b + c)
+    for _ in range(iterations):
+        value, slope, second = _bezier_of(points, u)
+        gap = value - plain
+        u = u - 2.0 * gap * slope / (2.0 * slope * slope - gap * second)
+        u = np.minimum(np.maximum(u, 0.0), 1.0)
+    value, slope, _ = _bezier_of(points, u)
+    return u - (value - goal) / slope
 
 
 def _bezier(points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,9 @@ Groote's curve of force by velocity is ``d1 y + d4`` with ``y = arcsinh(d2 v + d
     p y + q sinh(y) = r,    p = -d1 a f_active,    q = -damping / d2,
     r = d4 a f_active + f_passive - damping d3 / d2 - f_tendon / cos(alpha)
 
-The left side increases, so that there is one solution, also for muscles without activation.
+The left side increases, so that there is one solution, also for muscles without activation. With the curves of Millard,
+it is ``a f_active f_velocity(v) + damping v = f_tendon / cos(alpha) - f_passive``, whose left side is a Bezier curve of
+the same parameter as v.
 
 The activation a follows the excitation e with the time constants of `Activation`, which F. De Groote et al., Annals of
 Biomedical Engineering 44:2922-2936, 2016, equations 1 and 2, blend smoothly: with ``f = tanh(STEEPNESS (e - a)) / 2``
@@ -24,14 +26,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from mbdkit.expressions.program import Program, value_of
 from mbdkit.mechanism.force_law import LawState, TracedLaw
 from mbdkit.mechanism.muscles import Activation, Muscle
-from mbdkit.muscles.force_curves import DeGrooteFregly
+from mbdkit.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
 
 STEEPNESS = 10.0
 """Steepness b of the change between rising and falling activation. With the 0.1 that is also in use, the two
@@ -43,7 +45,6 @@ ITERATIONS = 5
 LAW_ID = "mbdkit:muscle"
 
 Parameters = Mapping[str, Any]
-_CURVES = DeGrooteFregly()
 
 
 def activation_rate(excitation: Any, p: Parameters) -> Any:
@@ -61,20 +62,25 @@ def activation_rate_text(times: Activation, excitation: str, activation: str) ->
     return f"((0.5 + {f})/({times.rise!r}*{slowing}) + (0.5 - {f})*{slowing}/{times.fall!r})*{gap}"
 
 
-def rigid_tension(length: Any, rate: Any, p: Parameters) -> Any:
+def _value(curves: ForceCurves, name: Literal["active", "passive", "velocity", "tendon"], x: Any) -> Any:
+    """Return values of a curve by operations that can be traced."""
+    return curves.curves[name].value(x) if isinstance(curves, Millard) else getattr(curves, name)(x)[0]
+
+
+def rigid_tension(length: Any, rate: Any, p: Parameters, curves: ForceCurves) -> Any:
     """Return the tension of a muscle with a rigid tendon."""
     along = length - p["tendon_length"]
     fiber = np.sqrt(along * along + p["thickness"] * p["thickness"])
     cosine = along / fiber
     velocity = rate * cosine / p["max_speed"]
     normal = fiber / p["optimal_length"]
-    active = p["activation"] * _CURVES.active(normal)[0] * _CURVES.velocity(velocity)[0]
-    return p["max_force"] * (active + _CURVES.passive(normal)[0] + p["damping"] * velocity) * cosine
+    active = p["activation"] * _value(curves, "active", normal) * _value(curves, "velocity", velocity)
+    return p["max_force"] * (active + _value(curves, "passive", normal) + p["damping"] * velocity) * cosine
 
 
-def elastic_tension(length: Any, p: Parameters) -> Any:
+def elastic_tension(length: Any, p: Parameters, curves: ForceCurves) -> Any:
     """Return the tension of an elastic tendon."""
-    return p["max_force"] * _CURVES.tendon((length - _along(p)) / p["tendon_length"])[0]
+    return p["max_force"] * _value(curves, "tendon", (length - _along(p)) / p["tendon_length"])
 
 
 def _along(p: Parameters) -> Any:
@@ -83,16 +89,20 @@ def _along(p: Parameters) -> Any:
     return np.where(fiber > thickness, np.sqrt(fiber * fiber - thickness * thickness), np.nan)
 
 
-def fiber_rate(length: Any, p: Parameters) -> Any:
+def fiber_rate(length: Any, p: Parameters, curves: ForceCurves) -> Any:
     """Return the rate of the length of fibres that are in equilibrium with an elastic tendon."""
     along, fiber = _along(p), p["fiber_length"]
     normal = fiber / p["optimal_length"]
-    d1, d2, d3, d4 = _CURVES.VELOCITY
-    active = p["activation"] * _CURVES.active(normal)[0]
-    tendon = _CURVES.tendon((length - along) / p["tendon_length"])[0]
-    q = p["damping"] / -d2
-    r = d4 * active + _CURVES.passive(normal)[0] + q * d3 - tendon * fiber / along
-    return p["max_speed"] * (np.sinh(solved(-d1 * active, q, r)) - d3) / d2
+    active = p["activation"] * _value(curves, "active", normal)
+    tendon = _value(curves, "tendon", (length - along) / p["tendon_length"])
+    wanted = tendon * fiber / along - _value(curves, "passive", normal)
+    if isinstance(curves, Millard):
+        velocity = curves.curves["velocity"].x_where(active, p["damping"], wanted)
+    else:
+        d1, d2, d3, d4 = DeGrooteFregly.VELOCITY
+        q = p["damping"] / -d2
+        velocity = (np.sinh(solved(-d1 * active, q, d4 * active + q * d3 - wanted)) - d3) / d2
+    return p["max_speed"] * velocity
 
 
 def solved(p: Any, q: Any, r: Any) -> Any:
@@ -130,8 +140,9 @@ class TableForm(NamedTuple):
 Form = Program | TableForm
 """An excitation that is a function of time without its numbers, which are parameters; empty for other excitations."""
 
-MOST_NUMBERS = 440
-"""Largest number of numbers of an excitation; programs of laws have `mbdkit.engine.kernels.law_programs.REGISTERS`."""
+MOST_NUMBERS: Mapping[str, int] = {"de-groote-fregly": 440, "millard": 360}
+"""Largest number of numbers of an excitation, by the curves of the muscle; programs of laws have
+`mbdkit.engine.kernels.law_programs.REGISTERS`."""
 
 
 def excitation_of(form: Form, time: Any, numbers: Sequence[Any]) -> Any:
@@ -166,8 +177,8 @@ def _of_table(form: TableForm, time: Any, numbers: Sequence[Any]) -> Any:
 
 
 @lru_cache(maxsize=256)
-def muscle_law(tendon: str, form: Form) -> TracedLaw:
-    """Return the law of a muscle with a rigid or an elastic tendon.
+def muscle_law(tendon: str, curves: str, form: Form) -> TracedLaw:
+    """Return the law of a muscle with a rigid or an elastic tendon, and with one of `CURVES`.
 
     If the excitation is no function of time, the rate of the activation is none of the law either, and 0.
     """
@@ -181,17 +192,18 @@ def muscle_law(tendon: str, form: Form) -> TracedLaw:
             return 0.0 * p["activation"]
         return activation_rate(excitation_of(form, time, [p[f"number_{i}"] for i in range(count)]), p)
 
+    own = CURVES[curves]
     states = [LawState("activation", TracedLaw(activation, _parameters, has_derivatives=False), "1")]
     if tendon == "rigid":
         return TracedLaw(
-            lambda length, rate, time, p: rigid_tension(length, rate, p),
+            lambda length, rate, time, p: rigid_tension(length, rate, p, own),
             _parameters,
             tuple(states),
             valid_range=lambda force: {"length": (force.muscle.tendon_length, np.inf)},
         )
-    rate_law = TracedLaw(lambda length, rate, time, p: fiber_rate(length, p), _parameters, has_derivatives=False)
+    rate_law = TracedLaw(lambda length, rate, time, p: fiber_rate(length, p, own), _parameters, has_derivatives=False)
     states.append(LawState("fiber_length", rate_law, "m"))
-    return TracedLaw(lambda length, rate, time, p: elastic_tension(length, p), _parameters, tuple(states))
+    return TracedLaw(lambda length, rate, time, p: elastic_tension(length, p, own), _parameters, tuple(states))
 
 
 def _parameters(force: Any) -> dict[str, float]:

@@ -25,6 +25,26 @@ def test_the_curves_of_millard_are_those_of_opensim(name):
     np.testing.assert_allclose(getattr(CURVES["millard"], name)(x)[0], y, rtol=0, atol=1e-14)
 
 
+@pytest.mark.parametrize("name", OPENSIM)
+def test_the_curves_of_millard_in_runs_are_those_of_opensim_and_of_recruitment(name):
+    curve = CURVES["millard"].curves[name]
+    x, y = np.array(list(OPENSIM[name].items())).T
+    np.testing.assert_allclose(curve.value(x), y, rtol=0, atol=1e-13)
+    low, high = curve.x[0, 0], curve.x[-1, -1]
+    x = np.concatenate([np.linspace(1.2 * low - 0.2 * high, 1.2 * high - 0.2 * low, 20001), curve.x.ravel()])
+    np.testing.assert_allclose(curve.value(x), curve.at(x)[0], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("damping", [0.001, 0.1, 1.0])
+def test_fibres_of_millard_have_the_velocity_of_equilibrium(damping):
+    # expected: the velocities from which the forces were computed
+    curve = CURVES["millard"].curves["velocity"]
+    velocity = np.concatenate([np.linspace(-1.6, 1.6, 2001), curve.x.ravel()])
+    for active in (0.0, 1e-6, 1e-3, 0.05, 0.5, 1.0, 1.5):
+        force = active * curve.at(velocity)[0] + damping * velocity
+        np.testing.assert_allclose(curve.x_where(active, damping, force), velocity, rtol=0, atol=1e-12)
+
+
 def test_the_curves_of_de_groote_and_fregly_have_their_published_values():
     curves = CURVES["de-groote-fregly"]
     one = np.ones(1)
