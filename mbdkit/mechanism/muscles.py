@@ -200,6 +200,8 @@ class Muscle(Element):
                 raise SpecError(f"the {end} point of a path is always there", key=f"path[{index}].when")
         if len({item.on for item in self.path}) == 1:
             raise SpecError(f"is on '{self.path[0].on}' alone, so that the muscle moves nothing", key="path")
+        if isinstance(self.excitation, int | float) and not 0 <= self.excitation <= 1:
+            raise SpecError(f"should be between 0 and 1, not {self.excitation:g}", key="excitation")
         if self.pennation >= TOO_STEEP:
             raise SpecError(
                 f"should be less than {TOO_STEEP:.4g} rad (80 degrees), not {self.pennation:g}; angles are in radians",

@@ -25,6 +25,12 @@ from mbdkit.muscles.hill_laws import LAW_ID, MOST_NUMBERS, Form, TableForm, exci
 SHORTEST = 0.2
 """Shortest fibres that an equilibrium at the start may have, in optimal lengths; there the passive force is zero."""
 
+SAMPLES = 1001
+"""Number of times at which excitations are compared with 0 and 1."""
+
+OVERSHOOT = 0.01
+"""Distance from the range 0 to 1 that counts as far outside; splines through 0 and 1 go beyond them a little."""
+
 
 @dataclass(frozen=True)
 class MuscleForce:
@@ -77,6 +83,22 @@ class MuscleForce:
         """
         form, numbers = self._excitation
         return np.array([float(excitation_of(form, t, numbers)) for t in time.tolist()])
+
+    def excitation_outside(self, start: float, end: float) -> tuple[float, float] | None:
+        """Return a time, from start to end, at which the excitation is far outside of 0 to 1, and its value there; None
+        if there is none, or if the excitation is no function of time.
+        """
+        form, numbers = self._excitation
+        if not form:
+            return None
+        time = np.linspace(start, end, SAMPLES)
+        with np.errstate(all="ignore"):
+            value = np.broadcast_to(excitation_of(form, time, [np.float64(number) for number in numbers]), time.shape)
+            beyond = np.abs(value - 0.5) - 0.5
+        if not np.any(beyond > OVERSHOOT):
+            return None
+        worst = int(np.nanargmax(beyond))
+        return float(time[worst]), float(value[worst])
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
         """Return the parts of the path: straight ones, and for each circle its two tangents and the straight line past
@@ -181,16 +203,27 @@ def check_acting(mechanism: Mechanism) -> None:
             if item.wrap is not None:
                 _check_circle(muscle.path[index - 1], muscle.path[index + 1], f"{place}.wrap")
             if item.when is not None:
-                raise SpecError("muscles of a run cannot have points that come and go", key=f"{place}.when")
+                raise SpecError(
+                    "in a run, a path has all of its points at all times; conditions are for inverse dynamics only",
+                    key=f"{place}.when",
+                )
             if item.moves:
-                raise SpecError("muscles of a run cannot have points that move so far", key=f"{place}.point")
+                raise SpecError(
+                    "in a run, points of muscles are fixed to their bodies; points that move with a coordinate are for "
+                    "inverse dynamics only",
+                    key=f"{place}.point",
+                )
 
 
 def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
     """Raise a SpecError unless a circle is between two points with equal offsets."""
     if before.wrap is not None or after.wrap is not None:
-        raise SpecError("runs have only one circle between two points of a path so far", key=key)
+        raise SpecError(
+            "in a run, a path has at most one circle between two points; several are for inverse dynamics only", key=key
+        )
     if before.offset != after.offset:
         raise SpecError(
-            "the points next to a circle have different offsets from the plane, which runs do not have so far", key=key
+            "in a run, the points next to a circle have equal offsets from the plane; different ones are for inverse "
+            "dynamics only",
+            key=key,
         )

@@ -20,6 +20,7 @@ from mbdkit.mechanism.joints import Driver, Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import evaluate, names_in
 from mbdkit.mechanism.size import mechanism_size
+from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
 
 FAR = 0.1
@@ -38,8 +39,10 @@ _ANGLE = re.compile(r"\[rad( or m)?\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings of the model, and about angles in degrees, long steps, and parameters."""
-    return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec))
+    """Return the warnings of the model, and about angles in degrees, long steps, excitations, and
+    parameters.
+    """
+    return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_excitations(spec))
 
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
@@ -167,6 +170,15 @@ def _long_step(spec: RunSpec) -> Iterator[str]:
             f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s, which is then a "
             f"single, shorter step"
         )
+
+
+def _excitations(spec: RunSpec) -> Iterator[str]:
+    """Yield a warning for each muscle whose excitation leaves the range 0 to 1 as a function of time."""
+    for name, muscle in acting_muscles(spec.mechanism()).items():
+        if (outside := muscle.excitation_outside(spec.time.start, spec.time.final)) is not None:
+            time, value = outside
+            found = f"{value:.3g} at t = {time:.6g} s"
+            yield f"the excitation of muscle '{name}' is {found}; it should stay between 0 and 1"
 
 
 def _unresolved_beams(spec: RunSpec) -> Iterator[str]:

@@ -456,12 +456,21 @@ def test_runs_of_a_batch_and_resumed_runs_have_the_same_bits(tmp_path: Path) -> 
             "should be greater than 0: with the curves",
         ),
         ({"excitation": "sin(x)"}, "excitation", "unknown name 'x'"),
+        ({"excitation": 1.5}, "excitation", "should be between 0 and 1, not 1.5"),
+        ({"excitation": {"table": [[0, 0.01], [0.1, 0.2]]}}, "excitation.table[0]", "the table covers 0.0 s to 0.01 s"),
     ],
 )
 def test_errors_name_the_muscle_and_its_key(change: dict[str, Any], key: str, sentence: str) -> None:
     with pytest.raises(SpecError, match=sentence) as caught:
         mbdkit.run(arm(**({"kind": "rigid"} | change)), integrator=IMPLICIT, time={"end": 0.1, "step": 0.01})
     assert str(caught.value.key) == f"model.muscles.biceps.{key}"
+
+
+def test_an_excitation_that_leaves_0_to_1_makes_the_run_doubtful() -> None:
+    model = arm("rigid", excitation="0.9 + t")
+    run = mbdkit.run(model, integrator={"name": "rk4"}, time={"end": 0.3, "step": 0.001})
+    assert run.verdict == "doubtful"
+    assert run.warnings == ["the excitation of muscle 'biceps' is 1.2 at t = 0.3 s; it should stay between 0 and 1"]
 
 
 def test_a_path_that_becomes_shorter_than_its_tendon_makes_the_run_doubtful() -> None:
