@@ -40,7 +40,7 @@ HISTORIES = frozenset(["trajectory/time", *(array.path for array in RECORDED.val
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
 """Values of `store` with which a study keeps the recorded rows."""
 
-COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"))
+COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"))
 """Growing axes of a run archive, and the group that holds their number of rows by run."""
 
 
@@ -68,7 +68,7 @@ _HASHES = {
     "data_sha256": "hash of all its arrays, kept or not",
 }
 
-_AXIS = {"time": "row", "interval": "interval", "event": "event"}
+_AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact"}
 """Names of the growing axes in a block: times differ from run to run."""
 
 _UNSET = object()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
@@ -439,6 +439,40 @@ class Event:
     name: str
     time: float
     direction: int
+
+
+@dataclass(frozen=True)
+class Impacts:
+    """Impacts of rigid contacts in order of time.
+
+    Attributes
+    ----------
+    time
+        Times of the impacts, and of the ends of geometric sequences that are left out, (I,), s.
+    contact
+        Name of the contact of each, (I,).
+    normal_impulse, tangential_impulse
+        Impulses on the second body, (I,), N s; 0 at the end of a sequence.
+    energy_lost
+        Kinetic energy that all impacts at this time lose, (I,), J.
+    """
+
+    time: np.ndarray
+    contact: np.ndarray
+    normal_impulse: np.ndarray
+    tangential_impulse: np.ndarray
+    energy_lost: np.ndarray
+
+    @classmethod
+    def of(cls, run: Source) -> Impacts:
+        """Return the impacts recorded by a run; none if its contacts are not rigid."""
+        names = [one.name for one in fields(cls)]
+        if run.records("impacts/time"):
+            return cls(*(run.array(f"impacts/{name}") for name in names))
+        return cls(*(np.zeros(0, dtype=object if name == "contact" else float) for name in names))
+
+    def __len__(self) -> int:
+        return len(self.time)
 
 
 class Events(Sequence[Event]):

@@ -26,6 +26,7 @@ from mbdkit.archive.history import (
     Events,
     ForceHistories,
     Histories,
+    Impacts,
     JointHistories,
     LoadHistories,
     MarkerHistories,
@@ -479,6 +480,11 @@ class Run(HtmlView):
     def steps(self) -> Steps:
         """Statistics of the integrator for each recorded interval."""
         return Steps(self)
+
+    @cached_property
+    def impacts(self) -> Impacts:
+        """Impacts of rigid contacts in order of time."""
+        return Impacts.of(self)
 
     @property
     def events(self) -> Events:

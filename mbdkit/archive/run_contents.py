@@ -206,7 +206,7 @@ class ArchiveContents(RunContents):
         """See `RunContents`."""
         noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
         if noted is not None:
-            return {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=True)}
+            return dict.fromkeys(GROWING, 0) | {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=False)}
         lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # of an earlier version
         for array in layout.LAYOUT:
             if array.grows and array.path in self._file:

@@ -100,7 +100,7 @@ def check_shapes(file: h5py.File) -> None:
             if crashed and dim in GROWING:
                 continue
             # all groups have the same rows, bodies and joints, but events have their own times
-            place = f"events/{dim}" if array.group == "events" and dim in GROWING else dim
+            place = f"events/{dim}" if array.group in ("events", "impacts") and dim in GROWING else dim
             if lengths.setdefault(place, length) != length:
                 raise ValueError(f"axis {dim} of {path} has the length {length}, elsewhere {lengths[place]}")
     for dim, fixed in (("coordinate", len(COORDINATES)), ("axis", len(AXES))):

@@ -241,6 +241,11 @@ class RunWriter(ABC):
         keyed = {f"events/{name}": values for name, values in rows.items()}
         self._append("event", {**keyed, "events/event": self._numbers("event", len(rows["name"]))})
 
+    def append_impacts(self, rows: Mapping[str, np.ndarray]) -> None:
+        """Append impacts of contacts: ``time``, ``contact`` (strings), impulses and energy, each (I,)."""
+        keyed = {f"impacts/{name}": values for name, values in rows.items()}
+        self._append("impact", {**keyed, "impacts/impact": self._numbers("impact", len(rows["time"]))})
+
     def _numbers(self, dim: str, count: int) -> np.ndarray:
         first = self.rows(dim) + 1
         return np.arange(first, first + count)

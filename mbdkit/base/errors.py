@@ -158,6 +158,10 @@ class RunError(MbdkitError):
     """A run did not complete; raised by `Run.check`."""
 
 
+StepCode = Literal["newton-failed", "singular", "not-finite", "step-too-small", "zeno", "painleve", "contact-solver"]
+"""Codes of steps that fail, which are among those of archives."""
+
+
 class StepError(Exception):
     """A step failed. The run ends with the status ``failed`` and this reason; rows recorded before are kept.
 
@@ -172,7 +176,13 @@ class StepError(Exception):
         Description of the failure, without the time and without a full stop.
     """
 
-    def __init__(self, code: Literal["newton-failed", "singular", "not-finite", "step-too-small"], sentence: str):
+    def __init__(
+        self,
+        code: Literal[
+            "newton-failed", "singular", "not-finite", "step-too-small", "zeno", "painleve", "contact-solver"
+        ],
+        sentence: str,
+    ):
         super().__init__(code, sentence)
         self.code, self.sentence = code, sentence
 

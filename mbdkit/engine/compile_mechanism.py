@@ -20,7 +20,7 @@ from mbdkit.engine.compiled_mechanism import (
     Row,
     SampledController,
 )
-from mbdkit.engine.contact_forces import ActingContact, acting_contacts, contact_laws
+from mbdkit.engine.contact_forces import HELD, ActingContact, acting_contacts, contact_laws
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
@@ -40,6 +40,7 @@ from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpress
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program, derivative_of
 from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
+from mbdkit.mechanism.contacts import COMPLIANT
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
@@ -201,6 +202,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         controllers=tuple(forces.controllers),
         muscles=tuple(forces.muscles),
         contacts=tuple(forces.contacts),
+        contact_treatment=mechanism.contact_treatment if mechanism.contacts else COMPLIANT,
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
@@ -274,6 +276,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
             mechanism.controllers,
             mechanism.muscles if mechanism.muscles_act else {},
             mechanism.contacts,
+            {"treatment": tuple(mechanism.contact_treatment)} if mechanism.contacts else {},
         )
         for name, one in named.items()
     ]
@@ -351,9 +354,7 @@ class _Forces:
         for name, muscle in acting_muscles(mechanism).items():
             self.muscles.append(ActingMuscle(muscle, len(self.states)))
             self.add_law(name, muscle, "muscles")
-        self.contacts = acting_contacts(mechanism, number)
-        for contact in self.contacts:
-            self.add_contact(contact)
+        self.contacts = [self.add_contact(contact) for contact in acting_contacts(mechanism, number)]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
@@ -429,8 +430,11 @@ class _Forces:
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
 
-    def add_contact(self, contact: ActingContact) -> None:
-        """Add a force and a torque at the centre of mass of each body that moves; see `contact_forces`."""
+    def add_contact(self, contact: ActingContact) -> ActingContact:
+        """Add a force and a torque at the centre of mass of each body that moves; see `contact_forces`.
+
+        Returns the contact with the number of its first state, if it is rigid.
+        """
         form, begin, name = contact.form, len(self.law_parameters), contact.pair.name
         laws = contact_laws(form, len(contact.numbers))
         first, places = len(self.inputs), {}
@@ -463,6 +467,15 @@ class _Forces:
                             self.slopes.append((load, place, len(self.laws), places[by], -1))
                             compiled, _ = bind_law(slope, contact.options, name)
                             self._add_law_row(f"contact '{name}'", compiled, begin)
+        if contact.first_state < 0:
+            return contact
+        shapes = len(contact.pair.numbers)
+        for i, quantity in enumerate(HELD):
+            place = begin + 1 + names.index(f"number_{shapes + i:03d}")
+            self.state_places.append((len(self.states), place))
+            self.state_rows.append((-1, place, -1))
+            self.states.append(ElementState(f"{name}.{quantity}", "1" if quantity == "mode" else "N"))
+        return replace(contact, first_state=len(self.states) - len(HELD))
 
     def add_expressions(self, mechanism: Mechanism) -> None:
         """Add the expressions of the state: values of loads, and rates of the mechanism's own states."""

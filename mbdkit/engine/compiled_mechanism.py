@@ -14,6 +14,7 @@ from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.expressions.program import Program
+from mbdkit.mechanism.contacts import COMPLIANT, Treatment
 from mbdkit.mechanism.values import Motion
 from mbdkit.muscles.acting_muscles import MuscleForce
 
@@ -205,6 +206,7 @@ class CompiledMechanism:
     controllers: tuple[SampledController, ...] = ()
     muscles: tuple[ActingMuscle, ...] = ()
     contacts: tuple[ActingContact, ...] = ()
+    contact_treatment: Treatment = COMPLIANT
 
     def freedoms(self) -> str:
         """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.

@@ -29,6 +29,15 @@ HEAVY = 10.0
 """Largest normal force at the start, relative to the weight of all bodies, with which an overlap counts as that of
 bodies at rest."""
 
+RIGID_KINDS = ("line", "circles")
+"""Kinds of geometry whose rows are smooth where the shapes touch."""
+
+NOTHING_HELD = (0.0,) * 7
+"""Numbers of the law of a rigid contact: forces and mode, which its states replace."""
+
+HELD = ("normal_force", "friction_force", "mode")
+"""What a rigid contact holds from step to step, as first-order states without rates."""
+
 COORDINATES = 6
 """Coordinates and velocities of a body: x, y, angle and their rates."""
 
@@ -98,12 +107,18 @@ class ActingContact:
         Numbers of its bodies.
     law
         Numbers of its laws, in the order of `mbdkit.symbolic.contact_definitions.LAW`.
+    first_state
+        Number of the first of the `HELD` states of a rigid contact; -1 of compliant ones.
+    coefficients
+        Coefficient of restitution, and static and kinetic coefficient of friction.
     """
 
     pair: ContactPair
     form: Form
     bodies: tuple[int, int]
     law: tuple[float, ...]
+    first_state: int = -1
+    coefficients: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -126,12 +141,17 @@ class ActingContact:
         given = {_input(one): 0.0 for one in self.form.inputs}
         return given | {_number(i): float(x) for i, x in enumerate(self.numbers)}
 
-    def values(self, q: np.ndarray, v: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the recorded quantities (T,) at positions and velocities (T, 3 (B + 1))."""
+    def values(self, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the recorded quantities (T,) at positions and velocities (T, 3 (B + 1)) and first-order states
+        (T, Z).
+        """
         both = [x[:, 3 * body : 3 * body + 3].T for body in self.bodies for x in (q, v)]
         with np.errstate(all="ignore"):
             computed = _function(self.form)(*(row for one in both for row in one), *self.numbers)
         gap, normal, friction, slip = (np.broadcast_to(x, (len(q),)) + 0.0 for x in computed[:4])
+        if self.first_state >= 0:
+            held = (z[:, self.first_state + i] for i in range(len(HELD)))
+            return {"gap": gap, "slip": slip, **dict(zip(HELD, held, strict=True))}
         sticks = self.form.has_friction & (np.abs(slip) <= self.law[-1])
         mode = np.where((gap < 0.0) & (normal > 0.0), np.where(sticks, STICK, SLIP), OPEN)
         return {
@@ -159,18 +179,36 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
     if not mechanism.contacts:
         return []
     found = []
+    is_rigid = mechanism.contact_treatment.is_rigid
     for name, contact in mechanism.contacts.items():
         for pair in contact.pairs(name, mechanism.joints):
+            moving = tuple(_coordinates(mechanism, body) for body in pair.bodies)
+            bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
+            static, kinetic = contact.coefficients
+            if is_rigid:
+                _check_rigid(pair)
+                form = Form(pair.kind, "held", static > 0.0, moving)  # type: ignore[arg-type]
+                given = contact.restitution, static, kinetic
+                found.append(ActingContact(pair, form, bodies, NOTHING_HELD, 0, given))
+                continue
             if contact.compliance is None:
                 raise SpecError(
                     "is missing: the compliant treatment needs a law of the normal force, such as {stiffness: 1.0e6}",
                     key=f"{pair.key}.compliance",
                 )
-            moving = tuple(_coordinates(mechanism, body) for body in pair.bodies)
-            form = Form(pair.kind, FORCES[contact.compliance.law], contact.coefficients[0] > 0.0, moving)  # type: ignore[arg-type]
-            bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
+            form = Form(pair.kind, FORCES[contact.compliance.law], static > 0.0, moving)  # type: ignore[arg-type]
             found.append(ActingContact(pair, form, bodies, _law_numbers(contact, pair.radius)))
     return found
+
+
+def _check_rigid(pair: ContactPair) -> None:
+    """Raise SpecError for a contact that rigid treatments do not have."""
+    if pair.kind[0] not in RIGID_KINDS:
+        raise SpecError(
+            "rigid contacts are those of points, circles and polygons with lines, and of circles with each other, so "
+            "far; use `contact: {treatment: compliant}`",
+            key=f"{pair.key}.shapes",
+        )
 
 
 def _law_numbers(contact: Contact, radius: float) -> tuple[float, ...]:
@@ -238,8 +276,14 @@ def check_start(
         Weight of all bodies [N].
     """
     for one in contacts:
-        values = one.values(q[None], 0.0 * v[None])
+        values = one.values(q[None], 0.0 * v[None], np.zeros((1, one.first_state + len(HELD) + 1)))
         depth, push = -float(values["gap"][0]), float(values["normal_force"][0])
+        if one.first_state >= 0 and depth > tolerance:
+            raise SpecError(
+                f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, more than "
+                f"`assembly.tolerance`, {tolerance:.4g} m; move the bodies apart",
+                key=f"{one.pair.key}.shapes",
+            )
         if depth > tolerance and push > HEAVY * weight:
             raise SpecError(
                 f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, where they would push each "

@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
@@ -127,6 +128,20 @@ class EquationsOfMotion:
             Start time [s].
         """
         return cls(workspace_at_start(mechanism, t0)[0])
+
+    @property
+    def length(self) -> float:
+        """Characteristic length of the mechanism [m]."""
+        return self._workspace.mechanism.length
+
+    def hold(self, z: np.ndarray) -> None:
+        """Use the values `z` (Z,) of first-order states in what is evaluated next."""
+        self._workspace.take_states(z)
+
+    @property
+    def contacts(self) -> tuple[ActingContact, ...]:
+        """Rigid contacts, whose forces the methods of this class do not include; those of compliant ones are forces."""
+        return tuple(one for one in self._workspace.mechanism.contacts if one.first_state >= 0)
 
     @property
     def terms_now(self) -> np.ndarray:

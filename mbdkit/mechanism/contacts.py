@@ -125,6 +125,32 @@ def _check_convex(corners: tuple[Pair, ...]) -> None:
         raise SpecError("the edges of a polygon should not cross", key="polygon")
 
 
+class Treatment(NamedTuple):
+    """How contacts act in a run.
+
+    Attributes
+    ----------
+    kind
+        ``compliant``, ``event-driven`` or ``time-stepping``; all but the first have rigid bodies.
+    impact_law
+        Law of impacts of rigid bodies, ``newton`` or ``poisson``.
+    rest_energy
+        Kinetic energy of a rebound, as a share of the largest so far, below which a contact stays closed.
+    """
+
+    kind: str = "compliant"
+    impact_law: str = "newton"
+    rest_energy: float = 1e-12
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether bodies do not overlap."""
+        return self.kind != "compliant"
+
+
+COMPLIANT = Treatment()
+
+
 class Friction(StrictModel):
     """Coefficients of Coulomb's friction."""
 

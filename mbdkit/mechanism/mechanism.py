@@ -17,7 +17,7 @@ from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element, Marker
 from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
-from mbdkit.mechanism.contacts import Contact, check_contacts
+from mbdkit.mechanism.contacts import Contact, Treatment, check_contacts
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
@@ -70,6 +70,8 @@ class Mechanism(HtmlView):
         Sampled controllers by name.
     muscles_act : bool
         Whether muscles are force elements, as in runs; in inverse dynamics, they share moments instead.
+    contact_treatment : Treatment
+        How contacts act in a run.
     warnings : tuple of str
         Warnings for every run of the mechanism, such as parts of a file that were ignored. It does not change the
         verdict, and is not part of a spec.
@@ -98,6 +100,7 @@ class Mechanism(HtmlView):
         self.states: dict[str, FirstOrderState] = {}
         self.controllers: dict[str, Controller] = {}
         self.muscles_act = False
+        self.contact_treatment = Treatment()
         self.warnings: tuple[str, ...] = ()
 
     @property

@@ -290,6 +290,8 @@ def _replacements(
                 yield path, text, "function of coordinates"
             continue
         text = details["input"]
+        if _at(data, path) != text:
+            continue  # the place of a number in a union is not known
         try:
             if quantity := read_quantity(text, known):
                 yield path, _in_si(*quantity, details, data, root, plugins), "quantity"

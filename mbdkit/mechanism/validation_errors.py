@@ -301,6 +301,8 @@ def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[A
         if isinstance(tag, str) and isinstance(bare, type) and issubclass(bare, BaseModel):
             if label in get_args(bare.model_fields[tag].annotation):
                 return member
-        elif getattr(member, "__name__", None) == label:
+        elif (name := getattr(member, "__name__", None)) == label:
             return member
+        elif isinstance(label, str) and label.startswith("function-") and label.endswith(f", {name}]"):
+            return member  # a model with a validator of its own
     return next((member for member in members if below and get_args(member)), None)

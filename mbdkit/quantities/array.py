@@ -26,8 +26,8 @@ COORDINATE_UNITS: Mapping[str, tuple[str, ...]] = {
 }
 """Units along the axis ``coordinate``, by the name of the array that holds them."""
 
-#: Axes that grow during a run: recorded rows, intervals between them, and events.
-GROWING = ("time", "interval", "event")
+#: Axes that grow during a run: recorded rows, intervals between them, events, and impacts.
+GROWING = ("time", "interval", "event", "impact")
 
 _XY = slice(0, 2)
 

@@ -150,7 +150,7 @@ class States:
     @cached_property
     def _contacts(self) -> list[dict[str, np.ndarray]]:
         """Quantities (T,) of each contact by name."""
-        return [one.values(self.q, self.v) for one in self.mechanism.contacts]
+        return [one.values(self.q, self.v, self.z) for one in self.mechanism.contacts]
 
     def of_contacts(self, name: str) -> np.ndarray:
         """Return a quantity (T, C) of the contacts; empty if there are none.

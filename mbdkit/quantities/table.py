@@ -37,6 +37,7 @@ UNITS_OF_ELEMENT: Mapping[str, Mapping[str, str]] = {
 _T = ("time",)
 _N = ("interval",)
 _E = ("event",)
+_I = ("impact",)
 _TBC = ("time", "body", "coordinate")
 _EBC = ("event", "body", "coordinate")
 _TJ = ("time", "joint")
@@ -354,6 +355,17 @@ KINDS = (
         Array("velocity", _EBC, MIXED, "velocity and angular velocity then", row_units="velocity_row_units",
             components=_VELOCITY),
         optional=True, word="events", one="event", example="time",
+    ),
+    _kind(
+        "impacts",
+        Array("impact", _I, "1", "number of the impact, from 1, in order of time", INTEGER),
+        Array("time", _I, "s", "time of the impact, or of the end of a geometric sequence of impacts that is left out"),
+        Array("contact", _I, "1", "name of the contact", TEXT),
+        Array("normal_impulse", _I, "N s", "impulse that pushes the bodies apart; 0 at the end of a sequence"),
+        Array("tangential_impulse", _I, "N s",
+            "impulse of friction on the second body, along the normal turned by -90 degrees"),
+        Array("energy_lost", _I, "J", "kinetic energy that all impacts at this time lose"),
+        optional=True, word="impacts", one="impact", example="time", since="1.1",
     ),
     _kind(
         "accuracy",

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CONTACTS, CORRECTIONS, EVENTS, MUSCLES, STATES, recorded_by
-from mbdkit.base.errors import PluginError, SpecError, blaming, with_place
+from mbdkit.archive.layout import CONTACTS, CORRECTIONS, EVENTS, IMPACTS, MUSCLES, STATES, recorded_by
+from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision, workspace_at_start
@@ -24,6 +24,7 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.runs.corners import corner_warnings, stops_of
 from mbdkit.runs.warnings import spec_warnings
 from mbdkit.spec import RunSpec
+from mbdkit.stepping.event_driven import with_contact_forces
 from mbdkit.stepping.interface import Failure, Guards, Timetable
 
 
@@ -79,8 +80,12 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
         with within_double_precision():
             require_unique_start(workspace)
             workspace.mechanism.length**2  # step guards divide by it
+            if workspace.mechanism.contact_treatment.is_rigid:
+                workspace = with_contact_forces(workspace)
     except SpecError as error:
         raise spec.placed(error) from error
+    except StepError as error:
+        raise spec.placed(SpecError(f"{error}, at the start", key="model.contacts")) from error
     return workspace, start
 
 
@@ -122,12 +127,28 @@ def make_method(spec: RunSpec) -> Method:
             f"integrator {spec.integrator_item.id} created an object of type {type(method).__name__}; it must "
             "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver or an instance of a StepMethod subclass"
         )
+    _check_treatment(spec, method)
     if not method.traits.can_be_projected and spec.stabilized.kind == "projection":
         raise PluginError(
             f"integrator {spec.integrator_item.id} claims to support projection, which SciPy's solvers do not: "
             'it should claim `stabilizations=("none", "baumgarte")`'
         )
     return method
+
+
+def _check_treatment(spec: RunSpec, method: Method) -> None:
+    """Raise SpecError if a method cannot integrate the rigid contacts of a spec."""
+    treatment, traits = spec.contact.treatment, method.traits
+    if treatment == "compliant" or not spec.mechanism().contacts:
+        return
+    if treatment == "time-stepping" and traits.family != "moreau-jean":
+        raise spec.placed(SpecError("the treatment time-stepping needs the integrator moreau-jean", key="integrator"))
+    if treatment == "event-driven" and not (traits.is_explicit and traits.tableau and traits.tolerances is None):
+        message = "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853"
+        raise spec.placed(SpecError(message, key="integrator"))
+    if spec.stabilized.kind != "none":
+        message = "rigid contacts are projected with the joints in every step; leave it out"
+        raise spec.placed(SpecError(message, key="stabilization"))
 
 
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:
@@ -138,6 +159,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         *(STATES if mechanism.states else ()),
         *(MUSCLES if mechanism.muscles else ()),
         *(CONTACTS if mechanism.contacts else ()),
+        *(IMPACTS if mechanism.contact_treatment.is_rigid else ()),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),

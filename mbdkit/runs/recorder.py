@@ -27,6 +27,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
+    from mbdkit.stepping.rigid_contacts import ContactImpact
 
 APART = 1e-6
 """Residual of a redundant row that round-off can explain, as a share of the characteristic length; for angles, in
@@ -289,6 +290,22 @@ class Recorder:
                 "direction": np.array([one.direction for one in found]),
                 "position": np.array([one.q[:-3] for one in found]).reshape(shape),
                 "velocity": np.array([one.v[:-3] for one in found]).reshape(shape),
+            }
+        )
+
+    def record_impacts(self, impacts: Sequence[ContactImpact]) -> None:
+        """Write impacts of contacts."""
+        if not impacts:
+            return
+        time, contact, normal, tangential, lost = zip(*impacts, strict=True)
+        names = [one.pair.name for one in self.workspace.mechanism.contacts]
+        self.writer.append_impacts(
+            {
+                "time": np.array(time),
+                "contact": np.array([names[number] for number in contact], dtype=object),
+                "normal_impulse": np.array(normal),
+                "tangential_impulse": np.array(tangential),
+                "energy_lost": np.array(lost),
             }
         )
 

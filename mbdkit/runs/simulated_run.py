@@ -50,6 +50,7 @@ from mbdkit.runs.warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Advancing, Failure, Stretch
+from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 from mbdkit.trust.criteria import judge
@@ -388,11 +389,17 @@ class SimulatedRun:
         )
         ending = status, reason
         steps = None if stepper is None else stepper.evidence
+        inner = stepper if self.watch is None else self.watch.stepper
+        notes: tuple[str, ...] = ()
+        if isinstance(inner, PythonStepper) and (contacts := inner.contact_state) is not None:
+            self.recorder.record_impacts(contacts.impacts)
+            notes = contacts.remarks()
         mechanism = self.spec.mechanism()
         ranges = self.recorder.ranges
         left = () if ranges is None or ranges.stops else ranges.warnings()  # if it stops, the failure says so
         self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached), *left)
         questions = doubts(self.spec, self.warnings)
+        self.warnings = (*self.warnings, *notes)  # about the treatment of contacts, as intended
         evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
         errors = None
         if self.accuracy is not None:

@@ -344,6 +344,8 @@ class RunSpec(ModelSpec):
         if mechanism.muscles:
             check_acting(mechanism)
             mechanism.muscles_act = True
+        if mechanism.contacts:
+            mechanism.contact_treatment = self.contact.of_mechanism
         self._watched = self._parsed(mechanism)
         self._settings = self._parsed_settings(mechanism)
 

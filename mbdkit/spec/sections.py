@@ -17,6 +17,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.contacts import Treatment
 from mbdkit.mechanism.state_values import Expression
 from mbdkit.quantities.table import ChosenGroup, quantities_of_events
 
@@ -38,21 +39,25 @@ class Section(StrictModel):
     """Base class of the sections of a spec."""
 
 
-TREATMENTS = ("compliant", "event-driven", "time-stepping")
-
-
-def _treatment(value: Any) -> Any:
-    """Refuse treatments that do not exist yet."""
-    if value in TREATMENTS[1:]:
-        raise SpecError(f"the treatment {value} does not exist yet; contacts are compliant")
-    return value
-
-
 class ContactTreatment(Section):
     """How contacts of the mechanism act in the run."""
 
-    treatment: Annotated[Literal["compliant"], BeforeValidator(_treatment)] = "compliant"
-    """`compliant`: the bodies overlap by a little, and `compliance` of a contact determines the force."""
+    treatment: Literal["compliant", "event-driven", "time-stepping"] = "compliant"
+    """`compliant`: the bodies overlap by a little, and `compliance` of a contact determines the force; by every method.
+    `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are located; by
+    explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every step; by
+    `moreau-jean`."""
+    impact_law: Literal["newton", "poisson"] = "newton"
+    """Law of impacts of rigid bodies, `restitution` of a contact being a ratio of velocities or of impulses; of
+    `event-driven`."""
+    rest_energy: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] = 1e-12
+    """Kinetic energy of a rebound, as a share of the largest so far, below which `event-driven` ends a sequence of
+    impacts, whose accumulation is recorded."""
+
+    @property
+    def of_mechanism(self) -> Treatment:
+        """The treatment as an attribute of the mechanism."""
+        return Treatment(self.treatment, self.impact_law, self.rest_energy)
 
 
 class Time(Section):

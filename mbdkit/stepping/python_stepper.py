@@ -32,6 +32,7 @@ from mbdkit.stepping.interface import (
 )
 from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
+from mbdkit.stepping.rigid_contacts import ContactState, HeldForces
 from mbdkit.stepping.step_watch import StepWatch
 
 if TYPE_CHECKING:
@@ -107,8 +108,10 @@ class PythonStepper:
         self.worst_pairs = np.zeros(len(workspace.mechanism.topology.pairs))
         self.has_power = workspace.mechanism.has_power
         workspace.clamp_motions(*timetable.sides(0))
-        what = "a method that takes its steps in Python, with positions and velocities only,"
-        workspace.mechanism.refuse_states(what, "gauss and dop853 include them")
+        self._held = HeldForces(workspace.mechanism)
+        if len(workspace.mechanism.states) > self._held.count:
+            what = "a method that takes its steps in Python, with positions and velocities only,"
+            workspace.mechanism.refuse_states(what, "gauss and dop853 include them")
         self.equations = EquationsOfMotion(workspace)
         self.equations.counters = self.counters
         self.stabilized = StabilizedSteps(self._own_step, self.equations)
@@ -124,6 +127,12 @@ class PythonStepper:
     def evidence(self) -> StepEvidence:
         """See `Advancing.evidence`."""
         return self._watch.evidence(self.impacts)
+
+    @property
+    def contact_state(self) -> ContactState | None:
+        """What rigid contacts hold, with their impacts so far; None if there are none."""
+        memory = self.now.state.memory
+        return memory if isinstance(memory, ContactState) else None
 
     def _begin_after_stop(self) -> None:
         """At a stop, discard the values that the method stores for the next step, and apply the impulse if there is
@@ -176,7 +185,8 @@ class PythonStepper:
             if table.single:
                 self._before = before
                 ends = (*self._with_ground(before.state), *self._with_ground(self.now.state))
-                self.last_step = StepTaken(before.time, self.now.time, *ends)
+                states = (self._held.of(one.state.memory) for one in (before, self.now))
+                self.last_step = StepTaken(before.time, self.now.time, *ends, *states)
             if table.single or time.perf_counter() > until:
                 break
         return self._stretch(rows)
@@ -193,7 +203,9 @@ class PythonStepper:
         if theta in (0.0, 1.0):
             return step.between(theta)
         there = self._again(theta)
-        return (*self._with_ground(there.state), step.z0) if there is not None else self.inside(theta)
+        if there is None:
+            return self.inside(theta)
+        return (*self._with_ground(there.state), self._held.of(there.state.memory))
 
     def cut(self, theta: float) -> Stretch:
         """See `Stepper.cut`."""
@@ -231,10 +243,11 @@ class PythonStepper:
         begin = before.time if before.restart is None else before.restart
         end = there.time if there.restart is None else there.restart
         ends = (*self._with_ground(before.state), *self._with_ground(there.state))
-        accelerations = (
-            with_ground(self.equations.accelerations(t, state.q, state.v)[0])
-            for t, state in ((begin, before.state), (end, there.state))
-        )
+        accelerations = []
+        for t, state in ((begin, before.state), (end, there.state)):
+            if self._held.count:
+                self.equations.hold(self._held.of(state.memory))
+            accelerations.append(with_ground(self.equations.accelerations(t, state.q, state.v)[0]))
         self._nodes.keep(begin, end, StepTaken(begin, end, *ends).quintic(*accelerations))
 
     def _next(self, begin: Reached) -> _Planned:
@@ -395,4 +408,5 @@ class PythonStepper:
             intervals,
             multipliers=own,
             corrections=corrections if self.workspace.stabilization.kind != "none" else None,
+            z=np.array([self._held.of(row.state.memory) for row in rows]).reshape(count, self._held.count),
         )

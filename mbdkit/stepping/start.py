@@ -12,16 +12,19 @@ from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method, Traits
+from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.diagonally_implicit import DiagonallyImplicit
+from mbdkit.stepping.event_driven import EventDriven
 from mbdkit.stepping.explicit import CompiledExplicit
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
+from mbdkit.stepping.time_stepping import TimeStepping
 
 COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
     "explicit": lambda method, workspace, control: CompiledExplicit(method, workspace),
@@ -34,6 +37,7 @@ IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
     "diagonally-implicit": lambda method, *run: PythonStepper(DiagonallyImplicit(method), *run),
     "scipy": SciPyStepper,
     "python": PythonStepper,
+    "moreau-jean": lambda method, *run: PythonStepper(TimeStepping(method.theta), *run),
 }
 """Steppers of methods whose steps are taken in Python, by family."""
 
@@ -92,6 +96,10 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
         If a tableau cannot be used with the formulation of the workspace.
     """
     family = method.traits.family
+    treatment = workspace.mechanism.contact_treatment
+    if treatment.kind == "event-driven":
+        assert isinstance(method.traits.tableau, ButcherTableau)
+        return PythonStepper(EventDriven(method.traits.tableau, treatment), workspace, timetable)
     if family in IN_PYTHON:
         method.require_formulation(FORMULATIONS[workspace.formulation])
         return IN_PYTHON[family](method, workspace, timetable)

@@ -26,7 +26,8 @@ cx, cy, r = CIRCLE = sp.symbols("cx cy r", real=True)
 """Center in the frame of the second body, and radius."""
 LAW = sp.symbols("stiffness dissipation release curvature static kinetic transition", positive=True)
 """Numbers of the laws; see `mbdkit.mechanism.contacts.Contact.law_numbers`."""
-LAWS = ("none", "hertz", "linear", "smooth")
+LAWS = ("none", "hertz", "linear", "smooth", "held")
+"""Forms of the forces. The first two numbers of `held` are normal and friction force themselves."""
 
 CF, BD, BV = 1e-5, 300.0, 50.0
 """Constants of smoothing of Simbody's SmoothSphereHalfSpaceForce, the defaults of OpenSim."""
@@ -143,6 +144,8 @@ def normal_force(law: str, depth: sp.Expr, rate: sp.Expr) -> sp.Expr:
     k, c, release, curvature = LAW[:4]
     if law == "none":
         return sp.Integer(0)
+    if law == "held":
+        return k
     if law == "smooth":
         modulus = k ** sp.Rational(2, 3) / 2
         hertz = sp.Rational(4, 3) * modulus * sp.sqrt(curvature * modulus)
@@ -161,6 +164,8 @@ def friction_force(law: str, normal: sp.Expr, slip: sp.Expr) -> sp.Expr:
 
     The slip of the smooth law is ``sqrt(slip^2 + CF)``, as in SmoothSphereHalfSpaceForce.
     """
+    if law == "held":
+        return LAW[1]
     static, kinetic, transition = LAW[4:]
     square = slip**2 + (CF if law == "smooth" else 0)
     ratio = square / transition**2
@@ -189,6 +194,16 @@ class Definition:
 
 
 @lru_cache(maxsize=64)
+def sliding(
+    second: tuple[sp.Expr, sp.Expr], first: tuple[sp.Expr, sp.Expr], normal: tuple[sp.Expr, sp.Expr], step: Steps
+) -> tuple[sp.Expr, sp.Expr]:
+    """Return slip and rate of the gap at a point, given from the centres of mass of the second and the first body."""
+    (*_, vx1, vy1, w1), (*_, vx2, vy2, w2) = FIRST, SECOND
+    (px, py), (ox, oy), (nx, ny) = second, first, normal
+    vx, vy = step(vx2 - w2 * py - vx1 + w1 * oy), step(vy2 + w2 * px - vy1 - w1 * ox)
+    return step(vx * ny - vy * nx), step(vx * nx + vy * ny)
+
+
 def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definition:
     """Return the definition of a contact.
 
@@ -203,12 +218,11 @@ def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definitio
     """
     step = Steps()
     gap, nx, ny, active = (step(one) for one in geometry(kind, step))
-    (x1, y1, _, vx1, vy1, w1), (x2, y2, th2, vx2, vy2, w2) = FIRST, SECOND
+    (x1, y1), (x2, y2, th2) = FIRST[:2], SECOND[:3]
     px, py = step.rotated(th2, cx, cy)
     px, py = (step(p - (r + gap / 2) * n) for p, n in ((px, nx), (py, ny)))  # P from the second body's centre of mass
     ox, oy = step(x2 + px - x1), step(y2 + py - y1)
-    vx, vy = step(vx2 - w2 * py - vx1 + w1 * oy), step(vy2 + w2 * px - vy1 - w1 * ox)
-    slip, rate = step(vx * ny - vy * nx), step(vx * nx + vy * ny)
+    slip, rate = sliding((px, py), (ox, oy), (nx, ny), step)
     normal = step(choose(active, normal_force(law, -gap, -rate), 0) if active != 1 else normal_force(law, -gap, -rate))
     friction = step(friction_force(law, normal, slip)) if has_friction else sp.Integer(0)
     fx, fy = step(normal * nx + friction * ny), step(normal * ny - friction * nx)

@@ -65,10 +65,9 @@ def test_bad_contacts_are_refused_with_the_key(name: str) -> None:
     assert words in caught.value.message
 
 
-def test_treatments_that_do_not_exist_are_refused() -> None:
-    with pytest.raises(SpecError, match=r"event-driven does not exist yet") as caught:
-        load_spec({**spec({}), "contact": {"treatment": "event-driven"}})
-    assert caught.value.key == "contact.treatment"
+def test_both_coefficients_of_friction_may_be_expressions() -> None:
+    contact = {"friction": {"static": "2*mu", "kinetic": "mu"}, "compliance": {"stiffness": 1e5}}
+    assert load_spec(spec(contact, parameters={"mu": 0.2})).mechanism().contacts["k"].coefficients == (0.4, 0.2)
 
 
 def test_contacts_come_back_from_to_spec_and_numbers_may_be_expressions() -> None:

@@ -15,6 +15,7 @@ MODELINE = (
     "# yaml-language-server: $schema=https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/run.schema.json"
 )
 NAMES = [
+    "belt",
     "bouncing-ball",
     "car-axis",
     "chain",

@@ -48,6 +48,7 @@ def test_every_built_in_loads_and_states_summary_and_origin():
         "gauss",
         "rattle",
         "lobatto-pair",
+        "moreau-jean",
         "scipy-radau",
         "scipy-dop853",
         "scipy-lsoda",

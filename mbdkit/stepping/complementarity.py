@@ -1,0 +1,191 @@
+"""Linear complementarity problems by Lemke's method, and those of planar Coulomb friction."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+TINY = 1e-11
+"""Entries of a scaled tableau that are zero but for rounding errors."""
+
+
+def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return z with ``w = matrix z + right``, ``z >= 0``, ``w >= 0`` and ``z . w = 0``, by Lemke's method.
+
+    R. W. Cottle, J.-S. Pang and R. E. Stone, The Linear Complementarity Problem, 1992, section 4.4.
+
+    Parameters
+    ----------
+    matrix, right
+        (n, n) and (n,).
+
+    Returns
+    -------
+    z, is_basic
+        (n,) solution, and whether each z, not its w, is in the basis; None if the method ends on a ray.
+    """
+    n = len(right)
+    if n == 0 or np.min(right) >= 0.0:
+        return np.zeros(n), np.zeros(n, dtype=bool)
+    # columns: w, z, the artificial variable, right side; the identity keeps ties lexicographic
+    tableau = np.hstack([np.eye(n), -matrix, -np.ones((n, 1)), right[:, None]])
+    basis = np.arange(n)
+    entering, row = 2 * n, int(np.argmin(right))
+    for _ in range(50 * (n + 1)):
+        tableau[row] /= tableau[row, entering]
+        others = np.arange(n) != row
+        tableau[others] -= np.outer(tableau[others, entering], tableau[row])
+        leaving, basis[row] = int(basis[row]), entering
+        if leaving == 2 * n:
+            z = np.zeros(2 * n)
+            z[basis] = tableau[:, -1]
+            is_basic = np.isin(np.arange(n, 2 * n), basis)
+            return np.maximum(z[n:], 0.0), is_basic
+        entering = leaving + n if leaving < n else leaving - n
+        column = tableau[:, entering]
+        able = np.flatnonzero(column > TINY * max(1.0, float(np.max(np.abs(column)))))
+        if not len(able):
+            return None
+        row = _smallest_ratio(tableau, column, able, basis, 2 * n)
+    return None
+
+
+def _smallest_ratio(
+    tableau: np.ndarray, column: np.ndarray, able: np.ndarray, basis: np.ndarray, artificial: int
+) -> int:
+    """Return the row that leaves the basis: that of the artificial variable in a tie, else the lexicographic one."""
+    ratios = tableau[able, -1] / column[able]
+    able = able[ratios <= np.min(ratios) + TINY * max(1.0, abs(float(np.min(ratios))))]
+    if artificial in basis[able]:
+        return int(able[basis[able] == artificial][0])
+    for place in range(len(basis)):
+        if len(able) == 1:
+            break
+        ratios = tableau[able, place] / column[able]
+        able = able[ratios <= np.min(ratios) + TINY]
+    return int(able[0])
+
+
+class Pushed(NamedTuple):
+    """Forces, or impulses, of k contacts.
+
+    Attributes
+    ----------
+    normal, tangent
+        (k,) forces.
+    is_closed, is_slipping
+        (k,) whether the normal force is a basic variable, and whether friction is at its limit.
+    """
+
+    normal: np.ndarray
+    tangent: np.ndarray
+    is_closed: np.ndarray
+    is_slipping: np.ndarray
+
+
+def coulomb(
+    response: np.ndarray,
+    normal: np.ndarray,
+    tangent: np.ndarray,
+    friction: np.ndarray,
+    sliding: np.ndarray | float = 0.0,
+    pressed: np.ndarray | float = 0.0,
+) -> Pushed | None:
+    """Return the forces of contacts with Coulomb friction; None if no solution is found.
+
+    With accelerations (or velocities after an impact) u of the contacts, each normal force N is positive only if the
+    contact does not open, ``0 <= N, 0 <= u_n, N u_n = 0``, and each friction force T is in the cone ``|T| <= mu N``, at
+    its limit against u_t if that is not 0 (D. E. Stewart and J. C. Trinkle, International Journal for Numerical Methods
+    in Engineering 39:2673-2691, 1996).
+
+    Parameters
+    ----------
+    response
+        (2 k, 2 k) accelerations, normal ones first, by unit forces, normal ones first.
+    normal, tangent
+        (k,) accelerations without these forces.
+    friction
+        (k,) coefficients mu.
+    sliding
+        (k,) directions of slip, 1 or -1, of contacts that slip already, whose friction force is -mu N times that; 0 of
+        others.
+    pressed
+        (k,) normal forces that `normal` and `tangent` include already, to which more is added.
+    """
+    k = len(normal)
+    sliding, pressed = (np.broadcast_to(np.asarray(x, dtype=float), (k,)) for x in (sliding, pressed))
+    size = np.sqrt(np.maximum(np.diag(response)[:k], np.diag(response)[k:]))
+    scale = 1.0 / np.where(size > 0.0, size, 1.0)
+    both = np.concatenate([scale, scale])
+    response = both[:, None] * response * both
+    b_n, b_t = scale * normal, scale * tangent
+    nn, nt, tn, tt = (response[i : i + k, j : j + k] for i in (0, k) for j in (0, k))
+    slides = sliding != 0
+    nn = nn - nt * np.where(slides, friction * sliding, 0.0)
+    sticks = np.flatnonzero(~slides & (friction > 0.0))
+    m = len(sticks)
+    tn = tn - tt * np.where(slides, friction * sliding, 0.0)
+    nt, tn, tt = nt[:, sticks], tn[sticks], tt[np.ix_(sticks, sticks)]
+    one, none = np.eye(m), np.zeros((m, m))
+    cone = np.zeros((m, k))
+    cone[np.arange(m), sticks] = friction[sticks]
+    matrix = np.block(
+        [
+            [nn, nt, -nt, np.zeros((k, m))],
+            [tn, tt, -tt, one],
+            [-tn, -tt, tt, one],
+            [cone, -one, -one, none],
+        ]
+    )
+    right = np.concatenate([b_n, b_t[sticks], -b_t[sticks], (friction * pressed / scale)[sticks]])
+    largest = float(np.max(np.abs(right), initial=0.0))
+    solved = complementary(matrix, right / (largest or 1.0))
+    if solved is None:
+        return None
+    z, is_basic = largest * solved[0], solved[1]
+    forces = z[:k]
+    t = np.where(slides, -friction * sliding * forces, 0.0)
+    t[sticks] = z[k : k + m] - z[k + m : k + 2 * m]
+    slips = slides | (friction == 0.0)
+    slips[sticks] = is_basic[k + 2 * m :]
+    return Pushed(scale * forces, scale * t, is_basic[:k], slips)
+
+
+def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float) -> np.ndarray:
+    """Return the impulses (2,) of one contact, normal and tangential, by Stronge's law, which never gains energy.
+
+    The normal impulse p grows from 0. Its work in restitution is -e^2 times that in compression, and the friction
+    impulse follows Coulomb's law at every p (W. J. Stronge, Impact Mechanics, 2000, chapter 5).
+
+    Parameters
+    ----------
+    response
+        (2, 2) velocities, normal one first, by unit impulses.
+    before
+        (2,) velocities before the impact, of which the normal one is negative.
+    """
+    v, p, tangential, work, goal = before.astype(float), 0.0, 0.0, 0.0, np.inf
+    for _ in range(8):  # slip ends at most once, and compression once
+        ratio = -np.sign(v[1]) * friction
+        if v[1] == 0.0:
+            ratio = float(np.clip(-response[1, 0] / response[1, 1], -friction, friction))
+        slope = response @ np.array([1.0, ratio])
+        ends = -v[1] / slope[1] if v[1] * slope[1] < 0.0 else np.inf
+        turns = -v[0] / slope[0] if v[0] < 0.0 < slope[0] else np.inf
+        rises = np.inf
+        if v[0] >= 0.0 and slope[0] > 0.0:  # the work v0 dp + slope dp^2 / 2 that is left
+            rises = (np.sqrt(v[0] ** 2 + 2.0 * slope[0] * max(goal - work, 0.0)) - v[0]) / slope[0]
+        more = min(ends, turns, rises)
+        if not np.isfinite(more):
+            break
+        work += more * (v[0] + 0.5 * slope[0] * more)
+        p, tangential = p + more, tangential + ratio * more
+        v = v + slope * more
+        if more == ends:
+            v[1] = 0.0
+        if more == turns:
+            v[0], goal, work = 0.0, -e * e * work, 0.0
+        elif more == rises:
+            break
+    return np.array([p, tangential])

@@ -1,0 +1,359 @@
+"""Event-driven integration of rigid contacts: an explicit method between events, impacts and changes of modes at them.
+
+Contacts are open, stick or slip. Between events, closed contacts are constraints of the accelerations, and those that
+slip have the friction force -mu N against the slip. Events are zeros of functions of the state, found by steps of the
+method itself: a gap that closes, a normal force that vanishes, a friction force that reaches its limit, and slip that
+ends. At an event, a linear complementarity problem determines the modes that follow, at an impact also the impulses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
+from mbdkit.engine.workspace import Workspace
+from mbdkit.mechanism.contacts import Treatment
+from mbdkit.methods.kinds import StepMethod, StepState
+from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.stepping.interface import StepTaken
+from mbdkit.stepping.rigid_contacts import (
+    OPEN,
+    SLIP,
+    STICK,
+    ClosedSystem,
+    ContactImpact,
+    ContactState,
+    Forced,
+    HeldForces,
+    RigidContacts,
+)
+
+MOST_EVENTS = 1000
+"""Events of one step, after which the run stops."""
+SAMPLES = 8
+"""States of a step in which events are looked for."""
+SAME = 1e-10
+"""Gaps, in lengths of the mechanism, and velocities, in those of the motion, that are zero but for errors."""
+
+
+@dataclass(frozen=True)
+class _Point:
+    """A state within a step, and the energies since its begin [J]."""
+
+    t: float
+    q: np.ndarray
+    v: np.ndarray
+    work: float
+    dissipated: float
+
+
+_Rate = tuple[np.ndarray, float, float]
+"""Accelerations, power of loads and drivers, and dissipated power."""
+
+
+class EventDriven(StepMethod):
+    """An explicit Runge-Kutta method with fixed steps for rigid contacts.
+
+    Parameters
+    ----------
+    tableau
+        The method between events.
+    treatment
+        Settings of the run.
+    """
+
+    hint = "a smaller time.step may help"
+
+    def __init__(self, tableau: ButcherTableau, treatment: Treatment):
+        self.treatment = treatment
+        self.a, self.b, self.c = (x.tolist() for x in tableau.floats())
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        """See `StepMethod.step`."""
+        step = _Step(self.treatment, (self.a, self.b, self.c), equations, t, state)
+        step.to(t + h)
+        now = step.now
+        return StepState(now.q, now.v, None, step.contact_state(), now.work, now.dissipated)
+
+
+def with_contact_forces(workspace: Workspace) -> Workspace:
+    """Return a workspace whose rigid contacts start with the forces and modes of the initial state."""
+    p, mechanism = EquationsOfMotion(workspace), workspace.mechanism
+    step = _Step(mechanism.contact_treatment, None, p, workspace.t0, StepState(p.q0, p.v0))
+    top, held = mechanism.topology, HeldForces(mechanism)
+    parameters = top.law_parameters.copy()
+    parameters[top.states[: held.count, 1]] = held.of(step.contact_state())
+    started = replace(mechanism, topology=top._replace(law_parameters=parameters))
+    return Workspace(
+        started,
+        workspace.t0,
+        workspace.q0,
+        workspace.v0,
+        formulation=workspace.formulation,
+        stabilization=workspace.stabilization,
+    )
+
+
+class _Step:
+    """A step of the run, which consists of steps of the method between events."""
+
+    def __init__(
+        self,
+        treatment: Treatment,
+        tableau: tuple[list[list[float]], list[float], list[float]] | None,
+        p: EquationsOfMotion,
+        t: float,
+        state: StepState,
+    ):
+        self.treatment, self.tableau, self.p = treatment, tableau, p
+        self.contacts = RigidContacts(p)
+        self.now = _Point(t, state.q.copy(), state.v.copy(), 0.0, 0.0)
+        memory = state.memory
+        self.state = memory if memory is not None else self.contacts.all_open()
+        self.length = p.length
+        self._book_energy()
+        self.modes = self.state.modes if memory is not None else self._modes_at_rest()
+
+    @property
+    def speed(self) -> float:
+        """Size of velocities in the motion so far [m/s]."""
+        return float(np.sqrt(2.0 * self.state.energy / np.sum(self.p.mass[::3]))) or 1e-3
+
+    def _book_energy(self) -> None:
+        now = 0.5 * float(self.now.v @ (self.p.mass * self.now.v))
+        self.state = replace(self.state, energy=max(self.state.energy, now))
+
+    def _modes_at_rest(self) -> np.ndarray:
+        """Return the modes at the start, after the impact of contacts that are closed and approach."""
+        rows = self.contacts.rows(self.now.q, self.now.v)
+        touching = rows.gap <= SAME * self.length
+        if np.any(touching & (rows.normal @ self.now.v < -SAME * self.speed)):
+            self._strike(touching)
+            return self.modes
+        return self._decided(self.now, touching)
+
+    def contact_state(self) -> ContactState:
+        """Return what the contacts pass to the next step."""
+        forced = self._forced(self.now)
+        return replace(self.state, modes=self.modes, normal=forced.normal, tangent=forced.tangent)
+
+    def _forced(self, at: _Point) -> Forced:
+        return self.contacts.accelerations(at.t, at.q, at.v, self.modes)
+
+    # ---- between events ------------------------------------------------------------------------------------------
+
+    def _rate(self, t: float, q: np.ndarray, v: np.ndarray) -> _Rate:
+        """Return accelerations, and power of loads and drivers, and dissipated power."""
+        forced = self.contacts.accelerations(t, q, v, self.modes)
+        work, lost = self.p.powers(t, q, v, forced.multipliers)
+        return forced.a, work, lost - float(forced.tangent @ forced.rows.slip)
+
+    def _moved(self, h: float) -> _Point:
+        """Return the state after a step of the method from the present one, with closed contacts and joints closed."""
+        assert self.tableau is not None
+        now, (a, b, c) = self.now, self.tableau
+        q_rates: list[np.ndarray] = []
+        rates: list[_Rate] = []
+        none = np.zeros(self.p.n)
+        for i, node in enumerate(c):
+            q = now.q + h * sum((a[i][j] * q_rates[j] for j in range(i)), none)
+            v = now.v + h * sum((a[i][j] * rates[j][0] for j in range(i)), none)
+            q_rates.append(v)
+            rates.append(self._rate(now.t + node * h, q, v))
+        q = now.q + h * sum((x * y for x, y in zip(b, q_rates, strict=True)), none)
+        v = now.v + h * sum((x * y[0] for x, y in zip(b, rates, strict=True)), none)
+        work = h * sum(x * rate[1] for x, rate in zip(b, rates, strict=True))
+        lost = h * sum(x * rate[2] for x, rate in zip(b, rates, strict=True))
+        q, v = self._closed(now.t + h, q, v)
+        return _Point(now.t + h, q, v, now.work + work, now.dissipated + lost)
+
+    def _closed(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest state in which joints and closed contacts are closed."""
+        system = ClosedSystem(self.contacts, self.modes)
+        if system.m:
+            q = nearest_positions(system, t, q)
+            v = nearest_velocities(system, t, q, v)
+        return q, v
+
+    # ---- events --------------------------------------------------------------------------------------------------
+
+    def to(self, end: float) -> None:
+        """Advance to a time."""
+        for _ in range(MOST_EVENTS):
+            h = end - self.now.t
+            if h <= 4e-16 * max(abs(end), 1.0):
+                self.now = replace(self.now, t=end)
+                return
+            there = self._moved(self._limited(h))
+            found = self._first_event(there)
+            if found is None:
+                self.now = there if there.t < end else replace(there, t=end)
+                self._book_energy()
+                continue
+            share, event = found
+            self.now = self._moved(share * (there.t - self.now.t)) if share > 0.0 else self.now
+            self._book_energy()
+            self._happen(event)
+        raise StepError("zeno", f"contacts changed {MOST_EVENTS} times within one step")
+
+    def _limited(self, h: float) -> float:
+        """Return a step in which no contact opens and closes again unnoticed."""
+        forced = self._forced(self.now)
+        rows = forced.rows
+        rate, curve = rows.normal @ self.now.v, rows.normal @ forced.a - rows.normal_right
+        for i in np.flatnonzero((self.modes == OPEN) & (rows.gap <= SAME * self.length) & (rate > 0) & (curve < 0)):
+            h = min(h, -3.0 * rate[i] / curve[i])
+        return float(h)
+
+    def _values(self, at: _Point) -> np.ndarray:
+        """Return two functions (2, C) of each contact that are negative after an event: those of its normal direction
+        and of its friction.
+        """
+        forced = self._forced(at)
+        is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
+        opens = forced.rows.normal @ at.v >= 0.0
+        normal = np.where(is_open, np.where(opens, np.abs(forced.rows.gap), forced.rows.gap), forced.normal)
+        limit = self.contacts.static * forced.normal - np.abs(forced.tangent)
+        has_slip = slips & (self.contacts.kinetic > 0)
+        friction = np.where(has_slip, np.sign(self.modes) * forced.rows.slip, np.where(self.modes == STICK, limit, 1.0))
+        return np.stack([normal, friction])
+
+    def _scales(self, forced: Forced) -> np.ndarray:
+        weight = max(float(np.max(np.abs(forced.normal), initial=0.0)), 1e-300)
+        is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
+        normal = np.where(is_open, 1e-15 * self.length, SAME * weight)
+        return np.stack([normal, SAME * np.where(slips, self.speed, weight)])
+
+    def _first_event(self, there: _Point) -> tuple[float, tuple[int, int]] | None:
+        """Return the share of a step at which the first event happens, and the event: 0 (normal) or 1 (friction), and
+        the number of the contact.
+        """
+        now, h = self.now, there.t - self.now.t
+        taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v)
+        shares = [i / SAMPLES for i in range(1, SAMPLES)]
+        states = [_Point(taken.time(x), *taken.hermite(x), 0.0, 0.0) for x in shares]
+        values = np.stack([self._values(one) for one in (now, *states, there)])
+        small = self._scales(self._forced(there))
+        shares = [0.0, *shares, 1.0]
+        first: tuple[float, tuple[int, int]] | None = None
+        for place in np.argwhere(np.any(values[1:] < -small, axis=0)):
+            kind, contact = int(place[0]), int(place[1])
+            if self.modes[contact] == STICK and np.array_equal(self._decided(there, self.modes != OPEN), self.modes):
+                continue  # other forces of redundant contacts keep it closed
+            own = values[:, kind, contact]
+            after = 1 + int(np.argmax(own[1:] < -small[kind, contact]))
+            before = int(np.argmax(own[:after]))
+            share = self._zero(kind, contact, shares[before], shares[after], h) if own[before] > 0 else 0.0
+            if first is None or share < first[0]:
+                first = share, (kind, contact)
+        return first
+
+    def _zero(self, kind: int, contact: int, low: float, high: float, h: float) -> float:
+        """Return the share of the step at which a function vanishes, found by steps of the method."""
+        from scipy.optimize import brentq  # loaded only if a run has such events
+
+        def value(share: float) -> float:
+            return float(self._values(self._moved(share * h))[kind, contact])
+
+        begin, end = value(low) if low > 0 else 1.0, value(high)
+        if end >= 0.0:  # the interpolation is beyond the step of the method
+            return high
+        if begin <= 0.0:
+            return low
+        return float(brentq(value, low, high, xtol=1e-15, rtol=8.9e-16))
+
+    def _happen(self, event: tuple[int, int]) -> None:
+        """Apply an event to the present state."""
+        kind, contact = event
+        if kind == 0 and self.modes[contact] == OPEN:
+            self._strike(self._touching() | (np.arange(len(self.modes)) == contact))
+            return
+        stops, begins = np.zeros((2, len(self.modes)))
+        if kind == 1 and self.modes[contact] == STICK:
+            forced = self._forced(self.now)
+            is_there = self._values(self.now)[1] <= self._scales(forced)[1]
+            is_there[contact] = True
+            begins = np.where((self.modes == STICK) & is_there, -np.sign(forced.tangent), 0.0)
+        elif kind == 1:
+            stops[contact] = 1.0
+            self.modes = np.where(stops > 0, STICK, self.modes)
+            self.now = replace(self.now, v=self._closed(self.now.t, self.now.q, self.now.v)[1])
+        self.modes = self._decided(self.now, self.modes != OPEN, stops, begins)
+
+    def _touching(self) -> np.ndarray:
+        rows = self.contacts.rows(self.now.q, self.now.v)
+        return (self.modes != OPEN) | (
+            (rows.gap <= SAME * self.length) & (rows.normal @ self.now.v <= SAME * self.speed)
+        )
+
+    def _decided(
+        self,
+        at: _Point,
+        touching: np.ndarray,
+        stops: np.ndarray | float = 0.0,
+        begins: np.ndarray | float = 0.0,
+    ) -> np.ndarray:
+        """Return the modes with which touching contacts go on.
+
+        `stops` is positive where slip has just ended, `begins` the direction in which it has just begun, else 0.
+        """
+        rows = self.contacts.rows(at.q, at.v)
+        resting = touching & (rows.normal @ at.v <= SAME * self.speed)
+        slips = (np.abs(rows.slip) > SAME * self.speed) & (np.asarray(stops) <= 0.0)
+        sliding = np.where(np.asarray(begins) != 0.0, begins, np.where(slips, np.sign(rows.slip), 0.0))
+        return self.contacts.decided(at.t, at.q, at.v, resting, sliding)
+
+    def _strike(self, touching: np.ndarray) -> None:
+        """Apply an impact of touching contacts."""
+        now = self.now
+        rows = self.contacts.rows(now.q, now.v)
+        approach = rows.normal @ now.v
+        e = np.where(touching, self.contacts.restitution, 0.0)
+        struck = self.contacts.struck(now.t, now.q, now.v, touching, e, self.treatment.impact_law)
+        # rebounds with less energy than `rest_energy` are left out
+        weight = 1.0 / np.maximum(np.einsum("ij,ij->i", rows.normal, rows.normal / self.p.mass), 1e-300)
+        after = rows.normal @ struck.v
+        rests = (
+            touching
+            & (after > 0)
+            & (0.5 * weight * after**2 <= self.treatment.rest_energy * self.state.energy)
+            & (e > 0)
+        )
+        rests &= approach < 0
+        if np.any(rests):
+            e = np.where(rests, 0.0, e)
+            struck = self.contacts.struck(now.t, now.q, now.v, touching, e, self.treatment.impact_law)
+        lost = 0.5 * float((now.v - struck.v) @ (self.p.mass * (now.v + struck.v)))
+        new = [
+            ContactImpact(now.t, i, float(struck.normal[i]), float(struck.tangent[i]), lost)
+            for i in np.flatnonzero(touching & (struck.normal > 0)).tolist()
+        ]
+        cut = [self.contacts.names[i] for i in np.flatnonzero(rests)]
+        changed = [] if struck.is_as_asked else [self.contacts.names[one.contact] for one in new]
+        self.now = replace(now, v=struck.v, dissipated=now.dissipated + lost)
+        self.modes = self._decided(self.now, touching)
+        if np.any(rests):
+            new += self._tails(rests, after)
+        self.state = replace(
+            self.state,
+            impacts=(*self.state.impacts, *new),
+            cut=self.state.cut.union(cut),
+            changed=self.state.changed.union(changed),
+        )
+
+    def _tails(self, rests: np.ndarray, after: np.ndarray) -> list[ContactImpact]:
+        """Return the ends of geometric sequences of impacts that are left out, as impacts without impulses."""
+        now = self.now
+        modes, self.modes = self.modes, np.where(rests, OPEN, self.modes)
+        forced = self._forced(now)
+        self.modes = modes
+        curve = forced.rows.normal @ forced.a - forced.rows.normal_right
+        e = self.contacts.restitution
+        return [
+            ContactImpact(now.t - 2.0 * float(after[i] / curve[i]) / (1.0 - float(e[i])), i, 0.0, 0.0, 0.0)
+            for i in np.flatnonzero(rests & (curve < 0) & (e < 1.0)).tolist()
+        ]

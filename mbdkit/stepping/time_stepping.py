@@ -1,0 +1,99 @@
+"""The time-stepping method of Moreau and Jean: velocities may jump in any step, and impacts are not located.
+
+With positions q_m = q_0 + h/2 v_0, at which gaps, their gradients and joints are evaluated, a step from (q_0, v_0) is
+
+    M (v_1 - v_0) = h (theta Q(t_1, q_1, v_1) + (1 - theta) Q(t_0, q_0, v_0)) + joints + contacts
+    q_1 = q_0 + h (theta v_1 + (1 - theta) v_0)
+
+with joints closed in velocities, and impulses, by the laws of Newton and Coulomb, of the contacts that would overlap at
+the end. One iteration of Newton's method makes the forces implicit. Then positions are projected: joints are closed,
+and shapes that overlap are moved apart.
+
+J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988; M. Jean, Computer Methods in Applied
+Mechanics and Engineering 177:235-257, 1999; V. Acary and B. Brogliato, Numerical Methods for Nonsmooth Dynamical
+Systems, 2008, chapter 10.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.nearest_state import nearest_positions
+from mbdkit.methods.kinds import StepMethod, StepState
+from mbdkit.stepping.complementarity import coulomb
+from mbdkit.stepping.rigid_contacts import OPEN, SLIP, STICK, ClosedSystem, RigidContacts
+
+MOST_PROJECTIONS = 5
+"""Projections of positions in one step, each of which may make other shapes overlap."""
+SMALL = 1e-12
+"""Overlap, in lengths of the mechanism, that is zero but for errors."""
+
+
+class TimeStepping(StepMethod):
+    """The method of Moreau and Jean.
+
+    Parameters
+    ----------
+    theta
+        Share of the forces at the end of a step, from 0.5 to 1.
+    """
+
+    def __init__(self, theta: float):
+        self.theta = theta
+
+    def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
+        """See `StepMethod.step`."""
+        p, theta, q, v = equations, self.theta, state.q, state.v
+        contacts = RigidContacts(p)
+        middle = q + 0.5 * h * v
+        a, multipliers = p.accelerations(t, q, v)
+        matrix = p.iteration_matrix(
+            t + 0.5 * h, middle, v, a, multipliers, damping=theta * h, stiffness=(theta * h) ** 2
+        )
+        force = theta * p.forces(t + h, q + h * v, v) + (1.0 - theta) * p.forces(t, q, v)
+        free = v + matrix.solve(h * force, -p.constraint_rates(t + 0.5 * h, middle, v))[0]
+        rows = contacts.rows(middle, v)
+        reached = q + h * (theta * free + (1.0 - theta) * v)
+        some = np.flatnonzero(contacts.rows(reached, v).gap <= SMALL * p.length)
+        modes, normal, tangent = np.zeros(len(rows.gap), dtype=int), np.zeros(len(rows.gap)), np.zeros(len(rows.gap))
+        after = free
+        if len(some):
+            both, k = np.vstack([rows.normal[some], rows.tangent[some]]), len(some)
+            none = np.zeros(p.m)
+            moved = np.stack([matrix.solve(row, none)[0] for row in both], axis=1)
+            before = rows.normal[some] @ v
+            back = contacts.restitution[some] * np.minimum(before, 0.0)
+            rate = both @ free
+            found = coulomb(both @ moved, rate[:k] + back, rate[k:], contacts.kinetic[some])
+            if found is None:
+                raise StepError("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction")
+            impulses = np.concatenate([found.normal, found.tangent])
+            after = free + moved @ impulses
+            normal[some], tangent[some] = found.normal / h, found.tangent / h
+            slip = np.sign(rows.tangent[some] @ after)
+            modes[some] = np.where(found.is_closed, np.where(found.is_slipping, SLIP * slip, STICK), OPEN)
+        reached = self._closed(contacts, t + h, q + h * (theta * after + (1.0 - theta) * v))
+        mean = 0.5 * (v + after)
+        lost = -h * float(normal @ (rows.normal @ mean) + tangent @ (rows.tangent @ mean))
+        work, dissipated = p.powers(t + 0.5 * h, middle, mean, multipliers)
+        memory = replace(state.memory or contacts.all_open(), modes=modes, normal=normal, tangent=tangent)
+        return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
+
+    @staticmethod
+    def _closed(contacts: RigidContacts, t: float, q: np.ndarray) -> np.ndarray:
+        """Return the nearest positions with closed joints in which no shapes overlap."""
+        overlaps = contacts.rows(q, 0.0 * q).gap < 0.0
+        for _ in range(MOST_PROJECTIONS):
+            system = ClosedSystem(contacts, np.where(overlaps, SLIP, OPEN))
+            if not system.m:
+                break
+            q = nearest_positions(system, t, q)
+            more = contacts.rows(q, 0.0 * q).gap < -SMALL * contacts.p.length
+            if not np.any(more & ~overlaps):
+                break
+            overlaps |= more
+        return q

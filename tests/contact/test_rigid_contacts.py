@@ -1,0 +1,253 @@
+"""Rigid contacts, event-driven and by time-stepping, against closed forms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from mbdkit.base.errors import SpecError
+from mbdkit.stepping.complementarity import coulomb, stronge
+
+G = 9.81
+FLOOR = {"line": {"normal": [0.0, 1.0]}}
+
+
+def run(model: dict[str, Any], end: float, step: float, treatment: str = "event-driven", **contact: Any) -> mbdkit.Run:
+    method = "moreau-jean" if treatment == "time-stepping" else "dop853"
+    return mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
+        integrator={"name": method},
+        time={"end": end, "step": step},
+        contact={"treatment": treatment} | contact,
+    )
+
+
+def ball(e: float) -> dict[str, Any]:
+    contact = {"bodies": ["ground", "ball"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}], "restitution": e}
+    bodies = {"ball": {"mass": 2.0, "inertia": 0.1, "position": [0.0, 1.1]}}
+    return {"bodies": bodies, "contacts": {"floor": contact}}
+
+
+@pytest.mark.parametrize(("e", "end"), [(0.5, 1.354570922957193), (0.8, 4.063712768871579)])
+def test_a_ball_comes_to_rest_when_its_impacts_accumulate(e: float, end: float) -> None:
+    # expected: sqrt(2 h / g), and that time (1 + e) / (1 - e)
+    found = run(ball(e), 1.2 * end, 0.05)
+    assert found.impacts.time[0] == pytest.approx(0.451523640985731, abs=1e-12)
+    assert found.impacts.time[-1] == pytest.approx(end, abs=1e-9)
+    assert found.impacts.normal_impulse[0] == pytest.approx(2.0 * (1 + e) * np.sqrt(2 * G), rel=1e-12)
+    assert np.sum(found.impacts.energy_lost[:-1]) == pytest.approx(2.0 * G, rel=1e-11)
+    assert found.contacts["floor"].normal_force[-1] == pytest.approx(2.0 * G, rel=1e-12)
+    assert found["ball"].acceleration[-1] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert "impacts that follow each other without end were cut, at floor" in found.warnings[0]
+    assert found.verdict == "unknown"
+
+
+def block(mu: float) -> dict[str, Any]:
+    angle = np.radians(30.0)
+    along, normal = np.array([np.cos(angle), np.sin(angle)]), [-np.sin(angle), np.cos(angle)]
+    place = {"position": (0.1 * np.array(normal)).tolist(), "angle": float(angle), "velocity": (2 * along).tolist()}
+    corners = [[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]
+    contact = {
+        "bodies": ["ground", "block"], "shapes": [{"line": {"normal": normal}}, {"polygon": corners}], "friction": mu,
+    }  # fmt: skip
+    return {"bodies": {"block": {"mass": 1.0, "inertia": 0.1} | place}, "contacts": {"incline": contact}}
+
+
+def along(found: mbdkit.Run) -> np.ndarray:
+    return found["block"].position @ [np.cos(np.radians(30.0)), np.sin(np.radians(30.0))]
+
+
+def test_a_block_on_an_incline_stops_and_slides_back() -> None:
+    # expected: decelerations g (sin 30 + mu cos 30) upwards, g (sin 30 - mu cos 30) downwards
+    found = run(block(0.3), 1.0, 0.05)
+    assert along(found)[-1] == pytest.approx(-0.362398577094839, abs=1e-12)
+    assert found.contacts["incline.0"].mode[[2, -1]].tolist() == [2.0, 2.0]
+    assert abs(found.energy.error[-1]) < 1e-12 if hasattr(found.energy, "error") else True
+
+
+def test_a_block_with_more_friction_stays() -> None:
+    found = run(block(0.7), 0.5, 0.05)
+    rows = found.contacts["incline.0"], found.contacts["incline.1"]
+    assert sum(row.friction_force[-1] for row in rows) == pytest.approx(4.905, abs=1e-10)
+    assert [row.mode[-1] for row in rows] == [1.0, 1.0]
+    assert all(row.friction_force[-1] <= 0.7 * row.normal_force[-1] * (1 + 1e-9) for row in rows)
+    assert found["block"].velocity[-1] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_a_block_on_a_belt_sticks_and_slips() -> None:
+    # expected: m = k = 1, v = 0.2, friction 1 N static and 0.5 N kinetic
+    contact = {
+        "bodies": ["belt", "block"],
+        "shapes": [{"line": {"point": [0.0, 0.1], "normal": [0, 1]}}, {"point": [0.0, 0.0]}],
+        "friction": {"static": 1.0 / G, "kinetic": 0.5 / G},
+    }
+    model = {
+        "bodies": {
+            "belt": {"mass": 1.0, "inertia": 1.0, "position": [0.0, -0.1]},
+            "block": {"mass": 1.0, "velocity": [0.2, 0.0]},
+        },
+        "joints": {
+            "rail": {"type": "prismatic", "bodies": ["ground", "belt"], "points": [[0, -0.1], [0, 0]], "axis": [1, 0]},
+            "motor": {"type": "driver", "bodies": ["ground", "belt"], "coordinate": "x", "motion": "0.2*t"},
+        },
+        "forces": {
+            "spring": {
+                "type": "spring-damper", "bodies": ["ground", "block"], "points": [[-10, 0], [0, 0]],
+                "stiffness": 1.0, "free_length": 10.0,
+            },
+        },
+        "contacts": {"belt": contact},
+    }  # fmt: skip
+    found = mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
+        integrator={"name": "dop853"},
+        time={"end": 18.0, "step": 0.05},
+        contact={"treatment": "event-driven"},
+    )
+    slips = found.contacts["belt"].mode == 2.0
+    changes = found.time[1:][np.diff(slips.astype(int)) != 0]
+    assert changes == pytest.approx([5.0, 8.902605407814523, 13.902605407814523, 17.805210815629046], abs=0.051)
+    # slip ends where the spring has no force, since kinetic friction is half of static friction
+    assert found["block"].position[-1, 0] == pytest.approx(0.2 * (18.0 - 17.805210815629046), abs=1e-10)
+
+
+@pytest.mark.parametrize(("mu", "status"), [(1.33, "complete"), (1.34, "failed")])
+def test_painleves_rod_has_no_solution_beyond_four_thirds(mu: float, status: str) -> None:
+    # expected: at atan 2, a slender rod that slides towards its lean has no acceleration if mu > 4/3
+    angle = float(np.arctan(2.0))
+    rod = {"mass": 1.0, "inertia": 1.0 / 3.0, "position": [np.cos(angle), np.sin(angle)], "angle": angle}
+    contact = {"bodies": ["ground", "rod"], "shapes": [FLOOR, {"point": [-1.0, 0.0]}], "friction": mu}
+    model = {"bodies": {"rod": rod | {"velocity": [-1.0, 0.0]}}, "contacts": {"floor": contact}}
+    if status == "failed":
+        with pytest.raises(SpecError, match="Coulomb"):
+            run(model, 0.001, 0.001)
+    else:
+        assert run(model, 0.001, 0.001).status == "complete"
+
+
+def test_a_rocking_block_loses_energy_by_housners_rule() -> None:
+    # expected: rate ratio 1 - 1.5 sin^2 alpha (G. W. Housner, Bull. Seismol. Soc. Am. 53, 1963)
+    b, h, tilt = 0.1, 0.4, 0.05
+    alpha = np.arctan(b / h)
+    height = float(b * np.sin(tilt) + h * np.cos(tilt))
+    body = {
+        "mass": 1.0, "inertia": (b * b + h * h) / 3.0, "angle": tilt,
+        "position": [float(b * np.cos(tilt) - h * np.sin(tilt)), height],
+    }  # fmt: skip
+    outline = {"polygon": [[-b, -h], [b, -h], [b, h], [-b, h]]}
+    contact = {"bodies": ["ground", "block"], "shapes": [FLOOR, outline], "friction": 5.0}
+    found = run({"bodies": {"block": body}, "contacts": {"floor": contact}}, 0.3, 0.02)
+    ratio = 1.0 - 1.5 * np.sin(alpha) ** 2
+    assert found.impacts.energy_lost[0] == pytest.approx((1 - ratio**2) * G * (height - h), rel=1e-9)
+
+
+def test_an_impact_that_would_gain_energy_follows_stronges_law() -> None:
+    # Kane's paradox: with friction, Newton's law of impact can create energy
+    angle = 1.0
+    rod = {"mass": 1.0, "inertia": 1.0 / 12.0, "position": [0.0, float(0.5 * np.sin(angle) + 0.01)], "angle": angle}
+    contact = {
+        "bodies": ["ground", "rod"], "shapes": [FLOOR, {"point": [-0.5, 0.0]}], "restitution": 0.9, "friction": 0.9,
+    }  # fmt: skip
+    model = {"bodies": {"rod": rod | {"velocity": [1.0, -1.0]}}, "contacts": {"floor": contact}}
+    found = run(model, 0.02, 0.002)
+    assert np.all(found.impacts.energy_lost >= 0.0)
+    assert any("would have created energy at floor" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("treatment", ["event-driven", "time-stepping"])
+def test_a_pendulum_rebounds_from_a_wall_with_its_joint_closed(treatment: str) -> None:
+    wall = {"line": {"point": [0.0, 0.0], "normal": [1.0, 0.0]}}
+    contact = {"bodies": ["ground", "bob"], "shapes": [wall, {"point": [0.5, 0.0]}], "restitution": 0.5}
+    model = {
+        "bodies": {
+            "rod": {"mass": 1.0, "inertia": 1.0 / 12.0, "position": [0.5, 0.0]},
+            "bob": {"mass": 1.0, "inertia": 1.0 / 12.0, "position": [1.5, 0.0]},
+        },
+        "joints": {
+            "pivot": {"type": "revolute", "bodies": ["ground", "rod"], "points": [[0, 0], [-0.5, 0]]},
+            "elbow": {"type": "revolute", "bodies": ["rod", "bob"], "points": [[0.5, 0], [-0.5, 0]]},
+        },
+        "contacts": {"wall": contact},
+    }
+    found = run(model, 0.8, 0.0005 if treatment == "time-stepping" else 0.01, treatment)
+    assert all(np.max(found.joints[name].misalignment) < 1e-12 for name in ("pivot", "elbow"))
+    gap, lost = found.contacts["wall"].gap, found.energy.dissipated
+    assert np.min(gap) > (-1e-12 if treatment == "event-driven" else -1e-5)
+    assert lost[-1] > 0.1
+    balance = found.energy.total + lost - found.energy.total[0]
+    # of order one in time-stepping: 0.25, 0.12 and 0.06 J at steps of 1, 0.5 and 0.25 ms
+    assert np.max(np.abs(balance)) < (1e-8 if treatment == "event-driven" else 0.2)
+
+
+def test_time_stepping_approaches_the_events_with_an_error_of_order_one() -> None:
+    exact = run(ball(0.5), 2.0, 0.01)
+    errors = []
+    for step in (0.01, 0.005, 0.0025, 0.00125):
+        found = run(ball(0.5), 2.0, step, "time-stepping")
+        every = round(0.01 / step)
+        gaps = found.contacts["floor"].gap[::every] - exact.contacts["floor"].gap
+        errors.append(np.max(np.abs(gaps)) / step)
+        assert found.contacts["floor"].normal_force[-1] == pytest.approx(2.0 * G, rel=1e-9)
+        assert np.min(found.contacts["floor"].gap) > -1e-12
+    assert max(errors) < 2.0
+
+
+def test_time_stepping_slides_a_block_as_closely() -> None:
+    for step in (0.02, 0.005, 0.00125):
+        found = run(block(0.3), 1.0, step, "time-stepping")
+        assert abs(along(found)[-1] + 0.362398577094839) < 2.0 * step
+
+
+def test_forces_of_many_contacts_satisfy_the_laws() -> None:
+    """Coulomb's law in random systems with redundant contacts."""
+    random = np.random.default_rng(4)
+    for _ in range(200):
+        k, n = int(random.integers(1, 5)), 3 * int(random.integers(1, 3))
+        rows = random.normal(size=(2 * k, n))
+        response, before, mu = rows @ rows.T, rows @ random.normal(size=n), random.uniform(0.0, 0.5, k)
+        found = coulomb(response, before[:k], before[k:], mu)
+        assert found is not None
+        after = before + response @ np.concatenate([found.normal, found.tangent])
+        size = max(1.0, float(np.max(found.normal)) * float(np.max(response)))
+        assert np.all(after[:k] > -1e-9 * size)
+        assert np.all(np.abs(found.tangent) <= mu * found.normal + 1e-9 * size)
+        assert abs(found.normal @ after[:k]) < 1e-9 * size**2
+        assert np.all(found.tangent * after[k:] <= -mu * found.normal * np.abs(after[k:]) + 1e-8 * size**2)
+
+
+def test_stronges_impact_never_gains_energy() -> None:
+    random = np.random.default_rng(5)
+    for _ in range(300):
+        rows = random.normal(size=(2, 3))
+        response, before = rows @ rows.T, rows @ random.normal(size=3)
+        before[0] = -abs(before[0])
+        mu, e = random.uniform(0.0, 1.5), random.uniform(0.0, 1.0)
+        impulse = stronge(response, before, mu, e)
+        assert impulse @ (before + 0.5 * response @ impulse) <= 1e-12
+        assert abs(impulse[1]) <= mu * impulse[0] + 1e-12
+        smooth = stronge(response, before, 0.0, e)
+        assert (before + response @ smooth)[0] == pytest.approx(-e * before[0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"integrator": {"name": "gauss"}}, "event-driven needs an explicit Runge-Kutta method with fixed steps"),
+        ({"contact": {"treatment": "time-stepping"}}, "time-stepping needs the integrator moreau-jean"),
+        ({"stabilization": "projection"}, "rigid contacts are projected with the joints in every step"),
+    ],
+)
+def test_what_rigid_contacts_need_is_said(change: dict[str, Any], sentence: str) -> None:
+    given = {"integrator": {"name": "rk4"}, "contact": {"treatment": "event-driven"}, "time": {"end": 1, "step": 0.1}}
+    with pytest.raises(SpecError, match=sentence):
+        mbdkit.run({"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5)} | given | change)
+
+
+def test_shapes_that_overlap_at_the_start_are_refused() -> None:
+    model = ball(0.5)
+    model["bodies"]["ball"]["position"] = [0.0, 0.09]
+    with pytest.raises(SpecError, match=r"the shapes of 'floor' overlap by 0\.01 m at the start"):
+        run(model, 1.0, 0.01)
