@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.base.errors import StepError
+from mbdkit.base.errors import SpecError, StepError
+from mbdkit.base.text import listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.workspace import Workspace
@@ -82,9 +83,13 @@ class EventDriven(StepMethod):
 
 def with_contact_forces(workspace: Workspace) -> Workspace:
     """Return a workspace whose rigid contacts start with the forces and modes of the initial state."""
-    p, mechanism = EquationsOfMotion(workspace), workspace.mechanism
-    step = _Step(mechanism.contact_treatment, None, p, workspace.t0, StepState(p.q0, p.v0))
+    mechanism = workspace.mechanism
     top, held = mechanism.topology, HeldForces(mechanism)
+    if others := held.others(mechanism):
+        names = listed(others, "and")
+        raise SpecError(f"runs with rigid contacts do not include other first-order states ({names})", key="model")
+    p = EquationsOfMotion(workspace)
+    step = _Step(mechanism.contact_treatment, None, p, workspace.t0, StepState(p.q0, p.v0))
     parameters = top.law_parameters.copy()
     parameters[top.states[: held.count, 1]] = held.of(step.contact_state())
     started = replace(mechanism, topology=top._replace(law_parameters=parameters))
@@ -113,10 +118,10 @@ class _Step:
         self.contacts = RigidContacts(p)
         self.now = _Point(t, state.q.copy(), state.v.copy(), 0.0, 0.0)
         memory = state.memory
-        self.state = memory if memory is not None else self.contacts.all_open()
+        self.state = memory if memory is not None else self.contacts.all_open().after_stop()
         self.length = p.length
         self._book_energy()
-        self.modes = self.state.modes if memory is not None else self._modes_at_rest()
+        self.modes = self.state.modes if len(self.state.modes) == len(self.contacts.contacts) else self._modes_at_rest()
 
     @property
     def speed(self) -> float:

@@ -141,7 +141,9 @@ class PythonStepper:
         now, table = self.now, self.timetable
         if now.restart is None:
             return
-        state, energy = StepState(now.state.q, now.state.v, low=now.state.low), now.energy
+        contacts, energy = self.contact_state, now.energy
+        memory = None if contacts is None else contacts.after_stop()
+        state = StepState(now.state.q, now.state.v, memory=memory, low=now.state.low)
         self.workspace.clamp_motions(*table.sides(now.passed))
         stop = table.stops[now.passed - 1]
         if stop in table.impacts and not (self.impacts and self.impacts[-1].time == stop):
@@ -149,7 +151,7 @@ class PythonStepper:
             impact, new = impulse(self.workspace, now.restart, q, v, stop)
             self.impacts.append(impact)
             self._watch.forget_energy()
-            state = StepState(state.q, new[: self.equations.n], low=(state.low[0], 0.0))
+            state = StepState(state.q, new[: self.equations.n], memory=memory, low=(state.low[0], 0.0))
             energy = energy + np.array([impact.energy, 0.0])
         self.now = replace(now, state=state, energy=energy)
 

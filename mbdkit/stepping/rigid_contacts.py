@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -89,6 +89,10 @@ class ContactState:
     energy: float = 0.0
     cut: frozenset[str] = frozenset()
     changed: frozenset[str] = frozenset()
+
+    def after_stop(self) -> ContactState:
+        """Return the state after a discontinuity of a motion or load, where modes are determined anew."""
+        return replace(self, modes=np.zeros(0, dtype=int))
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences about sequences of impacts that were cut, and about impacts with another law."""
@@ -341,6 +345,11 @@ class HeldForces:
     def __init__(self, mechanism: CompiledMechanism):
         self._places = [one.first_state for one in mechanism.contacts if one.first_state >= 0]
         self.count = len(HELD) * len(self._places)
+
+    def others(self, mechanism: CompiledMechanism) -> list[str]:
+        """Return the names of the other first-order states of the mechanism."""
+        own = {place + i for place in self._places for i in range(len(HELD))}
+        return [state.name for number, state in enumerate(mechanism.states) if number not in own]
 
     def of(self, memory: ContactState | None) -> np.ndarray:
         """Return the states (Z,); zeros before the first step."""
