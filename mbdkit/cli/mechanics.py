@@ -26,7 +26,7 @@ def equilibrium(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Find a static equilibrium with reactions, internal forces of beams and stability.
+    """Find a static equilibrium, its stability and its forces.
 
     The search begins at the start position and moves in the direction of the
     forces. Drivers and loads are evaluated at the start time; velocities are

@@ -35,7 +35,7 @@ FEWEST_PER_PERIOD = 2
 LONGEST_TURN = 0.03
 """Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
 
-_ANGLE = re.compile(r"\[rad( or m)?\]")
+_ANGLE = re.compile(r"\[(m or )?rad\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:

@@ -13,7 +13,6 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.contact_forces import HELD
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.stepping.complementarity import coulomb, stronge
-from mbdkit.symbolic.contact_rows import row_function
 
 OPEN, STICK, SLIP = 0, 1, 2
 """Modes of a contact; a mode of -2 is `SLIP` in the negative direction."""
@@ -140,7 +139,11 @@ class RigidContacts:
         self.names = [one.pair.name for one in self.contacts]
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = given.T
-        self._functions = [row_function(one.pair.kind) for one in self.contacts]
+        self._functions = []
+        if self.contacts:
+            from mbdkit.symbolic.contact_rows import row_function  # loads SymPy
+
+            self._functions = [row_function(one.pair.kind) for one in self.contacts]
 
     def all_open(self) -> ContactState:
         """Return the state of contacts without forces."""

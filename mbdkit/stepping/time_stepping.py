@@ -27,6 +27,8 @@ from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping.complementarity import coulomb
 from mbdkit.stepping.rigid_contacts import OPEN, SLIP, STICK, ClosedSystem, RigidContacts
 
+MOST_HALVINGS = 4
+"""How often a step may be halved."""
 MOST_PROJECTIONS = 5
 """Projections of positions in one step, each of which may make other shapes overlap."""
 SMALL = 1e-12
@@ -46,7 +48,24 @@ class TimeStepping(StepMethod):
         self.theta = theta
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """See `StepMethod.step`."""
+        """See `StepMethod.step`. A step whose positions cannot be projected is taken in halves."""
+        return self._taken(equations, t, state, h, MOST_HALVINGS)
+
+    def _taken(self, p: EquationsOfMotion, t: float, state: StepState, h: float, halvings: int) -> StepState:
+        try:
+            return self._whole(p, t, state, h)
+        except StepError as error:
+            if error.code != "newton-failed" or not halvings:
+                raise
+        half = self._taken(p, t, state, 0.5 * h, halvings - 1)
+        end = self._taken(p, t + 0.5 * h, half, 0.5 * h, halvings - 1)
+        assert half.work is not None
+        assert half.dissipated is not None
+        assert end.work is not None
+        assert end.dissipated is not None
+        return replace(end, work=half.work + end.work, dissipated=half.dissipated + end.dissipated)
+
+    def _whole(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         p, theta, q, v = equations, self.theta, state.q, state.v
         contacts = RigidContacts(p)
         middle = q + 0.5 * h * v

@@ -28,6 +28,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("dop853", {}),
     ("rattle", {}),
     ("lobatto-pair", {}),
+    ("moreau-jean", {}),
     ("scipy-radau", {}),
     ("scipy-dop853", {}),
     ("scipy-lsoda", {}),
