@@ -36,6 +36,10 @@ _EXCEPTION = re.compile(r"^(@\.const\.picklebuf\.\S+ = .*?constant (\{[^}]*\})) 
 """The description of an exception in LLVM's language, which is left out of machine code: nothing reads it, and it holds
 the path of a source file, so that the code would depend on the folder in which it was built."""
 
+_OBJECT = re.compile(r"^(@numba\.dynamic\.globals\.\S+ = .*?global ptr) inttoptr \(.*$", re.MULTILINE)
+"""The address of a Python function among the arguments of a compiled one, which nothing reads either: Numba compiles a
+function for each of them."""
+
 _LIBRARY_NAMES = {"numba_gamma": "tgamma"}
 """Functions of Numba's own library, and those of the C library that take their place."""
 
@@ -209,7 +213,7 @@ def _module(symbol: str, function: Any, arguments: tuple[Any, ...], kind: ir.Fun
     wrap(context, builder, callee, found.signature, list(wrapper.args))
     linked = llvm.parse_assembly(str(module))
     code = str(found._asdict()["library"]._final_module)
-    linked.link_in(llvm.parse_assembly(_EXCEPTION.sub(r"\1 zeroinitializer", code)))
+    linked.link_in(llvm.parse_assembly(_OBJECT.sub(r"\1 null", _EXCEPTION.sub(r"\1 zeroinitializer", code))))
     linked.verify()
     return linked
 
