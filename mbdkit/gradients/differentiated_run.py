@@ -213,6 +213,8 @@ def _stepper(
     workspace, _ = build(spec)
     if workspace.mechanism.muscles:
         raise SpecError("gradients of runs do not include muscles; leave them out", key="model.muscles")
+    if workspace.mechanism.contact_treatment.is_rigid:
+        raise SpecError("gradients of runs do not include contacts of rigid bodies", key="contact.treatment")
     if needs != Needs():
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")
     table = timetable(spec, guards(spec, size_at_start(spec, workspace)))

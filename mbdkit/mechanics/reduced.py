@@ -15,6 +15,7 @@ from scipy.linalg import eigvalsh_tridiagonal, ldl
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
+from mbdkit.base.errors import SpecError
 from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
 
@@ -69,6 +70,9 @@ class Reduced:
 def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     """Return a mechanism for statics: its first-order states, if there are any, follow from its position."""
     mechanism = prepared.workspace.mechanism
+    if mechanism.contact_treatment.is_rigid:
+        message = "an analysis of a mechanism at rest needs compliant contacts; rigid ones have no forces by themselves"
+        raise SpecError(message, key="contact.treatment")
     if not mechanism.states:
         return prepared
     if mechanism.muscles:

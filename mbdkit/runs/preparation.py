@@ -139,7 +139,7 @@ def make_method(spec: RunSpec) -> Method:
 def _check_treatment(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if a method cannot integrate the rigid contacts of a spec."""
     treatment, traits = spec.contact.treatment, method.traits
-    if treatment == "compliant" or not spec.mechanism().contacts:
+    if not spec.has_rigid_contacts:
         return
     if treatment == "time-stepping" and traits.family != "moreau-jean":
         raise spec.placed(SpecError("the treatment time-stepping needs the integrator moreau-jean", key="integrator"))
@@ -149,6 +149,9 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
     if spec.stabilized.kind != "none":
         message = "rigid contacts are projected with the joints in every step; leave it out"
         raise spec.placed(SpecError(message, key="stabilization"))
+    if spec.estimates_errors:
+        key = "check" if spec.check else "accuracy"
+        raise spec.placed(SpecError("errors of runs with rigid contacts are not estimated; leave it out", key=key))
 
 
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:
@@ -207,7 +210,7 @@ def timetable(
         impacts=stops.impacts,
         samples=stops.samples,
     )
-    return replace(table, single=table.single or not rows_are_ends(table)) if ends else table
+    return replace(table, single=table.single or spec.has_rigid_contacts or not rows_are_ends(table)) if ends else table
 
 
 def rows_are_ends(table: Timetable) -> bool:

@@ -125,6 +125,8 @@ def why_without(spec: RunSpec, method: Method) -> str:
     """Return the reason why a run writes no checkpoints, as a clause; empty if it writes checkpoints."""
     if spec.is_to_be_chosen:
         return "its method or step is chosen by pilot runs, whose results are not stored"
+    if spec.has_rigid_contacts:
+        return "the state of contacts of rigid bodies cannot be stored"
     if method.traits.why_no_checkpoint:
         return method.traits.why_no_checkpoint
     if spec.estimates_errors and "joints" not in spec.output.recorded:

@@ -217,6 +217,11 @@ class RunSpec(ModelSpec):
             )
 
     @property
+    def has_rigid_contacts(self) -> bool:
+        """Whether the mechanism has contacts, of rigid bodies."""
+        return self.contact.treatment != "compliant" and bool(self.mechanism().contacts)
+
+    @property
     def estimates_errors(self) -> bool:
         """Whether the errors of the recorded rows are estimated."""
         return self.check or self.accuracy is not None

@@ -34,9 +34,11 @@ from mbdkit.stepping.rigid_contacts import (
 )
 
 MOST_EVENTS = 1000
-"""Events of one step, after which the run stops."""
+"""Events that follow each other without a whole step, after which the run stops."""
 SAMPLES = 8
 """States of a step in which events are looked for."""
+SAME_INSTANT = 4e-16
+"""Times that differ by less, in seconds or as a share, are equal."""
 SAME = 1e-10
 """Gaps, in lengths of the mechanism, and velocities, in those of the motion, that are zero but for errors."""
 
@@ -52,6 +54,8 @@ class _Point:
     dissipated: float
 
 
+_Tableau = tuple[list[list[float]], list[float], list[float]]
+"""Coefficients a, b and c."""
 _Rate = tuple[np.ndarray, float, float]
 """Accelerations, power of loads and drivers, and dissipated power."""
 
@@ -67,18 +71,28 @@ class EventDriven(StepMethod):
         Settings of the run.
     """
 
-    hint = "a smaller time.step may help"
-
     def __init__(self, tableau: ButcherTableau, treatment: Treatment):
         self.treatment = treatment
-        self.a, self.b, self.c = (x.tolist() for x in tableau.floats())
+        self.tableau: _Tableau = tuple(x.tolist() for x in tableau.floats())
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """See `StepMethod.step`."""
-        step = _Step(self.treatment, (self.a, self.b, self.c), equations, t, state)
-        step.to(t + h)
-        now = step.now
-        return StepState(now.q, now.v, None, step.contact_state(), now.work, now.dissipated)
+        """Take a step, or the part of it before the first event, which `after_event` then applies.
+
+        The time that is reached is part of `StepState.memory`, a `ContactState`.
+        """
+        step = _Step(self.treatment, self.tableau, equations, t, state)
+        event = step.to(t + h)
+        streak = 0 if event is None else step.state.streak + 1
+        if streak > MOST_EVENTS:
+            raise StepError("zeno", f"contacts changed {MOST_EVENTS} times without a step between")
+        return step.reached(event, streak)
+
+    def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
+        """Return the state after the event at which a step has ended."""
+        step = _Step(self.treatment, self.tableau, equations, t, state)
+        assert step.state.event is not None
+        step.happen(step.state.event)
+        return step.reached(None, step.state.streak)
 
 
 def with_contact_forces(workspace: Workspace) -> Workspace:
@@ -109,7 +123,7 @@ class _Step:
     def __init__(
         self,
         treatment: Treatment,
-        tableau: tuple[list[list[float]], list[float], list[float]] | None,
+        tableau: _Tableau | None,
         p: EquationsOfMotion,
         t: float,
         state: StepState,
@@ -142,9 +156,15 @@ class _Step:
         return self._decided(self.now, touching)
 
     def contact_state(self) -> ContactState:
-        """Return what the contacts pass to the next step."""
+        """Return what the contacts hold now."""
         forced = self._forced(self.now)
         return replace(self.state, modes=self.modes, normal=forced.normal, tangent=forced.tangent)
+
+    def reached(self, event: tuple[int, int] | None, streak: int) -> StepState:
+        """Return the present state with what the contacts pass to the next step."""
+        now = self.now
+        memory = replace(self.contact_state(), time=now.t, event=event, streak=streak)
+        return StepState(now.q, now.v, None, memory, now.work, now.dissipated)
 
     def _forced(self, at: _Point) -> Forced:
         return self.contacts.accelerations(at.t, at.q, at.v, self.modes)
@@ -186,24 +206,21 @@ class _Step:
 
     # ---- events --------------------------------------------------------------------------------------------------
 
-    def to(self, end: float) -> None:
-        """Advance to a time."""
-        for _ in range(MOST_EVENTS):
-            h = end - self.now.t
-            if h <= 4e-16 * max(abs(end), 1.0):
-                self.now = replace(self.now, t=end)
-                return
+    def to(self, end: float) -> tuple[int, int] | None:
+        """Advance to a time, or to the first event before, which is returned."""
+        while (h := end - self.now.t) > SAME_INSTANT * max(abs(end), 1.0):
             there = self._moved(self._limited(h))
             found = self._first_event(there)
-            if found is None:
-                self.now = there if there.t < end else replace(there, t=end)
+            if found is not None:
+                share, event = found
+                if share > 0.0:
+                    self.now = self._moved(share * (there.t - self.now.t))
                 self._book_energy()
-                continue
-            share, event = found
-            self.now = self._moved(share * (there.t - self.now.t)) if share > 0.0 else self.now
+                return event
+            self.now = there
             self._book_energy()
-            self._happen(event)
-        raise StepError("zeno", f"contacts changed {MOST_EVENTS} times within one step")
+        self.now = replace(self.now, t=end)
+        return None
 
     def _limited(self, h: float) -> float:
         """Return a step in which no contact opens and closes again unnoticed."""
@@ -271,7 +288,7 @@ class _Step:
             return low
         return float(brentq(value, low, high, xtol=1e-15, rtol=8.9e-16))
 
-    def _happen(self, event: tuple[int, int]) -> None:
+    def happen(self, event: tuple[int, int]) -> None:
         """Apply an event to the present state."""
         kind, contact = event
         if kind == 0 and self.modes[contact] == OPEN:

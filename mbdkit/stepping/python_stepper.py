@@ -17,6 +17,7 @@ from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping import interface
+from mbdkit.stepping.event_driven import SAME_INSTANT, EventDriven
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (
     SAME_TIME,
@@ -70,13 +71,15 @@ class Reached:
     passed: int
     """Number of stops passed."""
     restart: float | None
-    """Start of the next step if this is a stop."""
+    """Start of the next step if this is a stop, or an event of contacts."""
     time: float
     state: StepState
     energy: np.ndarray
     """(2,) work of loads and drivers, and dissipated energy [J]; `energy_low` are the low parts of these sums."""
     energy_low: np.ndarray
     interval: Interval
+    is_event: bool = False
+    """Whether the step has ended at an event of contacts, before its planned end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +141,10 @@ class PythonStepper:
         """At a stop, discard the values that the method stores for the next step, and apply the impulse if there is
         one.
         """
+        if isinstance(self.method, EventDriven) and self.contact_state is not None and self.contact_state.event:
+            self._apply_event(self.method)
         now, table = self.now, self.timetable
-        if now.restart is None:
+        if now.restart is None or now.is_event:
             return
         contacts, energy = self.contact_state, now.energy
         memory = None if contacts is None else contacts.after_stop()
@@ -154,6 +159,13 @@ class PythonStepper:
             state = StepState(state.q, new[: self.equations.n], memory=memory, low=(state.low[0], 0.0))
             energy = energy + np.array([impact.energy, 0.0])
         self.now = replace(now, state=state, energy=energy)
+
+    def _apply_event(self, method: EventDriven) -> None:
+        """Apply the event of contacts at which the last step has ended, such as an impact."""
+        now = self.now
+        state = method.after_event(self.equations, now.time if now.restart is None else now.restart, now.state)
+        self._watch.forget_energy()
+        self.now = replace(now, state=state, energy=now.energy + np.array([0.0, state.dissipated]))
 
     def advance(self) -> Stretch:
         """See `Stepper.advance`. An exception of the method is raised by the next call, so that no rows are lost."""
@@ -187,7 +199,8 @@ class PythonStepper:
             if table.single:
                 self._before = before
                 ends = (*self._with_ground(before.state), *self._with_ground(self.now.state))
-                states = (self._held.of(one.state.memory) for one in (before, self.now))
+                is_over_step = self.contact_state is not None and self.contact_state.is_over_step
+                states = (self._held.of(one.state.memory) for one in (self.now if is_over_step else before, self.now))
                 self.last_step = StepTaken(before.time, self.now.time, *ends, *states)
             if table.single or time.perf_counter() > until:
                 break
@@ -291,12 +304,18 @@ class PythonStepper:
         end = table.start + (begin.whole + 1) * table.step if h == table.step else t + h
         taken = self.stabilized.take(t, end, begin.state, h, done)
         new = taken.reached
+        is_event = isinstance(new.memory, ContactState) and new.memory.time < t + h - SAME_INSTANT * max(abs(end), 1.0)
+        if is_event:
+            end = new.memory.time
+            h = end - t
         if not equations.arrive(end, new.q, new.v, worst):
             raise StepError("not-finite", "positions or velocities overflowed")
         energy, low = begin.energy, begin.energy_low
         if self.has_power:
             energy, low = self._booked(begin, t, h, taken)
         interval = begin.interval.after(h, self.counters.newton_iterations - iterations, taken.correction)
+        if is_event:
+            return Reached(done, begin.whole, begin.passed, end, end, new, energy, low, interval, True), taken
         if not plan.is_at_stop or theta < 1.0:
             whole = begin.whole + 1
             reached = table.end if whole == table.steps else end
@@ -309,8 +328,11 @@ class PythonStepper:
 
         Raises any other exception of the method.
         """
+        plan, share = self._next(self._before), 1.0
+        if self.now.is_event:  # the step was shorter than planned
+            share = (self.now.time - plan.begin) / plan.size
         try:
-            return self._after(self._before, theta, self.worst_pairs.copy())[0]
+            return self._after(self._before, theta * share, self.worst_pairs.copy())[0]
         except StepError:
             return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -79,6 +80,14 @@ class ContactState:
         Largest kinetic energy so far [J].
     cut, changed
         Names of contacts whose sequence of impacts was cut, and of those with another law of impact.
+    time
+        Time at which the step has ended [s]: before its planned end if there is an event.
+    event
+        What happens then, before the next step; None if nothing does. See `mbdkit.stepping.event_driven`.
+    streak
+        Number of events since a step that had none.
+    is_over_step
+        Whether the forces are those over the whole step, and not at its end.
     """
 
     modes: np.ndarray
@@ -88,6 +97,10 @@ class ContactState:
     energy: float = 0.0
     cut: frozenset[str] = frozenset()
     changed: frozenset[str] = frozenset()
+    time: float = math.inf
+    event: tuple[int, int] | None = None
+    streak: int = 0
+    is_over_step: bool = False
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load, where modes are determined anew."""

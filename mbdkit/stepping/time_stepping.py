@@ -99,7 +99,8 @@ class TimeStepping(StepMethod):
         mean = 0.5 * (v + after)
         lost = -h * float(normal @ (rows.normal @ mean) + tangent @ (rows.tangent @ mean))
         work, dissipated = p.powers(t + 0.5 * h, middle, mean, multipliers)
-        memory = replace(state.memory or contacts.all_open(), modes=modes, normal=normal, tangent=tangent)
+        held = contacts.all_open() if state.memory is None else state.memory
+        memory = replace(held, modes=modes, normal=normal, tangent=tangent, is_over_step=True)
         return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
 
     @staticmethod

@@ -45,6 +45,20 @@ def test_a_ball_comes_to_rest_when_its_impacts_accumulate(e: float, end: float) 
     assert found.verdict == "unknown"
 
 
+def test_measures_do_not_interpolate_across_impacts() -> None:
+    # expected: the parabolas between the impacts, of which each is half as fast as the one before
+    found = mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5)},
+        integrator={"name": "dop853"},
+        time={"end": 2.0, "step": 0.05},
+        contact={"treatment": "event-driven"},
+        measures={"low": "min(ball.y)", "fast": "max(abs(ball.vy))", "area": "integral(ball.y - 0.1)"},
+    )
+    first = np.sqrt(2.0 / G)
+    area = first * 2.0 / 3.0 + sum((G * first * 0.5**k) ** 3 / (1.5 * G**2) for k in range(1, 40))
+    assert found.measures == pytest.approx({"low": 0.1, "fast": np.sqrt(2 * G), "area": area}, rel=1e-10)
+
+
 def block(mu: float) -> dict[str, Any]:
     angle = np.radians(30.0)
     along, normal = np.array([np.cos(angle), np.sin(angle)]), [-np.sin(angle), np.cos(angle)]
@@ -237,6 +251,7 @@ def test_stronges_impact_never_gains_energy() -> None:
     [
         ({"integrator": {"name": "gauss"}}, "event-driven needs an explicit Runge-Kutta method with fixed steps"),
         ({"contact": {"treatment": "time-stepping"}}, "time-stepping needs the integrator moreau-jean"),
+        ({"check": True}, "errors of runs with rigid contacts are not estimated"),
         ({"stabilization": "projection"}, "rigid contacts are projected with the joints in every step"),
     ],
 )
@@ -244,6 +259,17 @@ def test_what_rigid_contacts_need_is_said(change: dict[str, Any], sentence: str)
     given = {"integrator": {"name": "rk4"}, "contact": {"treatment": "event-driven"}, "time": {"end": 1, "step": 0.1}}
     with pytest.raises(SpecError, match=sentence):
         mbdkit.run({"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5)} | given | change)
+
+
+def test_gradients_and_equilibria_refuse_rigid_contacts() -> None:
+    spec = {
+        "mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5), "integrator": {"name": "rk4"},
+        "contact": {"treatment": "event-driven"}, "time": {"end": 1, "step": 0.1},
+    }  # fmt: skip
+    with pytest.raises(SpecError, match="gradients of runs do not include contacts of rigid bodies"):
+        mbdkit.gradient(spec, ["final(ball.y)"], ["model.bodies.ball.mass"])
+    with pytest.raises(SpecError, match="at rest needs compliant contacts"):
+        mbdkit.equilibrium(spec)
 
 
 def test_other_states_are_refused() -> None:
