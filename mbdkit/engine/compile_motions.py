@@ -1,0 +1,86 @@
+"""Programs of the functions of time and of angles of a mechanism, for kernels."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+
+from mbdkit.engine.kernels.motions import OPCODES
+from mbdkit.expressions.parser import Expression
+from mbdkit.expressions.program import Program, derivative_of
+from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
+from mbdkit.mechanism.state_values import is_of_state
+from mbdkit.mechanism.values import Motion, Table, curve_of
+
+
+class CompiledMotions:
+    """Collects the programs of all motions of a mechanism in flat lists; equal motions share one number.
+
+    The programs of moving centers come last; see `mbdkit.engine.kernels.motions`.
+    """
+
+    def __init__(self) -> None:
+        self.numbers: dict[Motion, int] = {}
+        self.start, self.ops, self.constants = [0], [], []  # type: list[int], list[int], list[float]
+        self.tables: list[float] = []
+
+    def add(self, motion: Motion) -> int:
+        """Return the number of the program of a motion, which is compiled unless an equal one has been."""
+        if motion not in self.numbers:
+            self.numbers[motion] = self._append(self._program(motion))
+        return self.numbers[motion]
+
+    def add_center(self, center: Center) -> int:
+        """Append the programs of both components and their derivatives; return the number of the first."""
+        first = len(self.start) - 1
+        for _, function in center.functions:
+            for derivative in (False, True):
+                self._append(self._function_of_angle(function, derivative))
+        return first
+
+    def _append(self, program: Program) -> int:
+        self.ops += [OPCODES[name] for name, _ in program]
+        self.constants += [float(value) for _, value in program]
+        self.start.append(len(self.ops))
+        return len(self.start) - 2
+
+    def _function_of_angle(self, function: AngleFunction, derivative: bool) -> Program:
+        if isinstance(function, str):
+            program = expression_of(function).program
+            return derivative_of(program) if derivative else program
+        if not isinstance(function, Table):
+            return (("const", 0.0 if derivative else float(function)),)
+        return self._table(function, derivative=derivative)
+
+    def _table(self, table: Table, *, derivative: bool = False) -> Program:
+        begin = len(self.tables)
+        self.tables += _piecewise_polynomial(table, derivative=derivative)
+        return (("table", float(begin)),)
+
+    def _program(self, motion: Motion) -> Program:
+        if is_of_state(motion):
+            return (("const", 0.0),)  # kernels replace this value
+        if isinstance(motion, str):
+            return Expression.parse(motion).program
+        if not isinstance(motion, Table):
+            return (("const", float(motion)),)
+        return self._table(motion)
+
+    @property
+    def values(self) -> list[float]:
+        """The constants of the programs, followed by the tables; the offset of each table is made absolute."""
+        ops = zip(self.ops, self.constants, strict=True)
+        return [x + len(self.ops) if op == OPCODES["table"] else x for op, x in ops] + self.tables
+
+
+def _piecewise_polynomial(table: Table, *, derivative: bool) -> list[float]:
+    """Return the curve of a table for the kernel: numbers of pieces and coefficients, period, times, coefficients."""
+    times = np.array(table.table[0])
+    coefficients = np.full((len(times) - 1, 4), np.nan)  # reported later, by `check_motions` of assembly
+    with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
+        curve = curve_of(table).derivative() if derivative else curve_of(table)
+        if np.all(np.isfinite(curve.c)):
+            times, coefficients = curve.x, curve.c[::-1].T
+    pieces, terms = coefficients.shape
+    return [float(pieces), float(terms), table.period, *times.tolist(), *coefficients.ravel().tolist()]
