@@ -17,14 +17,11 @@ from mbdkit.base.text import listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.workspace import Workspace
-from mbdkit.mechanism.contacts import Treatment
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, Treatment
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.stepping.interface import StepTaken
 from mbdkit.stepping.rigid_contacts import (
-    OPEN,
-    SLIP,
-    STICK,
     ClosedSystem,
     ContactImpact,
     ContactState,
@@ -337,12 +334,12 @@ class _Step:
         e = np.where(touching, self.contacts.restitution, 0.0)
         struck = self.contacts.struck(now.t, now.q, now.v, touching, e, self.treatment.impact_law)
         # rebounds with less energy than `rest_energy` are left out
-        weight = 1.0 / np.maximum(np.einsum("ij,ij->i", rows.normal, rows.normal / self.p.mass), 1e-300)
+        effective_mass = 1.0 / np.maximum(np.einsum("ij,ij->i", rows.normal, rows.normal / self.p.mass), 1e-300)
         after = rows.normal @ struck.v
         rests = (
             touching
             & (after > 0)
-            & (0.5 * weight * after**2 <= self.treatment.rest_energy * self.state.energy)
+            & (0.5 * effective_mass * after**2 <= self.treatment.rest_energy * self.state.energy)
             & (e > 0)
         )
         rests &= approach < 0

@@ -13,10 +13,9 @@ from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.contact_forces import HELD
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.stepping.complementarity import coulomb, stronge
 
-OPEN, STICK, SLIP = 0, 1, 2
-"""Modes of a contact; a mode of -2 is `SLIP` in the negative direction."""
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest are those of redundant rows."""
 
@@ -219,7 +218,7 @@ class RigidContacts:
         return np.stack([x for x, _ in found], axis=1), np.stack([mu for _, mu in found], axis=1)
 
     def decided(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, sliding: np.ndarray) -> np.ndarray:
-        """Return the modes (C,) with which touching contacts go on.
+        """Return the modes (C,) with which touching contacts go on; minus `SLIP` is slip in the negative direction.
 
         Parameters
         ----------

@@ -23,9 +23,10 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_positions
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping.complementarity import coulomb
-from mbdkit.stepping.rigid_contacts import OPEN, SLIP, STICK, ClosedSystem, RigidContacts
+from mbdkit.stepping.rigid_contacts import ClosedSystem, RigidContacts
 
 MOST_HALVINGS = 4
 """How often a step may be halved."""

@@ -10,9 +10,6 @@ import sympy as sp
 
 from mbdkit.symbolic.contact_definitions import CIRCLE, FIRST, SECOND, Steps, geometry, numbers_of, sliding
 
-RIGID_KINDS = ("line", "circles")
-"""Kinds of geometry whose rows are smooth where the shapes touch."""
-
 
 class _Whole(Steps):
     """Writes definitions without intermediate results, so that they can be differentiated."""
