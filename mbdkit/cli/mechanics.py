@@ -48,10 +48,11 @@ def equilibrium(
         with replacing(write, overwrite=overwrite, source=spec) as temporary:
             temporary.write_text(write_yaml(spec_at(prepared, found)), encoding="utf-8")
     if output is not None:
-        from mbdkit.plot.equilibrium_plot import plot_equilibrium
+        from mbdkit.plot.equilibrium_plot import equilibrium_figure
+        from mbdkit.plot.style import save
 
         mechanism = prepared.spec.mechanism()
-        plot_equilibrium(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}", output)
+        save(equilibrium_figure(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
         show_json(mechanics_summary.equilibrium_data(found))
     else:
@@ -85,10 +86,11 @@ def modes(
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = modes_of(prepared, at, count)
     if output is not None:
-        from mbdkit.plot.mode_shapes import plot_modes
+        from mbdkit.plot.mode_shapes import modes_figure
+        from mbdkit.plot.style import save
 
         mechanism = prepared.spec.mechanism()
-        plot_modes(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}", output)
+        save(modes_figure(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
         show_json(mechanics_summary.modes_data(found))
     else:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 from matplotlib.figure import Figure
 
-from mbdkit.base.files import check_suffix
 from mbdkit.figures.drawing_geometry import draw_mechanism
 from mbdkit.figures.page_model import Axis, Line
 from mbdkit.figures.page_model import Figure as Chart
@@ -18,28 +14,10 @@ from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plot.caption import Caption
 from mbdkit.plot.charts import draw_chart
-from mbdkit.plot.style import FORMATS, dress, new_figure, save
+from mbdkit.plot.style import dress, new_figure
 
 FORCES = (("Bending moment", "N m", 3), ("Shear force", "N", 2), ("Axial force", "N", 1))
 """Title, unit and column of `Equilibrium.beams` of each chart."""
-
-
-def plot_equilibrium(found: Equilibrium, mechanism: Mechanism, title: str, path: str | os.PathLike[str]) -> Path:
-    """Draw an equilibrium into a file. An existing file is replaced.
-
-    Parameters
-    ----------
-    path
-        File to write. Its suffix, .png, .svg or .pdf, selects the format.
-
-    Raises
-    ------
-    SpecError
-        The suffix is unknown, or the file cannot be written.
-    """
-    target = check_suffix(path, FORMATS, "a plot")
-    save(equilibrium_figure(found, mechanism, title), target)
-    return target
 
 
 def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> Figure:

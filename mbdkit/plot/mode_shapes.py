@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 from matplotlib.figure import Figure
 
-from mbdkit.base.files import check_suffix
 from mbdkit.figures.drawing_geometry import draw_mechanism
 from mbdkit.figures.palette import FAINT, body_colors
 from mbdkit.figures.plane_geometry import view_box
@@ -16,7 +12,7 @@ from mbdkit.figures.pose import Pose
 from mbdkit.mechanics.modes import Modes
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plot.caption import Caption
-from mbdkit.plot.style import FORMATS, dress, new_figure, save
+from mbdkit.plot.style import dress, new_figure
 
 MOST = 6
 """Largest number of modes in a picture."""
@@ -26,24 +22,6 @@ AMPLITUDE = 0.12
 
 STEEPEST = 0.8
 """Largest rotation of a body [rad]."""
-
-
-def plot_modes(found: Modes, mechanism: Mechanism, title: str, path: str | os.PathLike[str]) -> Path:
-    """Draw up to six of the slowest modes into a file. An existing file is replaced.
-
-    Parameters
-    ----------
-    path
-        File to write. Its suffix, .png, .svg or .pdf, selects the format.
-
-    Raises
-    ------
-    SpecError
-        The suffix is unknown, or the file cannot be written.
-    """
-    target = check_suffix(path, FORMATS, "a plot")
-    save(modes_figure(found, mechanism, title), target)
-    return target
 
 
 def modes_figure(found: Modes, mechanism: Mechanism, title: str) -> Figure:
