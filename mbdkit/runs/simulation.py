@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Unpack
@@ -140,8 +140,7 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     begun = _begun_arrays if path is None else partial(_begun_archive, path=path, overwrite=overwrite)
-    prepare = partial(_prepared, begun=begun, path=path, notify=notify, begin=begin, starts=starts, measures=measures)
-    return _ended(spec, prepare, notify, progress).run()
+    return _ended(spec, _Preparation(begun, notify, begin, path, starts, measures), progress).run()
 
 
 def simulate_on(
@@ -163,8 +162,7 @@ def simulate_on(
     progress, notify
         As for `simulate`.
     """
-    prepare = partial(_prepared, begun=begun, path=None, notify=notify, begin=time.perf_counter())
-    return _ended(spec, partial(prepare, continuation=continuation), notify, progress).run()
+    return _ended(spec, _Preparation(begun, notify, time.perf_counter(), continuation=continuation), progress).run()
 
 
 def simulate_arrays(
@@ -181,39 +179,88 @@ def simulate_arrays(
     notify, starts, measures
         As for `simulate`.
     """
-    begin = time.perf_counter()
-    prepare = partial(
-        _prepared, begun=_begun_arrays, path=None, notify=notify, begin=begin, starts=starts, measures=measures,
-        becomes_run=False,
-    )  # fmt: skip
-    simulation = _ended(spec, prepare, notify, None)
+    preparation = _Preparation(_begun_arrays, notify, time.perf_counter(), None, starts, measures, becomes_run=False)
+    simulation = _ended(spec, preparation, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
     return replace(simulation.writer.finished, cause=simulation.cause)
 
 
-def _ended(
-    spec: RunSpec,
-    prepare: Callable[..., SimulatedRun],
-    notify: Callable[[str], None],
-    progress: Progress | None,
-) -> SimulatedRun:
+@dataclass(frozen=True)
+class _Preparation:
+    """What a simulation needs besides its spec.
+
+    Parameters
+    ----------
+    begun
+        Returns the writer of a run.
+    notify, path, starts, measures
+        As for `simulate`.
+    begin
+        Time at which the run was requested [s].
+    continuation
+        The state to continue from, if any.
+    becomes_run
+        Whether the caller gets a `Run`, which shows the rows of an interrupted run.
+    """
+
+    begun: Callable[[RunSpec, Method, _Start], RunWriter]
+    notify: Callable[[str], None]
+    begin: float
+    path: Path | None = None
+    starts: Starts | None = None
+    measures: Sequence[str] = ()
+    continuation: Continuation | None = None
+    becomes_run: bool = True
+
+    def simulation(self, spec: RunSpec, choice: Choice | None = None) -> SimulatedRun:
+        """Return the simulation of a spec, whose method and step are a `choice` if the spec gives none."""
+        method = make_method(spec)
+        check_jumps(spec)
+        if spec.gradients:
+            higher_layers.check_gradients(spec, method)
+        cautions = caution(spec, method)
+        _warn(cautions, self.notify)
+        workspace, start = build(spec, self.starts)
+        moves = start_warnings(spec, start)
+        _warn(moves, self.notify)
+        if _LOG.isEnabledFor(logging.DEBUG):
+            _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
+        check_disk_space(spec, workspace.mechanism, self.path)
+        functionals = functionals_of(spec, self.measures)
+        noted: list[bool] = []
+        noting = _not_noted if self.begun is _begun_arrays else interrupts_noted
+        with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed
+            writer = self.begun(spec, method, (workspace, start))
+            try:
+                simulation = SimulatedRun(
+                    spec, workspace, method, writer, self.begin, (*cautions, *moves), choice, functionals
+                )
+            except BaseException:
+                writer.abandon()
+                raise
+        simulation.becomes_run = self.becomes_run
+        simulation.interrupted, simulation.continuation = bool(noted), self.continuation
+        simulation.expressions = expressions_of(spec, self.measures)
+        simulation.measured_in = partial(measured_in, expressions=simulation.expressions)
+        return simulation
+
+
+def _ended(spec: RunSpec, preparation: _Preparation, progress: Progress | None) -> SimulatedRun:
     """Run a spec to its end, and return the simulation with its finished writer."""
     method = "the method is chosen during the run" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
     with one_thread_of_linear_algebra():
         if spec.is_to_be_chosen:
-            return _with_accuracy(spec, prepare, notify, progress)
-        with _finished_or_abandoned(prepare(spec)) as simulation:
+            return _with_accuracy(spec, preparation, progress)
+        with _finished_or_abandoned(preparation.simulation(spec)) as simulation:
             simulation.integrate(progress)
             simulation.finish()
             return simulation
 
 
-def _with_accuracy(
-    spec: RunSpec, prepare: Callable[..., SimulatedRun], notify: Callable[[str], None], progress: Progress | None
-) -> SimulatedRun:
+def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress | None) -> SimulatedRun:
     """Choose method and step for the accuracy of a spec, and run it; repeat with smaller steps while the accuracy is
     not reached.
 
@@ -224,7 +271,7 @@ def _with_accuracy(
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
-        with _finished_or_abandoned(prepare(choice.applied_to(spec), choice=choice)) as simulation:
+        with _finished_or_abandoned(preparation.simulation(choice.applied_to(spec), choice)) as simulation:
             simulation.integrate(progress)
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
@@ -233,11 +280,11 @@ def _with_accuracy(
             if simulation.is_final or (following is None and best is choice):
                 simulation.finish()
                 return simulation
-        prepare = partial(prepare, notify=silent)  # warnings are shown only once
+        preparation = replace(preparation, notify=silent)  # warnings are shown only once
         if following is None:
             # the best attempt is repeated, because only one archive is written at a time; equal settings give equal
             # results
-            with _finished_or_abandoned(prepare(best.applied_to(spec), choice=best)) as simulation:
+            with _finished_or_abandoned(preparation.simulation(best.applied_to(spec), best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [one for _, one in tried]
                 simulation.finish()
@@ -281,49 +328,6 @@ def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
         shared=shared_forces(workspace.mechanism),
         assembly=assembled.describe(),
     )
-
-
-def _prepared(
-    spec: RunSpec,
-    *,
-    begun: Callable[[RunSpec, Method, _Start], RunWriter],
-    path: Path | None,
-    notify: Callable[[str], None],
-    begin: float,
-    choice: Choice | None = None,
-    continuation: Continuation | None = None,
-    starts: Starts | None = None,
-    measures: Sequence[str] = (),
-    becomes_run: bool = True,
-) -> SimulatedRun:
-    """Return a simulation whose writer is begun by `begun`; see `simulate`."""
-    method = make_method(spec)
-    check_jumps(spec)
-    if spec.gradients:
-        higher_layers.check_gradients(spec, method)
-    cautions = caution(spec, method)
-    _warn(cautions, notify)
-    workspace, start = build(spec, starts)
-    moves = start_warnings(spec, start)
-    _warn(moves, notify)
-    if _LOG.isEnabledFor(logging.DEBUG):
-        _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
-    check_disk_space(spec, workspace.mechanism, path)
-    functionals = functionals_of(spec, measures)
-    noted: list[bool] = []
-    noting = _not_noted if begun is _begun_arrays else interrupts_noted
-    with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed
-        writer = begun(spec, method, (workspace, start))
-        try:
-            simulation = SimulatedRun(spec, workspace, method, writer, begin, (*cautions, *moves), choice, functionals)
-        except BaseException:
-            writer.abandon()
-            raise
-    simulation.becomes_run = becomes_run
-    simulation.interrupted, simulation.continuation = bool(noted), continuation
-    simulation.expressions = expressions_of(spec, measures)
-    simulation.measured_in = partial(measured_in, expressions=simulation.expressions)
-    return simulation
 
 
 def measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:

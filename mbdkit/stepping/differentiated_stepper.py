@@ -85,7 +85,6 @@ class DifferentiatedSteps:
         self._solver = workspace.solver
         self._plain: Any = None
         self._take_up_method()
-        self._stage_count = len(method.bundle.b if isinstance(method, CompiledExplicit) else method.rk.b)
 
     def _take_up_method(self) -> None:
         """Make the bundle of dual numbers that belongs to the current bundle of the method."""
@@ -93,6 +92,7 @@ class DifferentiatedSteps:
         if isinstance(method, CompiledExplicit):
             self._plain = method.bundle
             self._stages = PinnedBundle(dual_explicit(method.bundle))
+            self._stage_count = len(method.bundle.b)
             return
         new = dual_stages(method.bundle)
         if self._plain is not None:  # new pivots; the derivatives of the last stages remain valid
@@ -100,6 +100,7 @@ class DifferentiatedSteps:
             new.previous.size[:], new.previous.begin[:] = np.nan, 0.0
         self._plain = method.bundle
         self._stages = PinnedBundle(new)
+        self._stage_count = len(method.rk.b)
 
     def step(self, run_state: int, step: tuple[float, float], row: int, *, projected: bool) -> None:
         """Differentiate a step that the run has taken, and record its end.

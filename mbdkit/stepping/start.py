@@ -12,7 +12,6 @@ from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method, Traits
-from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.stepping.collocation import CompiledCollocation
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.compiled_stepper import CompiledStepper
@@ -98,7 +97,7 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     family = method.traits.family
     treatment = workspace.mechanism.contact_treatment
     if treatment.kind == "event-driven":
-        assert isinstance(method.traits.tableau, ButcherTableau)
+        assert method.traits.tableau is not None
         return PythonStepper(EventDriven(method.traits.tableau, treatment), workspace, timetable)
     if family in IN_PYTHON:
         method.require_formulation(FORMULATIONS[workspace.formulation])
