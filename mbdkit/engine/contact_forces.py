@@ -29,7 +29,7 @@ HEAVY = 10.0
 """Largest normal force at the start, relative to the weight of all bodies, with which an overlap counts as that of
 bodies at rest."""
 
-RIGID_KINDS = ("line", "circles")
+RIGID_KINDS = ("line", "circles", "hole")
 """Kinds of geometry whose rows are smooth where the shapes touch."""
 
 NOTHING_HELD = (0.0,) * 7
@@ -205,8 +205,8 @@ def _check_rigid(pair: ContactPair) -> None:
     """Raise SpecError for a contact that rigid treatments do not have."""
     if pair.kind[0] not in RIGID_KINDS:
         raise SpecError(
-            "rigid contacts are those of points, circles and polygons with lines, and of circles with each other, so "
-            "far; use `contact: {treatment: compliant}`",
+            "rigid contacts are those of points, circles and polygons with lines, and of circles with each other and "
+            "in holes, so far; use `contact: {treatment: compliant}`",
             key=f"{pair.key}.shapes",
         )
 

@@ -18,8 +18,8 @@ def contact_places(mechanism: Mechanism, body: str, shape: Shape) -> list[Place]
     """Return the points that a shape of a contact passes; none for a point, which has no outline."""
     if shape.line is not None:
         points = _line(mechanism, body, shape.line)
-    elif shape.circle is not None:
-        (x, y), radius = shape.circle.center, shape.circle.radius
+    elif shape.circle is not None or shape.hole is not None:
+        (x, y), radius = shape.circle_of
         turns = np.linspace(0.0, 2.0 * np.pi, ON_CIRCLE, endpoint=False).tolist()
         points = [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
     else:

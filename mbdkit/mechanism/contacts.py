@@ -59,13 +59,17 @@ class CircleShape(StrictModel):
     """Radius [m]."""
 
 
+class HoleShape(CircleShape):
+    """A round hole in a body, which holds circles and points of other bodies."""
+
+
 Corners = Annotated[tuple[Point, ...], BeforeValidator(sequence)]
 
 
 class Shape(StrictModel):
-    """The outline of a body where it touches others: exactly one of `line`, `point`, `circle` and `polygon`."""
+    """The outline of a body where it touches others: exactly one of `line`, `point`, `circle`, `hole` and `polygon`."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("line", "point", "circle", "polygon")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("line", "point", "circle", "hole", "polygon")
 
     line: LineShape | None = None
     """A straight line, ``{point: [x, y], normal: [x, y]}``, such as a floor."""
@@ -73,6 +77,8 @@ class Shape(StrictModel):
     """A point (x, y) [m] in the body's frame."""
     circle: CircleShape | None = None
     """A circle, ``{center: [x, y], radius: r}``."""
+    hole: HoleShape | None = None
+    """A round hole, ``{center: [x, y], radius: r}``, such as a bearing that holds the circle of a journal."""
     polygon: Corners | None = None
     """A convex polygon: its corners [[x, y], ...] in the body's frame [m], counter-clockwise."""
 
@@ -81,7 +87,7 @@ class Shape(StrictModel):
         given = [name for name in self.ABSENT_BY_DEFAULT if getattr(self, name) is not None]
         if len(given) != 1:
             what = f"not {listed(given, 'and')}" if given else "for example {circle: {radius: 0.1}}"
-            raise SpecError(f"a shape is one of line, point, circle and polygon, {what}")
+            raise SpecError(f"a shape is one of line, point, circle, hole and polygon, {what}")
         if self.polygon is not None:
             _check_convex(self.polygon)
         return self
@@ -93,11 +99,12 @@ class Shape(StrictModel):
 
     @property
     def circle_of(self) -> tuple[Pair, float]:
-        """Center and radius of a circle, or of a point, whose radius is 0."""
+        """Center and radius of a circle or hole, or of a point, whose radius is 0."""
         if self.point is not None:
             return self.point, 0.0
-        assert self.circle is not None
-        return self.circle.center, self.circle.radius
+        round_shape = self.circle or self.hole
+        assert round_shape is not None
+        return round_shape.center, round_shape.radius
 
     def points(self) -> list[tuple[str, Pair]]:
         """Return (key, point in the frame of the body) of each point of the shape."""
@@ -105,9 +112,9 @@ class Shape(StrictModel):
             return [("line.point", self.line.point)]
         if self.point is not None:
             return [("point", self.point)]
-        if self.circle is not None:
-            return [("circle.center", self.circle.center)]
-        return [(f"polygon[{i}]", corner) for i, corner in enumerate(self.polygon or ())]
+        if self.polygon is None:
+            return [(f"{self.kind}.center", self.circle_of[0])]
+        return [(f"polygon[{i}]", corner) for i, corner in enumerate(self.polygon)]
 
 
 def _check_convex(corners: tuple[Pair, ...]) -> None:
@@ -191,7 +198,7 @@ class Compliance(StrictModel):
 
 
 class ContactPair(NamedTuple):
-    """One row of a contact: a line, a circle or a polygon of the first body, and a circle or point of the second.
+    """One row of a contact: a line, circle, hole or polygon of the first body, and a circle or point of the second.
 
     Attributes
     ----------
@@ -410,11 +417,27 @@ def _check_kinds(first: Shape, second: Shape, key: str) -> None:
         )
     if kinds == {"point"}:
         raise SpecError("two points do not touch; give one of them a radius, {circle: {center, radius}}", key=key)
+    if "hole" in kinds:
+        _check_hole(first, second, key)
+
+
+def _check_hole(first: Shape, second: Shape, key: str) -> None:
+    """Raise SpecError unless one of two shapes fits into the other, which is a hole."""
+    hole, other = (first, second) if first.kind == "hole" else (second, first)
+    if other.kind not in ("circle", "point"):
+        raise SpecError(f"a hole holds a circle or a point, not a {other.kind}", key=key)
+    (_, room), (_, radius) = hole.circle_of, other.circle_of
+    if radius >= room:
+        raise SpecError(
+            f"the circle does not fit into the hole: its radius, {radius:g} m, should be less than that of the hole, "
+            f"{room:g} m",
+            key=key,
+        )
 
 
 def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
     """Yield the rows of two shapes, of which either may be the circle."""
-    order = {"line": 0, "polygon": 1, "circle": 2, "point": 3}
+    order = {"line": 0, "polygon": 1, "hole": 2, "circle": 3, "point": 4}
     swapped = order[first.kind] > order[second.kind]
     if swapped:
         bodies, first, second = (bodies[1], bodies[0]), second, first
@@ -446,7 +469,7 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
         yield row(None, "line", (*center, radius, *first.line.point, *first.line.unit), radius)
     else:
         middle, other = first.circle_of
-        yield row(None, "circles", (*center, radius, *middle, other), radius)
+        yield row(None, "hole" if first.hole is not None else "circles", (*center, radius, *middle, other), radius)
 
 
 def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:

@@ -140,6 +140,17 @@ class Revolute(PointJoint, At):
     rows: ClassVar[tuple[str, ...]] = ("x", "y")
     units: ClassVar[tuple[str, ...]] = ("m", "m")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_clearance(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and "clearance" in data:
+            raise SpecError(
+                "a pin with clearance is a contact in place of the joint: under `contacts`, a {hole: {center, radius}} "
+                "of one body and a {circle: {center, radius}} of the other",
+                key="clearance",
+            )
+        return data
+
     @property
     def joins_points(self) -> bool:
         """Whether the joint makes its two points coincide."""

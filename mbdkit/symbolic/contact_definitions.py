@@ -1,7 +1,7 @@
 """Contacts in SymPy: gap, normal, forces and slip of two shapes, and the functions that evaluate them.
 
-The first body has a line or a polygon, or a circle; the second body a circle with center c and radius r, or a point
-with r = 0. The normal n points from the first body to the second. Both forces act at the point
+The first body has a line, polygon, circle or hole; the second body a circle with center c and radius r, or a point with
+r = 0. The normal n points from the first body to the second. Both forces act at the point
 ``P = c - n (r + gap/2)``, midway between the two outlines, whose velocity on the second body relative to the first has
 the components ``gap'`` along n, and the slip along n turned by -90 degrees. The second
 body gets the force ``N n + T t``.
@@ -46,7 +46,7 @@ def numbers_of(kind: tuple[str, int]) -> tuple[sp.Symbol, ...]:
     name, count = kind
     if name == "line":
         return (*CIRCLE, *sp.symbols("px py mx my", real=True))
-    if name == "circles":
+    if name in ("circles", "hole"):
         return (*CIRCLE, *sp.symbols("px py other", real=True))
     edges = [one for i in range(count) for one in sp.symbols(f"px{i} py{i} mx{i} my{i}", real=True)]
     around = sp.symbols("ax ay bx by ex ey", real=True) if name == "edge" else ()
@@ -89,9 +89,11 @@ def geometry(kind: tuple[str, int], step: Steps) -> Outline:
     px, py = step.rotated(th2, cx, cy)
     gx, gy = step(x2 + px - x1), step(y2 + py - y1)  # the center from the first body's centre of mass
     numbers = numbers_of(kind)[3:]
-    if kind[0] == "circles":
+    if kind[0] in ("circles", "hole"):
         ox, oy = step.rotated(th1, *numbers[:2])
         distance, nx, ny = step.direction(gx - ox, gy - oy)
+        if kind[0] == "hole":  # the wall pushes the circle towards the center
+            return numbers[2] - r - distance, -nx, -ny, sp.Integer(1)
         return distance - r - numbers[2], nx, ny, sp.Integer(1)
     ux, uy = step.rotated(-th1, gx, gy)  # the center in the frame of the first body
     of_kind = {"line": _of_line, "inside": _of_corner, "edge": _of_edge}[kind[0]]
@@ -210,7 +212,7 @@ def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definitio
     Parameters
     ----------
     kind
-        Kind of geometry, ``line``, ``circles``, ``inside`` or ``edge``, and the number of edges of a polygon.
+        Kind of geometry, ``line``, ``circles``, ``hole``, ``inside`` or ``edge``, and the number of edges of a polygon.
     law
         One of `LAWS`.
     has_friction

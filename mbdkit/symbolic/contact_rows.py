@@ -10,6 +10,9 @@ import sympy as sp
 
 from mbdkit.symbolic.contact_definitions import CIRCLE, FIRST, SECOND, Steps, geometry, numbers_of, sliding
 
+NEGLIGIBLE = 1e-40
+"""Square of a distance [m^2] that is added to others, so that a circle in the middle of a hole can be evaluated."""
+
 
 class _Whole(Steps):
     """Writes definitions without intermediate results, so that they can be differentiated."""
@@ -18,8 +21,8 @@ class _Whole(Steps):
         return expression
 
     def direction(self, dx: sp.Expr, dy: sp.Expr) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-        """Return the length of a vector and its direction."""
-        distance = sp.sqrt(dx**2 + dy**2)
+        """Return the length of a vector and its direction, which is (0, 0) where the length is 0."""
+        distance = sp.sqrt(dx**2 + dy**2 + NEGLIGIBLE)
         return distance, dx / distance, dy / distance
 
 

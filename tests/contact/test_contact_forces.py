@@ -108,6 +108,8 @@ def two_bodies(first: Mapping[str, Any], second: Mapping[str, Any], at: tuple[fl
 
 PAIRS = {
     "circles": (({"circle": {"center": (0.1, 0), "radius": 0.2}}, {"circle": {"radius": 0.1}}), (0.3, 0.18), 0.2),
+    "hole": (({"hole": {"center": (0.1, 0), "radius": 0.3}}, {"circle": {"radius": 0.1}}), (0.15, 0.21), 0.2),
+    "circle before hole": (({"circle": {"radius": 0.1}}, {"hole": {"radius": 0.12}}), (0.02, 0.015), 0.2),
     "circle before line": (({"circle": {"radius": 0.1}}, {"line": {"normal": (1, 2)}}), (-0.04, -0.06), 0.4),
     "edge": ((SQUARE, {"circle": {"radius": 0.05}}), (0.1, 0.13), 0.3),
     "corner": ((SQUARE, {"circle": {"radius": 0.05}}), (0.22, 0.125), 0.3),

@@ -107,6 +107,43 @@ def test_a_block_on_a_rough_incline_sticks() -> None:
         assert slope.mode[-1] == 1
 
 
+def test_a_pendulum_whose_pin_has_clearance_moves_as_scipy_integrates_it() -> None:
+    # expected: DOP853 of SciPy; the eccentric journal presses against the wall with Lankarani and Nikravesh's force
+    mass, inertia, arm, room, radius, stiffness, mu, transition = 2.0, 0.05, 0.3, 0.02, 0.015, 1e7, 0.2, 0.05
+    factor = 0.75 * (1.0 - 0.8**2) / 0.5
+
+    def slope(t: float, y: np.ndarray) -> list[float]:
+        px, py = -arm * math.sin(y[2]), arm * math.cos(y[2])  # from the centre of mass to the journal
+        ex, ey = y[0] + px, y[1] + py
+        distance = math.hypot(ex, ey)
+        depth, fx, fy, moment = distance - (room - radius), 0.0, 0.0, 0.0
+        if depth > 0.0:
+            ux, uy = ex / distance, ey / distance
+            cx, cy = px + (radius - depth / 2) * ux, py + (radius - depth / 2) * uy
+            vx, vy = y[3] - y[5] * cy, y[4] + y[5] * cx
+            push = stiffness * depth**1.5 * max(0.0, 1.0 + factor * (vx * ux + vy * uy))
+            slip = vx * -uy + vy * ux
+            drag = -push * mu * max(-1.0, min(1.0, slip / transition))
+            fx, fy = -push * ux - drag * uy, -push * uy + drag * ux
+            moment = cx * fy - cy * fx
+        return [*y[3:], fx / mass, fy / mass - G, moment / inertia]
+
+    start = [0.0, -arm * math.cos(0.5), 0.5]
+    start[0] = arm * math.sin(0.5)  # the journal is in the middle
+    accurate: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14, "max_step": 5e-4}
+    given = solve_ivp(slope, (0.0, 0.5), [*start, 0.0, 0.0, 0.0], **accurate)
+    m = Mechanism()
+    m.body("arm", mass=mass, inertia=inertia, position=(start[0], start[1]), angle=0.5)
+    law = {"law": "lankarani-nikravesh", "stiffness": stiffness, "impact_speed": 0.5, "transition_speed": transition}
+    shapes = [{"hole": {"radius": room}}, {"circle": {"center": (0.0, arm), "radius": radius}}]
+    m.contact("pin", "ground", "arm", shapes=shapes, friction=mu, restitution=0.8, compliance=law)
+    with run(m, 0.5) as done:
+        x, y, angle = given.y[:3, -1]
+        np.testing.assert_allclose([*done["arm"].position[-1], done["arm"].angle[-1]], [x, y, angle], atol=1e-9)
+        eccentricity = math.hypot(x - arm * math.sin(angle), y + arm * math.cos(angle))
+        assert done.contacts["pin"].gap[-1] == pytest.approx(room - radius - eccentricity, abs=1e-9)
+
+
 @pytest.mark.parametrize(("integrator", "order"), [({"name": "rk4"}, 4), ({"name": "gauss", "stages": 2}, 4)])
 def test_methods_keep_their_order_in_a_smooth_contact(integrator: dict[str, Any], order: int) -> None:
     m = Mechanism()

@@ -39,6 +39,13 @@ REFUSED = {
     "held by a joint": ({"bodies": ["b", "c"], "shapes": [BALL, BALL]}, "model.contacts.k.bodies", "joint 'pin' holds"),
     "two lines": ({"shapes": [FLOOR, FLOOR]}, "model.contacts.k.shapes", "two lines"),
     "two points": ({"shapes": [{"point": [0, 0]}, {"point": [0, 0]}]}, "model.contacts.k.shapes", "two points"),
+    "too large for the hole": (
+        {"shapes": [{"hole": {"radius": 0.1}}, BALL]},
+        "model.contacts.k.shapes",
+        "the circle does not fit into the hole: its radius, 0.1 m, should be less than that of the hole, 0.1 m",
+    ),
+    "no hole for lines": ({"shapes": [FLOOR, {"hole": {"radius": 0.1}}]}, "model.contacts.k.shapes", "not a line"),
+    "radius of a hole": ({"shapes": [{"hole": {"radius": -1}}, BALL]}, "model.contacts.k.shapes[0].hole.radius", "0"),
     "clockwise": (
         {"shapes": [FLOOR, {"polygon": [[0, 0], [0, 1], [1, 0]]}]},
         "model.contacts.k.shapes[1].polygon",
@@ -51,7 +58,7 @@ REFUSED = {
         "model.contacts.k.compliance.impact_speed",
         "needs",
     ),
-    "no shape": ({"shapes": [FLOOR, {}]}, "model.contacts.k.shapes[1]", "one of line, point, circle and polygon"),
+    "no shape": ({"shapes": [FLOOR, {}]}, "model.contacts.k.shapes[1]", "one of line, point, circle, hole and polygon"),
     "among": ({"bodies": None, "among": ["b", "c"]}, "model.contacts.k.shapes", "mapping"),
 }
 
@@ -63,6 +70,13 @@ def test_bad_contacts_are_refused_with_the_key(name: str) -> None:
         mbdkit.run(spec(contact))
     assert caught.value.key == key
     assert words in caught.value.message
+
+
+def test_a_joint_with_clearance_is_referred_to_contacts() -> None:
+    given = spec({})
+    given["model"]["joints"]["pin"]["clearance"] = 5e-4
+    with pytest.raises(SpecError, match="a pin with clearance is a contact in place of the joint"):
+        load_spec(given)
 
 
 def test_both_coefficients_of_friction_may_be_expressions() -> None:

@@ -45,6 +45,20 @@ def test_a_ball_comes_to_rest_when_its_impacts_accumulate(e: float, end: float) 
     assert found.verdict == "unknown"
 
 
+def test_a_journal_that_falls_in_its_bearing_comes_to_rest_at_the_bottom() -> None:
+    # expected: closed form of a ball that falls by the clearance, from the middle of the bearing
+    clearance, e = 5e-4, 0.5
+    fall = (2.0 * clearance / G) ** 0.5
+    shapes = [{"hole": {"radius": 0.01}}, {"circle": {"radius": 0.01 - clearance}}]
+    contacts = {"bearing": {"bodies": ["ground", "journal"], "shapes": shapes, "restitution": e, "friction": 0.3}}
+    bodies = {"journal": {"mass": 1.0, "inertia": 1e-4}}
+    with run({"name": "mechanism", "bodies": bodies, "contacts": contacts}, 0.06, 1e-3) as found:
+        assert found.impacts.time[0] == pytest.approx(fall, abs=1e-12)
+        assert found.impacts.time[-1] == pytest.approx(fall * (1 + e) / (1 - e), abs=1e-9)
+        assert found["journal"].position[-1, 1] == pytest.approx(-clearance, abs=1e-9)
+        assert found.contacts["bearing"].normal_force[-1] == pytest.approx(G, rel=1e-9)
+
+
 def test_measures_do_not_interpolate_across_impacts() -> None:
     # expected: the parabolas between the impacts, of which each is half as fast as the one before
     found = mbdkit.run(

@@ -41,6 +41,7 @@ NAMES = [
     "sit-down",
     "sit-to-stand",
     "slider-crank",
+    "slider-crank-clearance",
     "spin-up-beam",
     "spring-pendulum",
     "squat",
