@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.interrupts import interrupts_delayed
@@ -73,7 +74,7 @@ class Execution:
         self.spec, self.folder, self.options = spec, folder, options
         self.computed = self.failed = 0
         self.unfinished: list[str] = []
-        self.store: RunStore = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
+        self.store: RunStore[Any] = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
         folder.check(spec, overwrite=options.overwrite)
 
     def run(self, engine: Engine) -> None:

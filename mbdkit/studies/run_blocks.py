@@ -19,9 +19,8 @@ from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.compute_block import MISALIGNMENT, plan_blocks
 from mbdkit.studies.folder_lock import Shard
-from mbdkit.studies.known_runs import MISSING, KnownFiles
-from mbdkit.studies.run_store import Noted, Round, RunStore
-from mbdkit.studies.study_blocks import AnotherStudyError, StudyBlocks
+from mbdkit.studies.run_store import MISSING, Noted, Round, RunStore
+from mbdkit.studies.study_blocks import AnotherStudyError
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index, describe_column
 from mbdkit.studies.tasks import Outcome, Task, forget_run_at_work
@@ -42,18 +41,27 @@ CHANGED = 2
 """Index of the time of the last change in a state."""
 
 
-class RunBlocks(RunStore):
-    """Blocks of many runs, which are assigned to the parts of a study in turn."""
+class RunBlocks(RunStore[int]):
+    """Blocks of many runs, which are assigned to the parts of a study in turn.
+
+    A block is complete if its file is sound and no run in it failed for a reason outside the study. It is read, and its
+    hashes are computed, if its file has changed since it was indexed. The system records the time of a change (ctime)
+    of the content, the modification time or the name of a file; programs cannot set it.
+    """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
-        self.spec, self.folder, self.plan = spec, folder, plan_blocks(spec)
+        super().__init__(spec, folder)
+        self.plan = plan_blocks(spec)
         self.count = len(self.plan.points)
+        self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
 
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
-        self._known = KnownBlocks(self.spec, self.folder, self.plan.blocks)
+        before = self.index_before()
+        is_usable = before is not None and before.states is not None and len(before.states) == self.plan.blocks.count
+        self._before = before if is_usable else None
         own = [block for block in range(self.plan.blocks.count) if shard is None or shard.has(block)]
-        self._tasks = [self._task(block) for block in self._known.missing(own)]
+        self._tasks = [self._task(block) for block in self.missing(own)]
         if self._tasks and (reason := self._why_alone()):
             notify(f"the runs are not vectorized but computed one after another, because {reason}")
         for task in self._tasks:
@@ -80,7 +88,9 @@ class RunBlocks(RunStore):
 
     def note(self, task: Task, outcome: Outcome) -> Noted:
         """See `RunStore.note`."""
-        self._known.note(task.key, outcome)
+        self.note_file(task.key, outcome)
+        if outcome.status == "complete":
+            self._sound[task.key] = _state(task.path)
         unfinished = [*task.skip.values(), *([] if outcome.status == "complete" else [outcome.reason])]
         return Noted(task.runs, int(outcome.values.get("failed", 0)), unfinished)
 
@@ -95,9 +105,9 @@ class RunBlocks(RunStore):
         for number in range(blocks.count):
             places = blocks.places(number)
             rows = slice(places.start, places.stop)
-            block = self._known.rows(number)
+            block = self._rows(number)
             if block is None:
-                texts["status_reason"][rows] = self._known.why_missing(number)
+                texts["status_reason"][rows] = self._outcomes.get(number, MISSING).reason
                 continue
             described = {**block.described, **described}
             for name, column in block.texts.items():
@@ -115,7 +125,61 @@ class RunBlocks(RunStore):
             "data_sha256": texts["data_sha256"],
         }
         told = {name: described[name] for name in ordered}
-        return Index(columns, told, axes=frozenset(labels), states=self._known.states())
+        return Index(columns, told, axes=frozenset(labels), states=self._states())
+
+    def indexed(self, key: int) -> Outcome | None:
+        """See `RunStore.indexed`."""
+        rows = self._indexed(key)
+        return None if rows is None else _ended(rows.texts["status"], rows.texts["status_reason"])
+
+    def read(self, key: int) -> Outcome:
+        """See `RunStore.read`."""
+        path = self.folder.block(key)
+        state = _state(path)
+        if state == UNKNOWN:
+            return MISSING
+        try:
+            with self.plan.blocks.open(path, self.spec.sha256()) as block:
+                whole = block.numbers.tolist() == [place + 1 for place in self.plan.blocks.places(key)]
+                if not (whole and block.is_sound()):
+                    return MISSING
+                self._sound[key] = state
+                return _ended(block.runs["status"], block.runs["status_reason"])
+        except AnotherStudyError:
+            raise
+        except (SpecError, ResourceError):
+            return MISSING
+
+    def _rows(self, block: int) -> BlockRows | None:
+        """Return the rows of the index for the runs of a block; None if its file cannot be read."""
+        return self._indexed(block) or BlockRows.read(
+            self.folder.block(block), self.spec.sha256(), len(self.plan.blocks.places(block))
+        )
+
+    def _states(self) -> np.ndarray:
+        """Return (B, 4) the states of the valid files whose changes would be detected; zero for others."""
+        states = np.zeros((self.plan.blocks.count, len(UNKNOWN)), np.int64)
+        now = time.time_ns()
+        for block in range(self.plan.blocks.count):
+            state = _state(self.folder.block(block))
+            if self._indexed(block) is not None or (
+                state == self._sound.get(block) and now - state[CHANGED] > SETTLED * 1e9
+            ):
+                states[block] = state
+        return states
+
+    def _indexed(self, block: int) -> BlockRows | None:
+        """Return the rows of a block from the index, if its file is the one that was indexed."""
+        if self._before is None or self._before.states is None:
+            return None
+        state = tuple(int(value) for value in self._before.states[block])
+        if state == UNKNOWN or state != _state(self.folder.block(block)):
+            return None
+        places, columns = self.plan.blocks.places(block), self._before.runs
+        rows = slice(places.start, places.stop)
+        texts = {name: columns[name][rows] for name in OF_BLOCKS}
+        numbers = {name: columns[name][rows] for name in self._before.described}
+        return BlockRows(texts, numbers, self._before.described)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,87 +215,6 @@ def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
         return np.full(count, "", object)
     known = {text: " ".join(json.loads(text)) for text in dict.fromkeys(texts)}
     return np.array([known[text] for text in texts], object)
-
-
-class KnownBlocks(KnownFiles[int]):
-    """Outcomes of the blocks of a study.
-
-    A block is complete if its file is sound and no run in it failed for a reason outside the study. It is read, and its
-    hashes are computed, if its file has changed since it was indexed. The system records the time of a change (ctime)
-    of the content, the modification time or the name of a file; programs cannot set it.
-    """
-
-    def __init__(self, spec: StudySpec, folder: StudyFolder, blocks: StudyBlocks):
-        super().__init__(spec, folder)
-        self.blocks = blocks
-        before = self._before
-        if before is None or before.states is None or len(before.states) != blocks.count:
-            self._before = None
-        self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
-
-    def indexed(self, key: int) -> Outcome | None:
-        """See `KnownFiles.indexed`."""
-        rows = self._indexed(key)
-        return None if rows is None else _ended(rows.texts["status"], rows.texts["status_reason"])
-
-    def read(self, key: int) -> Outcome:
-        """See `KnownFiles.read`."""
-        path = self.folder.block(key)
-        state = _state(path)
-        if state == UNKNOWN:
-            return MISSING
-        try:
-            with self.blocks.open(path, self.spec.sha256()) as block:
-                whole = block.numbers.tolist() == [place + 1 for place in self.blocks.places(key)]
-                if not (whole and block.is_sound()):
-                    return MISSING
-                self._sound[key] = state
-                return _ended(block.runs["status"], block.runs["status_reason"])
-        except AnotherStudyError:
-            raise
-        except (SpecError, ResourceError):
-            return MISSING
-
-    def note(self, key: int, outcome: Outcome) -> None:
-        """See `KnownFiles.note`."""
-        super().note(key, outcome)
-        if outcome.status == "complete":
-            self._sound[key] = _state(self.folder.block(key))
-
-    def why_missing(self, block: int) -> str:
-        """Return why a block could not be computed; empty if this was not tried."""
-        return self._outcomes.get(block, MISSING).reason
-
-    def rows(self, block: int) -> BlockRows | None:
-        """Return the rows of the index for the runs of a block; None if its file cannot be read."""
-        return self._indexed(block) or BlockRows.read(
-            self.folder.block(block), self.spec.sha256(), len(self.blocks.places(block))
-        )
-
-    def states(self) -> np.ndarray:
-        """Return (B, 4) the states of the valid files whose changes would be detected; zero for others."""
-        states = np.zeros((self.blocks.count, len(UNKNOWN)), np.int64)
-        now = time.time_ns()
-        for block in range(self.blocks.count):
-            state = _state(self.folder.block(block))
-            if self._indexed(block) is not None or (
-                state == self._sound.get(block) and now - state[CHANGED] > SETTLED * 1e9
-            ):
-                states[block] = state
-        return states
-
-    def _indexed(self, block: int) -> BlockRows | None:
-        """Return the rows of a block from the index, if its file is the one that was indexed."""
-        if self._before is None or self._before.states is None:
-            return None
-        state = tuple(int(value) for value in self._before.states[block])
-        if state == UNKNOWN or state != _state(self.folder.block(block)):
-            return None
-        places, columns = self.blocks.places(block), self._before.runs
-        rows = slice(places.start, places.stop)
-        texts = {name: columns[name][rows] for name in OF_BLOCKS}
-        numbers = {name: columns[name][rows] for name in self._before.described}
-        return BlockRows(texts, numbers, self._before.described)
 
 
 def _ended(statuses: np.ndarray, reasons: np.ndarray) -> Outcome:

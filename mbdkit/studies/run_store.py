@@ -1,14 +1,28 @@
-"""What an execution needs of the runs that a study stores: the same for archives of single runs and for blocks."""
+"""The runs that a study stores, in archives of one run or in blocks of many, and what is known of their files.
+
+The index of an earlier call, the files and the workers tell which runs are there.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Generic, TypeVar
 
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies import study_index
 from mbdkit.studies.folder_lock import Shard
+from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index
 from mbdkit.studies.tasks import Outcome, Task
+
+MISSING = Outcome("missing", "")
+
+Key = TypeVar("Key", str, int)
 
 
 @dataclass(frozen=True)
@@ -47,11 +61,12 @@ class Noted:
     unfinished: Sequence[str] = ()
 
 
-class RunStore(ABC):
+class RunStore(ABC, Generic[Key]):
     """The runs of a study in its folder: what is there, what is missing, and the index of it.
 
-    A run is in an archive of its own (`RunFiles`) or in a block of many (`RunBlocks`). Whoever makes one has checked
-    that the spec of the study is valid; nothing is read from the folder before `begin`.
+    A file has one run (`RunFiles`, whose keys are the run ids) or is a block of many (`RunBlocks`, whose keys are the
+    numbers of the blocks). It is read unless it is the one that was indexed. Whoever makes a store has checked that the
+    spec of the study is valid; nothing is read from the folder before `begin`.
 
     Attributes
     ----------
@@ -60,6 +75,10 @@ class RunStore(ABC):
     """
 
     count: int
+
+    def __init__(self, spec: StudySpec, folder: StudyFolder):
+        self.spec, self.folder = spec, folder
+        self._outcomes: dict[Key, Outcome] = {}
 
     @abstractmethod
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
@@ -84,3 +103,62 @@ class RunStore(ABC):
     @abstractmethod
     def index(self) -> Index:
         """Return the index of what is in the folder now."""
+
+    @abstractmethod
+    def indexed(self, key: Key) -> Outcome | None:
+        """Return the outcome of a file that has not changed since it was indexed; None for others."""
+
+    @abstractmethod
+    def read(self, key: Key) -> Outcome:
+        """Return the outcome from a file; ``missing`` if it is damaged, or its runs have not ended.
+
+        Raises
+        ------
+        SpecError
+            If it contains other runs.
+        """
+
+    def index_before(self) -> Index | None:
+        """Return the index of an earlier call; None if this version of mbdkit has not written one for this study."""
+        with suppress(SpecError, ResourceError):  # without a valid index, the files are read instead
+            before = study_index.read(self.folder.index)
+            if before.study_sha256 == self.spec.sha256() and before.version == version("mbdkit"):
+                return before
+        return None
+
+    def missing(self, keys: Iterable[Key]) -> list[Key]:
+        """Return the keys of the files that are to be computed.
+
+        They are looked at again for the index, because another shard, or a worker of an interrupted call, may still
+        write them.
+
+        Raises
+        ------
+        SpecError
+            If a file contains other runs.
+        """
+        missing = [key for key in keys if not self.outcome(key).is_final]
+        for key in missing:
+            self.forget(key)
+        return missing
+
+    def outcome(self, key: Key) -> Outcome:
+        """Return the outcome of a file; ``missing`` if it is not there, or has to be computed again.
+
+        Raises
+        ------
+        SpecError
+            If it contains other runs.
+        """
+        if key not in self._outcomes:
+            self._outcomes[key] = self.indexed(key) or self.read(key)
+        return self._outcomes[key]
+
+    def note_file(self, key: Key, outcome: Outcome) -> None:
+        """Record the outcome of a file that was computed just now."""
+        self.forget(key)
+        self._outcomes[key] = outcome if outcome.status in ("complete", "failed", "missing") else MISSING
+
+    def forget(self, key: Key) -> None:
+        """Discard what was read of a file."""
+        self._outcomes.pop(key, None)

@@ -161,6 +161,11 @@ class Index:
     def __len__(self) -> int:
         return len(self.runs["status"])
 
+    def rows(self) -> list[Row]:
+        """Return the rows of all references and runs, as `row` does."""
+        rows = [self.row(place, of_references=True) for place in range(len(self.references.get("status", ())))]
+        return rows + [self.row(place) for place in range(len(self))]
+
     def row(self, place: int, *, of_references: bool = False) -> Row:
         """Return the row of a run, or of a reference, without axis labels, which follow from the study spec."""
         columns = self.references if of_references else self.runs

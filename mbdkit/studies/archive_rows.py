@@ -1,0 +1,125 @@
+"""Rows of the index of a study, from the archives of its runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.measures.take import with_error
+from mbdkit.spec import RunSpec
+from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit.spec.study_spec import StudySpec
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, SECOND, RunGroup, worst_joint
+from mbdkit.studies.planned_points import PlannedPoint
+from mbdkit.studies.study_index import Row, quartiles
+from mbdkit.studies.tasks import Outcome
+
+
+@dataclass(frozen=True)
+class ArchiveRows:
+    """The columns of a study with an archive for each run, and how the rows are made.
+
+    Parameters
+    ----------
+    measures
+        Names of the built-in measures that are taken from archives.
+    defined
+        Measures that the study defines.
+    again
+        Names of the measures that need a second run.
+    timed
+        Whether runs are timed repeatedly.
+    """
+
+    measures: Sequence[str]
+    defined: Sequence[DefinedMeasure]
+    again: Sequence[str]
+    timed: bool
+
+    @classmethod
+    def of(cls, spec: StudySpec, points: Sequence[PlannedPoint]) -> ArchiveRows:
+        """Return the columns for the points of a study."""
+        compared = any(point.grid.reference for point in points)
+        wanted = tuple(MEASURES) if spec.built_in_measures is None else spec.built_in_measures
+        return cls(
+            [name for name in wanted if name in MEASURES and (compared or not MEASURES[name].needs)],
+            spec.defined_measures(),
+            [name for name in wanted if name in SECOND],
+            any(point.grid.repeats > 1 for point in points),
+        )
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of numbers that are taken from archives."""
+        return *self.measures, *(measure.name for measure in self.defined), *COUNTERS, *TIMINGS
+
+    @property
+    def use_plugins(self) -> bool:
+        """Whether a measure is that of a plugin, which may have changed since the study was indexed."""
+        return any(measure.item is not None for measure in self.defined)
+
+    def left_out(self, distribution: str) -> Row:
+        """Return the row of a run that is left out because a distribution is not installed."""
+        reason = f"not-installed: the distribution {distribution} is not installed."
+        return Row("", "left-out", reason, values=dict.fromkeys((*self.columns, *self.again), math.nan))
+
+    def without_archive(self, run_id: str, outcome: Outcome) -> Row:
+        """Return the row of a run that has no archive."""
+        return Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self.columns, math.nan))
+
+    def row(self, archive: Path, reference: Path | None, spec: RunSpec) -> Row:
+        """Return the row of a run with values computed from its archive, and from that of its reference if it has one.
+
+        Raises
+        ------
+        SpecError, ResourceError
+            If an archive cannot be read.
+        """
+        with load(archive) as run:
+            if reference is None:
+                values = self._values(run, None, spec)
+            else:
+                with load(reference) as compared:
+                    values = self._values(run, compared, spec)
+            return Row(
+                run.run_id,
+                run.status,
+                run.status_reason,
+                worst_joint=worst_joint(run),
+                data_sha256=run.data_sha256,
+                values=values,
+                verdict=run.verdict,
+                verdict_reasons=" ".join(run.verdict_reasons),
+            )
+
+    def _values(self, run: Run, reference: Run | None, spec: RunSpec) -> dict[str, float]:
+        group = RunGroup([run], reference)
+        taken = {name: float(MEASURES[name].take(group)[0]) for name in self.measures}
+        for measure in self.defined:
+            taken |= with_error(measure, run, spec)
+        if run.accuracy is not None:
+            taken |= {name: float(measure.take(group)[0]) for name, measure in OF_CHECKED_RUNS.items()}
+        return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+
+    def with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
+        """Return a row with the measures of its second run: that of this call, or that of the row `before`."""
+        if not self.again:
+            return replace(row, second_run="")
+        if made is not None and not made.is_passing:
+            values, note = made.values, made.reason or made.status
+        elif before is not None:
+            values, note = before.values, before.second_run
+        else:
+            values, note = {}, ""
+        second = {name: values.get(name, math.nan) for name in self.again}
+        return replace(row, values={**row.values, **second}, second_run=note)
+
+    def with_timings(self, row: Row, seconds: tuple[float, ...]) -> Row:
+        """Return a row with repeated timings [s]."""
+        values = {**row.values, **quartiles(seconds)} if self.timed else row.values
+        return replace(row, values=values, repeats=seconds)
