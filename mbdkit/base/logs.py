@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Iterable
+
+from mbdkit.base.text import shown
 
 
 def logger_of(module: str) -> logging.Logger:
@@ -23,3 +26,9 @@ def logger_of(module: str) -> logging.Logger:
 def to_stderr(message: str) -> None:
     """Print a message to stderr, like progress."""
     print(message, file=sys.stderr, flush=True)
+
+
+def warn_on_stderr(warnings: Iterable[str]) -> None:
+    """Print the warnings of a run that a Python program started; commands print them in their summary instead."""
+    for warning in warnings:
+        to_stderr(f"warning: {shown(warning)}")

@@ -101,10 +101,14 @@ def design(
             | ({} if page is None else {"report": str(page)})
         )
     elif not printing.quiet:
-        show(result.summary())
+        summary = result.summary()
+        show(summary)
         with suppress(MbdkitError), runs_of(result, folder) as pairs:  # archives may have been removed
             for cost in costs(pairs)[:LOADS_SHOWN]:
                 show(f"elsewhere: {cost.text()}")
+            for warning in dict.fromkeys(text for pair in pairs.values() for text in pair["best"].warnings):
+                if warning not in summary:
+                    show(f"warning: {warning}")
         show(robustness_text(evaluator, deviations))
         show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
     if not result.is_feasible:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.base.terminal import say, show, show_json
+from mbdkit.base.terminal import show, show_json
 from mbdkit.base.text import counted
 from mbdkit.cli.common_options import (
     Archive,
@@ -16,26 +16,27 @@ from mbdkit.cli.common_options import (
     InverseSpecName,
     MotionSet,
     Overwrite,
-    Quiet,
+    Printing,
     check_new,
+    grouped,
     output_to,
     stem,
 )
+from mbdkit.cli.outcome import tell
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.spec.reading import Document
 
 
+@grouped
 def inverse(
     spec: InverseSpecName,
     *,
     output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
     assignments: MotionSet = None,
     overwrite: Overwrite = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-    debug: Debug = False,
+    printing: Printing,
 ) -> None:
     """Compute joint and actuator forces from a measured motion.
 
@@ -50,24 +51,7 @@ def inverse(
     check_new(path, spec, overwrite)
     from mbdkit.inverse_dynamics.inverse_run import compute_run
 
-    with compute_run(checked, path=path, overwrite=overwrite) as result:
-        if as_json:
-            show_json(
-                {
-                    "path": str(result.path),
-                    "status": result.status,
-                    "verdict": result.verdict,
-                    "warnings": result.warnings,
-                    "run_id": result.run_id,
-                    "stats": dict(result.stats),
-                    "misalignment_max": result.misalignment_max,
-                }
-            )
-        elif not quiet:
-            show(result.summary())
-        if as_json or quiet:
-            for warning in result.warnings:
-                say(f"warning: {warning}")
+    tell(compute_run(checked, path=path, overwrite=overwrite), printing)
 
 
 def workload(

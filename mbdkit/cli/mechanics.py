@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.base.terminal import show, show_json
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName, output_to
+
+if TYPE_CHECKING:
+    from mbdkit.mechanics.source import PreparedMechanism
 
 
 def equilibrium(
@@ -54,9 +57,9 @@ def equilibrium(
         mechanism = prepared.spec.mechanism()
         save(equilibrium_figure(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
-        show_json(mechanics_summary.equilibrium_data(found))
+        show_json(mechanics_summary.equilibrium_data(found) | {"warnings": _warnings(prepared)})
     else:
-        show(mechanics_summary.equilibrium_text(found))
+        _show(mechanics_summary.equilibrium_text(found), prepared)
 
 
 def modes(
@@ -92,9 +95,9 @@ def modes(
         mechanism = prepared.spec.mechanism()
         save(modes_figure(found, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
-        show_json(mechanics_summary.modes_data(found))
+        show_json(mechanics_summary.modes_data(found) | {"warnings": _warnings(prepared)})
     else:
-        show(mechanics_summary.modes_text(found))
+        _show(mechanics_summary.modes_text(found), prepared)
 
 
 def kinematics(
@@ -115,14 +118,26 @@ def kinematics(
 
     if output is not None:
         check_output(output, overwrite=overwrite, source=spec)
-    found = kinematics_of(PreparedMechanism.of(spec, assignments or ()))
+    prepared = PreparedMechanism.of(spec, assignments or ())
+    found = kinematics_of(prepared)
     if output is not None:
         with replacing(output, overwrite=overwrite, source=spec) as temporary:
             found.write_csv(temporary)
     if as_json:
-        show_json(mechanics_summary.kinematics_data(found))
+        show_json(mechanics_summary.kinematics_data(found) | {"warnings": _warnings(prepared)})
     else:
-        show(mechanics_summary.kinematics_text(found))
+        _show(mechanics_summary.kinematics_text(found), prepared)
+
+
+def _show(text: str, prepared: PreparedMechanism) -> None:
+    """Print a result and the warnings about its spec."""
+    show("\n".join([text, *(f"warning      {warning}" for warning in _warnings(prepared))]))
+
+
+def _warnings(prepared: PreparedMechanism) -> list[str]:
+    from mbdkit.runs.warnings import mechanism_warnings
+
+    return list(mechanism_warnings(prepared.spec))
 
 
 def _check_picture(output: Path, spec: str) -> None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mbdkit.base import terminal
 from mbdkit.base.progress_bars import progress_bar
-from mbdkit.base.terminal import say, show, show_json, silence
+from mbdkit.base.terminal import say, show
 from mbdkit.base.text import listed, table
 from mbdkit.cli.common_options import (
     AnySpecName,
@@ -31,9 +29,9 @@ from mbdkit.cli.common_options import (
 )
 from mbdkit.cli.designs import validate_design
 from mbdkit.cli.inverse import repeated_inverse, validate_inverse
+from mbdkit.cli.outcome import exit_with, tell
 
 if TYPE_CHECKING:
-    from mbdkit.archive.accuracy import Accuracy
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
     from mbdkit.engine.workspace import Workspace
@@ -93,9 +91,8 @@ def run(
     from mbdkit.runs.simulation import simulate  # imports compiled code, which is not needed to refuse a spec
 
     with _placing(checked), progress_bar(path.name, printing.quiet) as progress:
-        notify = silence if printing.quiet else say
-        result = simulate(checked, path=path, overwrite=overwrite, progress=progress, notify=notify)
-    _tell(result, printing)
+        result = simulate(checked, path=path, overwrite=overwrite, progress=progress)
+    tell(result, printing)
 
 
 def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Printing) -> None:
@@ -107,22 +104,8 @@ def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Print
     from mbdkit.runs.resuming import continue_run, final_path
 
     with progress_bar(final_path(part).name, printing.quiet) as progress:
-        notify = silence if printing.quiet else say
-        result = continue_run(part, overwrite=overwrite, progress=progress, notify=notify)
-    _tell(result, printing)
-
-
-def _tell(result: Run, printing: Printing) -> None:
-    """Print the outcome of a run, and exit with its exit status."""
-    with result:
-        if printing.as_json:
-            show_json(_outcome(result))
-        elif not printing.quiet:
-            show(result.summary())
-        told = not (printing.as_json or printing.quiet)
-        if not told and result.status == "complete" and result.verdict in ("doubtful", "bad"):
-            say(f"verdict {result.verdict}: {' '.join(result.verdict_reasons)}")
-        _exit_with(result, told=told)
+        result = continue_run(part, overwrite=overwrite, progress=progress)
+    tell(result, printing)
 
 
 def _check_accuracy(accuracy: float) -> None:
@@ -266,7 +249,7 @@ def rerun(
         check_plugins_of(archive, before.provenance)
         with _repeated(before, archive, output, overwrite=overwrite, quiet=quiet) as after:
             if after.status == "interrupted":
-                _exit_with(after)
+                exit_with(after)
             if after.status != "complete":
                 say(f"the new run stopped early: {after.status}: {after.status_reason}")
             comparison = compare(before, after)
@@ -291,7 +274,7 @@ def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: boo
     except SpecError as error:
         raise error.located(file=archive) from error
     with progress_bar(archive.name, quiet) as progress:
-        return simulate(checked, path=output, overwrite=overwrite, progress=progress, notify=silence if quiet else say)
+        return simulate(checked, path=output, overwrite=overwrite, progress=progress)
 
 
 @contextmanager
@@ -303,77 +286,3 @@ def _placing(spec: RunSpec) -> Iterator[None]:
         yield
     except SpecError as error:
         raise spec.placed(error) from error
-
-
-def _measures(result: Run) -> dict[str, Any]:
-    return {name: measure["value"] for name, measure in result.measures.to_dict().items()}
-
-
-def _errors(result: Run) -> dict[str, float]:
-    return {name: error for name, error in result.measure_errors.items() if math.isfinite(error)}
-
-
-def _outcome(result: Run) -> dict[str, Any]:
-    return {
-        "path": None if result.path is None else str(result.path),
-        "status": result.status,
-        "status_reason": result.status_reason,
-        "verdict": result.verdict,
-        "verdict_reasons": result.verdict_reasons,
-        "warnings": result.warnings,
-        "run_id": result.run_id,
-        "stats": dict(result.stats),
-        "misalignment_max": result.misalignment_max,
-        "events": [asdict(event) for event in result.events],
-        **({"measures": _measures(result)} if result.measures else {}),
-        **({"measure_errors": errors} if (errors := _errors(result)) else {}),
-        **({} if result.accuracy is None else {"accuracy": _accuracy(result, result.accuracy)}),
-    }
-
-
-def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
-    """Return the estimated errors in numbers; None where they are unknown."""
-    joints = {}
-    if result.records("joints/reaction_force"):
-        force = result.array("joints/reaction_force")
-        joints = {
-            joint.name: {"largest_force": joint.peak, "error": _number(joint.error)}
-            for joint in accuracy.of_joints(result.joint_names, force)
-        }
-    return {
-        "known_until": _number(accuracy.known_until),
-        "order_observed": _number(accuracy.order_observed),
-        "position_error": _number(accuracy.position_error_max),
-        "angle_error": _number(accuracy.angle_error_max),
-        "joints": joints,
-        "method": accuracy.method,
-        **({} if math.isnan(accuracy.asked) else _asked(accuracy)),
-    }
-
-
-def _asked(accuracy: Accuracy) -> dict[str, Any]:
-    """Return the requested accuracy, the one reached (None if unknown), and the choice
-    of method and step.
-    """
-    return {
-        "asked": accuracy.asked,
-        "reached": _number(accuracy.reached),
-        "chosen": accuracy.chosen,
-        "why": accuracy.why,
-    }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _exit_with(result: Run, *, told: bool = False) -> None:
-    """Exit with the exit status of an incomplete run; print the reason unless the summary has `told` it."""
-    if result.status == "complete":
-        return
-    if not told:
-        say(f"{result.status}: {result.status_reason.removeprefix('interrupted: ')}")
-    if result.status == "interrupted":
-        raise typer.Exit(terminal.INTERRUPTED)
-    failed_plugin = result.status_reason.startswith("plugin-error")
-    raise typer.Exit(terminal.PLUGIN_FAILED if failed_plugin else terminal.STOPPED_EARLY)

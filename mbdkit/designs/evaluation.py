@@ -15,7 +15,6 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
-from mbdkit.base.logs import to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.engine.consistent_start import Starts
@@ -129,7 +128,7 @@ class ScenarioRuns:
                 raise
             except MbdkitError as error:
                 found[place] = self._failed(str(error))
-        results = simulate_batch(runs.values(), notify=_notify, lanes=self._lanes)
+        results = simulate_batch(runs.values(), lanes=self._lanes)
         for (place, spec), result in zip(runs.items(), results, strict=True):
             if not isinstance(result, FinishedRun) or result.status != "complete":
                 if result.status == "missing":
@@ -174,12 +173,6 @@ def _judged(values: tuple[float, ...], verdict: str, reasons: Sequence[str]) -> 
     """Return the outcome of a complete run, with the first of the reasons why it is doubtful or bad."""
     finite = tuple(value if np.isfinite(value) else np.nan for value in values)
     return Outcome(finite, verdict, reasons[0] if reasons and verdict in ("doubtful", "bad") else "")
-
-
-def _notify(text: str) -> None:
-    """Print a message, unless it is a warning, which would be repeated for each run; warnings are part of verdicts."""
-    if not text.startswith("warning: "):
-        to_stderr(text)
 
 
 def in_this_process(scenarios: Mapping[str, ScenarioRuns]) -> Source:

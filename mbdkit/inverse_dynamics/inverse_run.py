@@ -18,7 +18,7 @@ from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.logs import logger_of
+from mbdkit.base.logs import logger_of, warn_on_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.inverse_dynamics.compute import (
     Inverse,
@@ -93,7 +93,9 @@ def inverse(
     True
     """
     spec = load_inverse_spec(source, (), **sections)
-    return compute_run(spec, path=None if archive is None else Path(archive), overwrite=overwrite)
+    result = compute_run(spec, path=None if archive is None else Path(archive), overwrite=overwrite)
+    warn_on_stderr(result.warnings)
+    return result
 
 
 def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool = False) -> Run:

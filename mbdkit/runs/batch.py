@@ -8,7 +8,6 @@ from itertools import islice
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.base.errors import MbdkitError, PluginError, ResourceError, SpecError
-from mbdkit.base.logs import to_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import one_line
 from mbdkit.engine.consistent_start import Starts
@@ -42,7 +41,6 @@ CHUNK = 8 * WIDTH
 def simulate_batch(
     specs: Iterable[RunSpec],
     *,
-    notify: Callable[[str], None] = to_stderr,
     begun: Callable[[int], None] | None = None,
     measures: Sequence[str] = (),
     lanes: LaneRuns | None = None,
@@ -55,8 +53,6 @@ def simulate_batch(
 
     Parameters
     ----------
-    notify
-        Called with a message before long operations.
     begun
         Called with the index of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
         runs are prepared before the first result is yielded.
@@ -69,13 +65,13 @@ def simulate_batch(
     lanes, remaining = lanes or LaneRuns(Starts(), measures), iter(enumerate(specs))
     while chunk := list(islice(remaining, CHUNK)):
         with one_thread_of_linear_algebra():
-            prepared = lanes.members(_noted(chunk, begun), notify)
+            prepared = lanes.members(_noted(chunk, begun))
             finished = iter(lanes.finished([member for member in prepared if member is not None]))
         for (place, spec), member in zip(chunk, prepared, strict=True):
             run = None if member is None else next(finished)
             if run is None:
                 begun(place)
-            yield _alone(spec, notify, lanes.starts, measures) if run is None else run
+            yield _alone(spec, lanes.starts, measures) if run is None else run
 
 
 def _ignored(place: int) -> None:
@@ -89,12 +85,10 @@ def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -
         yield spec
 
 
-def _alone(
-    spec: RunSpec, notify: Callable[[str], None], starts: Starts, measures: Sequence[str]
-) -> FinishedRun | Refused:
+def _alone(spec: RunSpec, starts: Starts, measures: Sequence[str]) -> FinishedRun | Refused:
     """Run one spec."""
     try:
-        return simulate_arrays(spec, notify=notify, starts=starts, measures=measures)
+        return simulate_arrays(spec, starts=starts, measures=measures)
     except (Exception, SystemExit) as error:
         return refusal(error)
 

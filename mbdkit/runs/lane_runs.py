@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -157,14 +157,9 @@ class LaneRuns:
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
 
-    def members(self, specs: Iterable[RunSpec], notify: Callable[[str], None]) -> list[LaneMember | None]:
+    def members(self, specs: Iterable[RunSpec]) -> list[LaneMember | None]:
         """Prepare runs for vectorization; None for a run that cannot be vectorized, or whose preparation fails, and is
         then run alone.
-
-        Parameters
-        ----------
-        notify
-            Called with warnings, and with a message before kernels are compiled.
         """
         begin = time.perf_counter()
         started = []
@@ -180,8 +175,6 @@ class LaneRuns:
                 member = None if one is None else self._member(one, size)
             except (Exception, SystemExit):
                 member = None
-            for warning in () if member is None else member.warnings:
-                notify(f"warning: {warning}")
             members.append(member)
         seconds = (time.perf_counter() - begin) / max(1, len(members))
         return [None if member is None else replace(member, seconds=seconds) for member in members]

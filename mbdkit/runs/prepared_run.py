@@ -15,7 +15,7 @@ from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.given_start import spec_started_at
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.run_in_memory import run_in_memory
-from mbdkit.runs.simulation import silent, simulate
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.loading import RunSource, Sections
@@ -89,7 +89,7 @@ class PreparedRun:
             made = self._vectorized(spec)
             if made is not None:
                 return made
-        made = simulate(spec, notify=silent, starts=self._lanes.starts)
+        made = simulate(spec, starts=self._lanes.starts)
         if made.status == "interrupted":
             raise KeyboardInterrupt
         return made
@@ -98,7 +98,7 @@ class PreparedRun:
         """Return a run that was computed like those of an ensemble; None if it cannot be."""
         created = utc_now()
         with one_thread_of_linear_algebra():
-            member = self._lanes.members([spec], silent)[0]
+            member = self._lanes.members([spec])[0]
             finished = None if member is None else self._lanes.finished([member])[0]
             if finished is None:
                 return None

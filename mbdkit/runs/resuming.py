@@ -10,7 +10,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,7 +28,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files import rename_new
-from mbdkit.base.logs import to_stderr
+from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
 from mbdkit.base.text import listed, shown
 from mbdkit.engine.assembly import AssembledState
@@ -83,7 +83,9 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
         If the run is still in progress.
     """
     with progress_bar(Path(part).stem, quiet=progress is not None or not in_notebook()) as bar:
-        return continue_run(Path(part), overwrite=overwrite, progress=progress or bar)
+        result = continue_run(Path(part), overwrite=overwrite, progress=progress or bar)
+    warn_on_stderr(result.warnings)
+    return result
 
 
 def continue_run(
@@ -91,16 +93,15 @@ def continue_run(
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
-    notify: Callable[[str], None] = to_stderr,
 ) -> Run:
-    """Continue a run; see `resume`, and `mbdkit.runs.simulation.simulate` for `notify`."""
+    """Continue a run; see `resume`."""
     path = check_target(final_path(part), overwrite=overwrite)
     _finish_replacement(part)
     with _held(part) as stream:
         checkpoint = Checkpoint.of(part)
         if checkpoint is None:
             return _renamed(part, path, overwrite)
-        return _Unfinished(part, checkpoint, path, overwrite, stream).continued(progress, notify)
+        return _Unfinished(part, checkpoint, path, overwrite, stream).continued(progress)
 
 
 def final_path(part: Path) -> Path:
@@ -220,7 +221,7 @@ class _Unfinished:
         self.part, self.path, self.overwrite, self.stream = part, path, overwrite, stream
         self.checkpoint = checkpoint
 
-    def continued(self, progress: Progress | None, notify: Callable[[str], None]) -> Run:
+    def continued(self, progress: Progress | None) -> Run:
         """Continue the run to its end."""
         head = self.checkpoint.head
         spec = _same_spec(self.part, head["spec"], head["run_id"], head["provenance"])
@@ -243,7 +244,7 @@ class _Unfinished:
 
         continuation = Continuation(self.checkpoint.state, self._observed, restored)
         try:
-            return simulate_on(spec, continuation, begun, progress=progress, notify=notify)
+            return simulate_on(spec, continuation, begun, progress=progress)
         except SpecError as error:
             raise error.located(file=self.part) from error
 

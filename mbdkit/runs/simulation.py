@@ -21,7 +21,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.interrupts import interrupts_noted
-from mbdkit.base.logs import logger_of, to_stderr
+from mbdkit.base.logs import logger_of, warn_on_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.progress_bars import in_notebook, progress_bar
 from mbdkit.base.text import one_line, shown
@@ -84,6 +84,7 @@ def run(
     -------
     Run
         The results. If the run stopped early, `Run.status` and `Run.status_reason` say why, and `Run.check` raises.
+        `Run.warnings` are also printed on stderr.
 
     Raises
     ------
@@ -105,7 +106,9 @@ def run(
     path = None if archive is None else Path(archive)
     is_shown = progress is None and in_notebook()
     with progress_bar(spec.title or spec.model_item.name, quiet=not is_shown) as bar:
-        return simulate(spec, path=path, overwrite=overwrite, progress=progress or bar)
+        result = simulate(spec, path=path, overwrite=overwrite, progress=progress or bar)
+    warn_on_stderr(result.warnings)
+    return result
 
 
 def simulate(
@@ -114,11 +117,10 @@ def simulate(
     path: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
-    notify: Callable[[str], None] = to_stderr,
     starts: Starts | None = None,
     measures: Sequence[str] = (),
 ) -> Run:
-    """Run a validated spec; see `run`.
+    """Run a validated spec; see `run`. Warnings are not printed.
 
     Parameters
     ----------
@@ -128,8 +130,6 @@ def simulate(
         Whether an existing archive may be replaced.
     progress
         As for `run`.
-    notify
-        Called with a message before long operations, such as the first compilation after installation.
     starts
         Cache of compiled mechanisms for further runs, if given.
     measures
@@ -140,7 +140,7 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     begun = _begun_arrays if path is None else partial(_begun_archive, path=path, overwrite=overwrite)
-    return _ended(spec, _Preparation(begun, notify, begin, path, starts, measures), progress).run()
+    return _ended(spec, _Preparation(begun, begin, path, starts, measures), progress).run()
 
 
 def simulate_on(
@@ -149,7 +149,6 @@ def simulate_on(
     begun: Callable[[RunSpec, Method, _Start], RunWriter],
     *,
     progress: Progress | None = None,
-    notify: Callable[[str], None] = to_stderr,
 ) -> Run:
     """Continue a run from a checkpoint.
 
@@ -159,16 +158,15 @@ def simulate_on(
         The state to continue from.
     begun
         Returns a writer that holds the rows up to this state.
-    progress, notify
+    progress
         As for `simulate`.
     """
-    return _ended(spec, _Preparation(begun, notify, time.perf_counter(), continuation=continuation), progress).run()
+    return _ended(spec, _Preparation(begun, time.perf_counter(), continuation=continuation), progress).run()
 
 
 def simulate_arrays(
     spec: RunSpec,
     *,
-    notify: Callable[[str], None] = to_stderr,
     starts: Starts | None = None,
     measures: Sequence[str] = (),
 ) -> FinishedRun:
@@ -176,10 +174,10 @@ def simulate_arrays(
 
     Parameters
     ----------
-    notify, starts, measures
+    starts, measures
         As for `simulate`.
     """
-    preparation = _Preparation(_begun_arrays, notify, time.perf_counter(), None, starts, measures, becomes_run=False)
+    preparation = _Preparation(_begun_arrays, time.perf_counter(), None, starts, measures, becomes_run=False)
     simulation = _ended(spec, preparation, None)
     assert isinstance(simulation.writer, ArrayWriter)
     assert simulation.writer.finished is not None
@@ -194,7 +192,7 @@ class _Preparation:
     ----------
     begun
         Returns the writer of a run.
-    notify, path, starts, measures
+    path, starts, measures
         As for `simulate`.
     begin
         Time at which the run was requested [s].
@@ -205,7 +203,6 @@ class _Preparation:
     """
 
     begun: Callable[[RunSpec, Method, _Start], RunWriter]
-    notify: Callable[[str], None]
     begin: float
     path: Path | None = None
     starts: Starts | None = None
@@ -220,10 +217,10 @@ class _Preparation:
         if spec.gradients:
             higher_layers.check_gradients(spec, method)
         cautions = caution(spec, method)
-        _warn(cautions, self.notify)
+        _log(cautions)
         workspace, start = build(spec, self.starts)
         moves = start_warnings(spec, start)
-        _warn(moves, self.notify)
+        _log(moves)
         if _LOG.isEnabledFor(logging.DEBUG):
             _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
         check_disk_space(spec, workspace.mechanism, self.path)
@@ -280,7 +277,6 @@ def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress 
             if simulation.is_final or (following is None and best is choice):
                 simulation.finish()
                 return simulation
-        preparation = replace(preparation, notify=silent)  # warnings are shown only once
         if following is None:
             # the best attempt is repeated, because only one archive is written at a time; equal settings give equal
             # results
@@ -300,10 +296,6 @@ def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, at
     if choice.limited:
         return None if math.isnan(simulation.reached) else other_method(spec, workspace, choice)
     return None if attempts >= MOST_ATTEMPTS else choice.tightened(spec, spec.accuracy, simulation.reached)
-
-
-def silent(message: str) -> None:
-    """Discard a message."""
 
 
 def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path, overwrite: bool) -> RunWriter:
@@ -333,17 +325,16 @@ def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
 def measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:
     """Return the values of expressions in a comparison run, in SI units; None if it fails."""
     try:
-        found = simulate_arrays(spec, notify=silent, measures=expressions)
+        found = simulate_arrays(spec, measures=expressions)
         run = Run(ArrayContents(found, Heading(spec)))
         return [MeasureExpression.in_si(text, run) for text in expressions] if run.status == "complete" else None
     except (MbdkitError, ArithmeticError):
         return None
 
 
-def _warn(warnings: Iterable[str], notify: Callable[[str], None]) -> None:
-    """Report and log warnings about a run."""
+def _log(warnings: Iterable[str]) -> None:
+    """Log warnings about a run."""
     for warning in warnings:
-        notify(f"warning: {warning}")
         _LOG.warning("%s", shown(warning))
 
 

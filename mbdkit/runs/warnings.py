@@ -45,6 +45,11 @@ def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
     return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_excitations(spec))
 
 
+def mechanism_warnings(spec: RunSpec) -> tuple[str, ...]:
+    """Return the warnings that also apply without a run: those of the model, and about angles and parameters."""
+    return (*spec.mechanism().warnings, *_unused_parameters(spec), *_angles_in_degrees(spec))
+
+
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
     """Return a warning if assembly moved the start by more than a tenth of the mechanism's size.
 

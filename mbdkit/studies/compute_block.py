@@ -192,7 +192,7 @@ def compute_block(
     skip
         Reasons for which runs are recorded as failed without being computed, by their number.
     notify
-        Called with a message before long operations.
+        Called with the warnings of runs.
 
     Returns
     -------
@@ -260,11 +260,12 @@ def _results(
     """Yield each member with its result, in order."""
     specs = {member.point.number: member.spec for member in members if isinstance(member.spec, RunSpec)}
     numbers = list(specs)
-    results = simulate_batch(
-        specs.values(), notify=notify, begun=lambda place: mark.note(numbers[place]), measures=plan.expressions
-    )
+    results = simulate_batch(specs.values(), begun=lambda place: mark.note(numbers[place]), measures=plan.expressions)
     for member in members:
-        yield member, (member.spec if isinstance(member.spec, Refused) else next(results))
+        result = member.spec if isinstance(member.spec, Refused) else next(results)
+        for warning in result.warnings if isinstance(result, FinishedRun) else ():
+            notify(f"warning: {warning}")
+        yield member, result
 
 
 def _stored(plan: BlockStudyPlan, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:

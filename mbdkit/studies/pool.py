@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import queue
+import re
 import signal
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from mbdkit.archive.part_file import part_path, remove_part
 from mbdkit.base.errors import ResourceError
 from mbdkit.studies.tasks import Outcome, Task, died
 
+_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 PROGRAM = "mbdkit.studies.worker"
 """Module that carries out the tasks of studies."""
 
@@ -114,9 +116,10 @@ class Pool:
         return worker
 
     def say(self, text: str) -> None:
-        """Pass a message to the user, once."""
-        if text not in self._said:
-            self._said.add(text)
+        """Pass a message to the user, unless an earlier one differs from it in numbers only, as in sampled runs."""
+        kind = _NUMBER.sub("0", text)
+        if kind not in self._said:
+            self._said.add(kind)
             self.notify(text)
 
     def __enter__(self) -> Pool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,15 +23,13 @@ from mbdkit.stepping.start import start_method
 REVERSALS = ("reversibility_defect", "reversibility_velocity_defect")
 
 
-def second_run(spec: RunSpec, names: Sequence[str], notify: Callable[[str], None]) -> tuple[dict[str, float], str]:
+def second_run(spec: RunSpec, names: Sequence[str]) -> tuple[dict[str, float], str]:
     """Compute measures by a second run.
 
     Parameters
     ----------
     spec
         Spec of a run that is complete.
-    notify
-        Called with a message before an operation that takes long.
 
     Returns
     -------
@@ -42,24 +40,19 @@ def second_run(spec: RunSpec, names: Sequence[str], notify: Callable[[str], None
     values: dict[str, float] = {}
     notes = []
     if set(names) & set(REVERSALS):
-        found = reverse(spec, notify)
+        found = reverse(spec)
         values |= dict(zip(REVERSALS, (found.defect, found.velocity_defect), strict=True))
         notes.append(found.note)
     if "velocity_misalignment_every_step" in names:
-        values["velocity_misalignment_every_step"], note = velocity_misalignment(spec, notify)
+        values["velocity_misalignment_every_step"], note = velocity_misalignment(spec)
         notes.append(note)
     return {name: values[name] for name in names}, " ".join(filter(None, notes))
 
 
-def velocity_misalignment(spec: RunSpec, notify: Callable[[str], None]) -> tuple[float, str]:
+def velocity_misalignment(spec: RunSpec) -> tuple[float, str]:
     """Return the largest velocity misalignment of any joint over every step [m/s].
 
     The run is repeated in memory with every step recorded.
-
-    Parameters
-    ----------
-    notify
-        Called with a message before an operation that takes long.
 
     Returns
     -------
@@ -68,7 +61,7 @@ def velocity_misalignment(spec: RunSpec, notify: Callable[[str], None]) -> tuple
     """
     every_step = json.loads(spec.canonical_json()) | {"output": {"every": 1, "quantities": ["joints"]}}
     try:
-        with simulate(RunSpec(**every_step), notify=notify) as run:
+        with simulate(RunSpec(**every_step)) as run:
             if run.status != "complete":
                 return math.nan, run.status_reason
             return float(np.max(run.array("joints/velocity_misalignment"), initial=0.0)), ""
@@ -101,7 +94,7 @@ class Reversal:
     note: str = ""
 
 
-def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
+def reverse(spec: RunSpec) -> Reversal:
     """Integrate a run, reverse its final velocities, integrate back with the same steps, and compare with the start.
 
     The backward run starts from exactly the final state of the forward run, including its joint misalignment; the
@@ -112,8 +105,6 @@ def reverse(spec: RunSpec, notify: Callable[[str], None]) -> Reversal:
     ----------
     spec
         The run, with its formulation and stabilization.
-    notify
-        Called with a message before an operation that takes long.
 
     Returns
     -------

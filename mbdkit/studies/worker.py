@@ -118,16 +118,18 @@ def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]
     if "second" in task:
         from mbdkit.studies.second_run_measures import second_run
 
-        values, note = second_run(spec, task["second"], notify)
+        values, note = second_run(spec, task["second"])
         told = {name: value if math.isfinite(value) else None for name, value in values.items()}
         return {"status": "complete", "reason": note, "values": told}
     if "repeats" in task:
         seconds = []
         for _ in range(task["repeats"] + 1):
-            with simulate(spec, notify=notify) as run:
+            with simulate(spec) as run:
                 seconds.append(float(run.stats["wall_s"]))
         return {"status": "complete", "reason": "", "seconds": seconds[1:]}  # without the warm-up run
-    with simulate(spec, path=Path(task["path"]), overwrite=True, notify=notify, measures=task["measures"]) as run:
+    with simulate(spec, path=Path(task["path"]), overwrite=True, measures=task["measures"]) as run:
+        for warning in run.warnings:
+            notify(f"warning: {warning}")
         return {"status": run.status, "reason": run.status_reason}
 
 

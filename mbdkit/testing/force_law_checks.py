@@ -352,7 +352,7 @@ def states(law: ForceLawUnderTest) -> Result:
             return failed(f"the rate of its state '{name}' is {rates[row]} at {_at(law.places[row])}")
     finals = []
     for step in STATE_STEPS:
-        with simulate(_mass_on(law, step), notify=lambda message: None) as run:
+        with simulate(_mass_on(law, step)) as run:
             if run.status != "complete":
                 return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
             finals.append([float(run.states[f"law.{one.name}"].value[-1]) for one in law.plugin.law.states])
@@ -396,7 +396,7 @@ def energy(law: ForceLawUnderTest) -> Result:
     """The energy balance of a mass on it converges to zero with the step."""
     found = []
     for step in (0.02, 0.01, 0.005, 0.0025):
-        with simulate(_mass_on(law, step), notify=lambda message: None) as run:
+        with simulate(_mass_on(law, step)) as run:
             if run.status != "complete":
                 return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
             size = max(1.0, float(np.max(np.abs(run.energy.kinetic))))

@@ -111,7 +111,7 @@ class IntegratorUnderTest:
 
         An interrupt raises KeyboardInterrupt, unless `progress` is given: a check may use it to interrupt the run.
         """
-        run = simulate(self.spec(model, time, **sections), progress=progress, notify=_say_nothing)
+        run = simulate(self.spec(model, time, **sections), progress=progress)
         if run.status == "interrupted" and progress is None:
             run.close()
             raise KeyboardInterrupt
@@ -196,7 +196,3 @@ def final_state(run: Run) -> np.ndarray:
         [np.asarray(run.array(f"trajectory/{name}")[-1]).ravel() for name in ("position", "velocity")]
     )
     return state if run.status == "complete" else np.full_like(state, np.nan)
-
-
-def _say_nothing(message: str) -> None:
-    """Ignore messages."""

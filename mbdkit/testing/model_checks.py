@@ -184,7 +184,7 @@ def balance(model: ModelUnderTest) -> Result:
     """The energy balance of loads and drivers converges to zero with the step."""
     found, steps = [], (0.02, 0.01, 0.005, 0.0025)
     for step in steps:
-        with simulate(model.spec(step, stages=2), notify=lambda message: None) as run:
+        with simulate(model.spec(step, stages=2)) as run:
             if run.status != "complete":
                 found.append(np.nan)
                 continue
@@ -204,7 +204,7 @@ def balance(model: ModelUnderTest) -> Result:
 @check("energy.run")
 def completes(model: ModelUnderTest) -> Result:
     """A run of one second completes; its misalignment is reported."""
-    with simulate(model.spec(0.002), notify=lambda message: None) as run:
+    with simulate(model.spec(0.002)) as run:
         if run.status != "complete":
             return failed(f"a run of {END:g} s did not complete: {run.status_reason}".rstrip("."))
         if not run.joints:

@@ -186,7 +186,8 @@ def test_a_table_that_overshoots_is_warned_of_but_runs(mbdkit, in_tmp_path):
     for command in ("validate", "run"):
         result = mbdkit(command, "spec.yaml")
         assert result.exit_code == 0
-        assert "warning: the cubic spline of the table at model.forces.m.value leaves the range" in result.stderr
+        told = "the cubic spline of the table at model.forces.m.value leaves the range"
+        assert (result.stdout + result.stderr).count(told) == 1
 
 
 def test_validate_refuses_a_driver_with_a_corner(mbdkit, in_tmp_path):
@@ -404,4 +405,5 @@ def test_a_wrong_parameter_from_the_command_line_is_answered_with_its_key(mbdkit
 def test_a_misspelled_parameter_is_told(mbdkit, tmp_path):
     assignments = ["--set", "parameters.cranck=0.12", "--set", "time.end=0.02"]
     result = mbdkit("run", "quick-return", *assignments, "-o", tmp_path / "a.h5")
-    assert "warning: the parameter at parameters.cranck is not used (did you mean 'crank'?)" in result.stderr
+    told = "the parameter at parameters.cranck is not used (did you mean 'crank'?)"
+    assert (result.stdout.count(told), result.stderr.count(told)) == (1, 0)
