@@ -149,9 +149,9 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
     if spec.stabilized.kind != "none":
         message = "rigid contacts are projected with the joints in every step; leave it out"
         raise spec.placed(SpecError(message, key="stabilization"))
-    if spec.estimates_errors:
-        key = "check" if spec.check else "accuracy"
-        raise spec.placed(SpecError("errors of runs with rigid contacts are not estimated; leave it out", key=key))
+    if spec.accuracy is not None:
+        message = "methods and steps of runs with rigid contacts are not chosen; give `time.step` and `check: true`"
+        raise spec.placed(SpecError(message, key="accuracy"))
 
 
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:

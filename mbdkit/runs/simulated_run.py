@@ -51,6 +51,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Advancing, Failure, Stretch
 from mbdkit.stepping.python_stepper import PythonStepper
+from mbdkit.stepping.rigid_contacts import ContactState
 from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 from mbdkit.trust.criteria import judge
@@ -289,9 +290,20 @@ class SimulatedRun:
         continuation.restored()
         return continuation.times
 
+    @property
+    def inner_stepper(self) -> Advancing | None:
+        """What takes the steps, without what watches for events."""
+        return self.stepper if self.watch is None else self.watch.stepper
+
+    @property
+    def contacts(self) -> ContactState | None:
+        """What rigid contacts hold, with their impacts so far; None if there are none."""
+        stepper = self.inner_stepper
+        return stepper.contact_state if isinstance(stepper, PythonStepper) else None
+
     def parts(self) -> Parts | None:
         """Return the parts of the run that a checkpoint stores; None if some of them cannot be stored."""
-        stepper = self.stepper if self.watch is None else self.watch.stepper
+        stepper = self.inner_stepper
         if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper):
             return None
         return Parts(self.workspace, stepper, self.watch, self.recorder, self.integrals)
@@ -354,7 +366,9 @@ class SimulatedRun:
         if choice is not None and choice.pilots and len(rows.time) > 1 and not self.spec.check:
             found = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
         else:
-            found = check_run(self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress)
+            found = check_run(
+                self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress, self.contacts
+            )
         self.accuracy = with_asked(found, self.spec, self.workspace, self.choice)
         if self.spec.check and self.expressions and self.failure is None and self.measured_in is not None:
             compared = compared_measures(
@@ -389,9 +403,8 @@ class SimulatedRun:
         )
         ending = status, reason
         steps = None if stepper is None else stepper.evidence
-        inner = stepper if self.watch is None else self.watch.stepper
         notes: tuple[str, ...] = ()
-        if isinstance(inner, PythonStepper) and (contacts := inner.contact_state) is not None:
+        if (contacts := self.contacts) is not None:
             self.recorder.record_impacts(contacts.impacts)
             notes = contacts.remarks()
         mechanism = self.spec.mechanism()

@@ -336,6 +336,9 @@ class _Step:
         # rebounds with less energy than `rest_energy` are left out
         effective_mass = 1.0 / np.maximum(np.einsum("ij,ij->i", rows.normal, rows.normal / self.p.mass), 1e-300)
         after = rows.normal @ struck.v
+        undecided = self.state.undecided
+        if self.contacts.affect_each_other(now.t, now.q, touching & (approach < -SAME * self.speed)):
+            undecided = min(undecided, now.t)
         rests = (
             touching
             & (after > 0)
@@ -362,6 +365,7 @@ class _Step:
             impacts=(*self.state.impacts, *new),
             cut=self.state.cut.union(cut),
             changed=self.state.changed.union(changed),
+            undecided=undecided,
         )
 
     def _tails(self, rests: np.ndarray, after: np.ndarray) -> list[ContactImpact]:

@@ -24,6 +24,10 @@ SAME_ACCELERATION = 1e-9
 """Accelerations below this share of those without contact forces are zero but for rounding errors."""
 
 
+FEW = 8
+"""Number of contacts of a kind that are evaluated one by one, which takes less time than arrays."""
+
+
 class Rows(NamedTuple):
     """The rows of C contacts in a state: gap [m] and slip [m/s] (C,), gradients (C, n), right-hand sides (C,)."""
 
@@ -87,6 +91,8 @@ class ContactState:
         Number of events since a step that had none.
     is_over_step
         Whether the forces are those over the whole step, and not at its end.
+    undecided
+        First time at which several contacts that affect each other have closed at once, in an unknown order [s].
     """
 
     modes: np.ndarray
@@ -100,6 +106,7 @@ class ContactState:
     event: tuple[int, int] | None = None
     streak: int = 0
     is_over_step: bool = False
+    undecided: float = math.inf
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load, where modes are determined anew."""
@@ -151,30 +158,69 @@ class RigidContacts:
         self.names = [one.pair.name for one in self.contacts]
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = given.T
-        self._functions = []
-        if self.contacts:
-            from mbdkit.symbolic.contact_rows import row_function  # loads SymPy
-
-            self._functions = [row_function(one.pair.kind) for one in self.contacts]
+        self._bodies = np.array([one.bodies for one in self.contacts], dtype=int).reshape(-1, 2)
+        kinds = dict.fromkeys(one.pair.kind for one in self.contacts)
+        self._kinds = {kind: [i for i, one in enumerate(self.contacts) if one.pair.kind == kind] for kind in kinds}
+        self._numbers = {
+            kind: np.array([self.contacts[i].pair.numbers for i in places]).T for kind, places in self._kinds.items()
+        }
+        self._place = np.zeros(len(self.contacts), dtype=int)
+        for places in self._kinds.values():
+            self._place[places] = np.arange(len(places))
 
     def all_open(self) -> ContactState:
         """Return the state of contacts without forces."""
         none = np.zeros(len(self.contacts))
         return ContactState(none.astype(int), none, none)
 
-    def rows(self, q: np.ndarray, v: np.ndarray) -> Rows:
-        """Return the rows of all contacts in a state."""
-        count, n = len(self.contacts), self.p.n
-        values, normal, tangent = np.empty((4, count)), np.zeros((count, n + 3)), np.zeros((count, n + 3))
-        q, v = (np.concatenate([x, np.zeros(3)]) for x in (q, v))  # the ground is last
-        for i, (one, function) in enumerate(zip(self.contacts, self._functions, strict=True)):
-            a, b = (slice(3 * body, 3 * body + 3) for body in one.bodies)
-            state = (x for place in (a, b) for both in (q, v) for x in both[place].tolist())
-            given = function(*state, *one.pair.numbers)
-            values[:, i] = given[0], given[1], given[14], given[15]
-            normal[i, a], normal[i, b] = given[2:5], given[5:8]
-            tangent[i, a], tangent[i, b] = given[8:11], given[11:14]
-        return Rows(values[0], values[1], normal[:, :n], tangent[:, :n], values[2], values[3])
+    def gaps(self, q: np.ndarray) -> np.ndarray:
+        """Return the gaps (C,) of all contacts at a position [m]."""
+        from mbdkit.symbolic.contact_rows import gap_function  # loads SymPy
+
+        if len(self.contacts) <= FEW:
+            return self.rows(q, 0.0 * q).gap
+        gaps, bodies = np.empty(len(self.contacts)), self._states(q, 0.0 * q)
+        for kind, places in self._kinds.items():
+            state = bodies[self._bodies[places]].reshape(len(places), 14).T
+            gaps[places] = gap_function(kind)(*state, *self._numbers[kind])
+        return gaps
+
+    def rows(self, q: np.ndarray, v: np.ndarray, some: np.ndarray | None = None) -> Rows:
+        """Return the rows of all contacts in a state, or of some (C,), given by their numbers."""
+        from mbdkit.symbolic.contact_rows import row_function  # loads SymPy
+
+        n, bodies = self.p.n, self._states(q, v)
+        chosen = np.arange(len(self.contacts)) if some is None else some
+        wanted = np.full(len(self.contacts), -1)
+        wanted[chosen] = np.arange(len(chosen))
+        values = np.empty((len(chosen), 16))
+        for kind, every in self._kinds.items():
+            places = np.array(every)[wanted[every] >= 0]
+            state = bodies[self._bodies[places]].reshape(len(places), 14)
+            numbers = self._numbers[kind][:, self._place[places]]
+            if len(places) <= FEW:
+                function = row_function(kind, is_of_arrays=False)
+                for place, one, own in zip(places, state.tolist(), numbers.T.tolist(), strict=True):
+                    values[wanted[place]] = function(*one, *own)
+            else:
+                given = row_function(kind, is_of_arrays=True)(*state.T, *numbers)
+                values[wanted[places]] = np.stack(np.broadcast_arrays(*given), axis=1)
+        columns = (3 * self._bodies[chosen][:, :, None] + np.arange(3)).reshape(len(chosen), 6)
+        normal, tangent = np.zeros((2, len(chosen), n + 3))
+        np.put_along_axis(normal, columns, values[:, 2:8], axis=1)
+        np.put_along_axis(tangent, columns, values[:, 8:14], axis=1)
+        gap, slip, normal_right, tangent_right = values[:, [0, 1, 14, 15]].T
+        return Rows(gap, slip, normal[:, :n], tangent[:, :n], normal_right, tangent_right)
+
+    def _states(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return x, y, cosine and sine of the angle and the velocities of all bodies (B + 1, 7), the ground last."""
+        states = np.zeros((self.p.n // 3 + 1, 7))
+        states[-1, 2] = 1.0
+        at = q.reshape(-1, 3)
+        states[:-1, :2], states[:-1, 4:] = at[:, :2], v.reshape(-1, 3)
+        angles = at[:, 2].tolist()  # NumPy's functions depend on the number of items
+        states[:-1, 2], states[:-1, 3] = [math.cos(x) for x in angles], [math.sin(x) for x in angles]
+        return states
 
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray, modes: np.ndarray) -> Forced:
         """Return the accelerations with contacts in given modes (C,).
@@ -264,6 +310,17 @@ class RigidContacts:
         both = np.vstack([rows.normal[some], rows.tangent[some]])
         return both @ self.answers(t, q, both)[0], both
 
+    def affect_each_other(self, t: float, q: np.ndarray, some: np.ndarray) -> bool:
+        """Return whether a normal impulse at one of some contacts (C,) changes the normal velocity at another."""
+        places = np.flatnonzero(some)
+        if len(places) < 2:
+            return False
+        normal = self.rows(q, 0.0 * q).normal[places]
+        response = normal @ self.answers(t, q, normal)[0]
+        size = np.sqrt(np.abs(np.diag(response)))
+        others = np.abs(response - np.diag(np.diag(response)))
+        return bool(np.any(others > SAME_ACCELERATION * np.outer(size, size)))
+
     def struck(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, e: np.ndarray, law: str) -> Struck:
         """Return the result of an impact of touching contacts.
 
@@ -328,8 +385,9 @@ class ClosedSystem:
         self._none = np.zeros(self.n)
 
     def _held(self, q: np.ndarray, *, is_of_velocities: bool) -> np.ndarray:
-        rows = self.contacts.rows(q, self._none)
-        return np.vstack([rows.normal[self.closed], rows.tangent[self.sticking][: None if is_of_velocities else 0]])
+        rows = self.contacts.rows(q, self._none, self.closed)
+        sticking = np.isin(self.closed, self.sticking) & is_of_velocities
+        return np.vstack([rows.normal, rows.tangent[sticking]])
 
     def solve(self, t: float, q: np.ndarray, force: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `ConstrainedSystem.solve`."""
@@ -343,7 +401,7 @@ class ClosedSystem:
 
     def constraints(self, t: float, q: np.ndarray) -> np.ndarray:
         """See `ConstrainedSystem.constraints`."""
-        return np.concatenate([self.p.constraints(t, q), self.contacts.rows(q, self._none).gap[self.closed]])
+        return np.concatenate([self.p.constraints(t, q), self.contacts.rows(q, self._none, self.closed).gap])
 
     def constraint_rates(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """See `ConstrainedSystem.constraint_rates`."""

@@ -76,16 +76,17 @@ class TimeStepping(StepMethod):
         )
         force = theta * p.forces(t + h, q + h * v, v) + (1.0 - theta) * p.forces(t, q, v)
         free = v + matrix.solve(h * force, -p.constraint_rates(t + 0.5 * h, middle, v))[0]
-        rows = contacts.rows(middle, v)
         reached = q + h * (theta * free + (1.0 - theta) * v)
-        some = np.flatnonzero(contacts.rows(reached, v).gap <= SMALL * p.length)
-        modes, normal, tangent = np.zeros(len(rows.gap), dtype=int), np.zeros(len(rows.gap)), np.zeros(len(rows.gap))
+        some = np.flatnonzero(contacts.gaps(reached) <= SMALL * p.length)
+        count = len(contacts.names)
+        modes, normal, tangent = np.zeros(count, dtype=int), np.zeros(count), np.zeros(count)
+        rows = contacts.rows(middle, v, some)
         after = free
         if len(some):
-            both, k = np.vstack([rows.normal[some], rows.tangent[some]]), len(some)
+            both, k = np.vstack([rows.normal, rows.tangent]), len(some)
             none = np.zeros(p.m)
             moved = np.stack([matrix.solve(row, none)[0] for row in both], axis=1)
-            before = rows.normal[some] @ v
+            before = rows.normal @ v
             back = contacts.restitution[some] * np.minimum(before, 0.0)
             rate = both @ free
             found = coulomb(both @ moved, rate[:k] + back, rate[k:], contacts.kinetic[some])
@@ -94,11 +95,11 @@ class TimeStepping(StepMethod):
             impulses = np.concatenate([found.normal, found.tangent])
             after = free + moved @ impulses
             normal[some], tangent[some] = found.normal / h, found.tangent / h
-            slip = np.sign(rows.tangent[some] @ after)
+            slip = np.sign(rows.tangent @ after)
             modes[some] = np.where(found.is_closed, np.where(found.is_slipping, SLIP * slip, STICK), OPEN)
         reached = self._closed(contacts, t + h, q + h * (theta * after + (1.0 - theta) * v))
         mean = 0.5 * (v + after)
-        lost = -h * float(normal @ (rows.normal @ mean) + tangent @ (rows.tangent @ mean))
+        lost = -h * float(normal[some] @ (rows.normal @ mean) + tangent[some] @ (rows.tangent @ mean))
         work, dissipated = p.powers(t + 0.5 * h, middle, mean, multipliers)
         held = contacts.all_open() if state.memory is None else state.memory
         memory = replace(held, modes=modes, normal=normal, tangent=tangent, is_over_step=True)
@@ -107,13 +108,13 @@ class TimeStepping(StepMethod):
     @staticmethod
     def _closed(contacts: RigidContacts, t: float, q: np.ndarray) -> np.ndarray:
         """Return the nearest positions with closed joints in which no shapes overlap."""
-        overlaps = contacts.rows(q, 0.0 * q).gap < 0.0
+        overlaps = contacts.gaps(q) < 0.0
         for _ in range(MOST_PROJECTIONS):
             system = ClosedSystem(contacts, np.where(overlaps, SLIP, OPEN))
             if not system.m:
                 break
             q = nearest_positions(system, t, q)
-            more = contacts.rows(q, 0.0 * q).gap < -SMALL * contacts.p.length
+            more = contacts.gaps(q) < -SMALL * contacts.p.length
             if not np.any(more & ~overlaps):
                 break
             overlaps |= more

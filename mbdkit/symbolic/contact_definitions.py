@@ -195,7 +195,6 @@ class Definition:
     quantities: tuple[sp.Expr, ...]
 
 
-@lru_cache(maxsize=64)
 def sliding(
     second: tuple[sp.Expr, sp.Expr], first: tuple[sp.Expr, sp.Expr], normal: tuple[sp.Expr, sp.Expr], step: Steps
 ) -> tuple[sp.Expr, sp.Expr]:
@@ -206,6 +205,7 @@ def sliding(
     return step(vx * ny - vy * nx), step(vx * nx + vy * ny)
 
 
+@lru_cache(maxsize=64)
 def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definition:
     """Return the definition of a contact.
 

@@ -2,51 +2,95 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 import sympy as sp
 
-from mbdkit.symbolic.contact_definitions import CIRCLE, FIRST, SECOND, Steps, geometry, numbers_of, sliding
+from mbdkit.symbolic.contact_definitions import CIRCLE, FIRST, SECOND, Steps, choose, geometry, numbers_of, sliding
 
-NEGLIGIBLE = 1e-40
-"""Square of a distance [m^2] that is added to others, so that a circle in the middle of a hole can be evaluated."""
+TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)
+"""Cosine and sine of the angles of both bodies."""
+
+_ANGLES = (FIRST[2], SECOND[2])
+_BY_TURN = dict(zip((f(angle) for angle in _ANGLES for f in (sp.cos, sp.sin)), TURNED, strict=True))
+ARGUMENTS = (*FIRST[:2], *TURNED[:2], *FIRST[3:], *SECOND[:2], *TURNED[2:], *SECOND[3:])
+"""Arguments of the functions, for each body x, y, cosine and sine of its angle, and the velocities; then the numbers of
+the geometry."""
 
 
-class _Whole(Steps):
-    """Writes definitions without intermediate results, so that they can be differentiated."""
+class _Moving(Steps):
+    """Names intermediate quantities, and differentiates them along the motion."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        (x1, y1, _, *rates1), (x2, y2, _, *rates2) = FIRST, SECOND
+        (c1, s1, c2, s2), w1, w2 = TURNED, rates1[2], rates2[2]
+        #: Rates of the quantities that change; all others, velocities among them, are constant.
+        self.rates: dict[sp.Basic, sp.Expr] = {
+            x1: rates1[0], y1: rates1[1], c1: -s1 * w1, s1: c1 * w1,
+            x2: rates2[0], y2: rates2[1], c2: -s2 * w2, s2: c2 * w2,
+        }  # fmt: skip
 
     def __call__(self, expression: sp.Expr) -> sp.Expr:
-        return expression
+        """Return the name of an expression."""
+        return super().__call__(expression.xreplace(_BY_TURN))
 
-    def direction(self, dx: sp.Expr, dy: sp.Expr) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-        """Return the length of a vector and its direction, which is (0, 0) where the length is 0."""
-        distance = sp.sqrt(dx**2 + dy**2 + NEGLIGIBLE)
-        return distance, dx / distance, dy / distance
+    def rate(self, quantity: sp.Expr) -> sp.Expr:
+        """Return the rate of a quantity at constant velocities."""
+        known = dict(self.named)
+        if quantity in known and quantity not in self.rates:
+            self.rates[quantity] = self(self._derivative(known[quantity]))
+        return self.rates.get(quantity, sp.Integer(0)) if quantity.is_Atom else self._derivative(quantity)
+
+    def _derivative(self, expression: sp.Expr) -> sp.Expr:
+        if expression.func == choose:
+            condition, first, second = expression.args
+            return choose(condition, self.rate(first), self.rate(second))
+        choices = {one: sp.Dummy(real=True) for one in expression.atoms(choose)}
+        plain = expression.xreplace(choices)
+        back = {dummy: one for one, dummy in choices.items()}
+        parts = ((one, plain.diff(one)) for one in sorted(plain.free_symbols, key=str))
+        return sp.Add(*(slope.xreplace(back) * self.rate(back.get(one, one)) for one, slope in parts if slope != 0))
 
 
 @lru_cache(maxsize=16)
-def row_function(kind: tuple[str, int]) -> Callable[..., list[Any]]:
-    """Return a function of `FIRST`, `SECOND` and the numbers of a kind of geometry.
+def gap_function(kind: tuple[str, int]) -> Callable[..., Any]:
+    """Return a function of `ARGUMENTS` and the numbers of a kind of geometry, arrays of one shape: the gaps."""
+    step = _Moving()
+    return _function(kind, step, [geometry(kind, step)[0]], is_of_arrays=True)
+
+
+@lru_cache(maxsize=16)
+def row_function(kind: tuple[str, int], *, is_of_arrays: bool) -> Callable[..., list[Any]]:
+    """Return a function of `ARGUMENTS` and the numbers of a kind of geometry, numbers or arrays of one shape.
 
     It returns gap, slip, the rows n and t (6 each) with ``gap' = n . v`` and ``slip = t . v``, and the right-hand sides
     of ``n . a = -n' . v`` and ``t . a = -t' . v``, with which gap' and slip do not change.
     """
-    positions, velocities = (*FIRST[:3], *SECOND[:3]), (*FIRST[3:], *SECOND[3:])
-    whole = _Whole()
-    gap, nx, ny, _ = geometry(kind, whole)
+    step = _Moving()
+    gap, *normal, _ = geometry(kind, step)
+    nx, ny = map(step, normal)
     (x1, y1), (x2, y2, th2), (cx, cy, r) = FIRST[:2], SECOND[:3], CIRCLE
-    px, py = (p - r * n for p, n in zip(whole.rotated(th2, cx, cy), (nx, ny), strict=True))
-    slip, _ = sliding((px, py), (x2 + px - x1, y2 + py - y1), (nx, ny), whole)
-    normal = [gap.diff(x) for x in positions]
-    tangent = [sp.expand(slip).diff(x) for x in velocities]
+    px, py = (step(p - r * n) for p, n in zip(step.rotated(th2, cx, cy), (nx, ny), strict=True))
+    ox, oy = step(x2 + px - x1), step(y2 + py - y1)
+    slip, rate = sliding((px, py), (ox, oy), (nx, ny), step)
+    along = [-nx, -ny, oy * nx - ox * ny, nx, ny, px * ny - py * nx]
+    across = [-ny, nx, oy * ny + ox * nx, ny, -nx, -py * ny - px * nx]
+    return _function(kind, step, [gap, slip, *along, *across, -step.rate(rate), -step.rate(slip)], is_of_arrays)
 
-    def bent(row: list[sp.Expr]) -> sp.Expr:
-        rate = sum(x * u for x, u in zip(row, velocities, strict=True))
-        return -sum(rate.diff(x) * u for x, u in zip(positions, velocities, strict=True))
 
-    arguments = (*FIRST, *SECOND, *numbers_of(kind))
-    values = [gap, slip, *normal, *tangent, bent(normal), bent(tangent)]
-    found: Callable[..., list[Any]] = sp.lambdify(arguments, values, modules="math", cse=True)
+def _function(
+    kind: tuple[str, int], step: Steps, quantities: Sequence[sp.Expr], is_of_arrays: bool
+) -> Callable[..., Any]:
+    choice = np.where if is_of_arrays else lambda condition, first, second: first if condition else second
+    functions = {"choose": lambda x, first, second: choice(x > 0.0, first, second)}
+    found: Callable[..., Any] = sp.lambdify(
+        (*ARGUMENTS, *numbers_of(kind)),
+        [one.xreplace(_BY_TURN) for one in quantities],
+        modules=[functions, "numpy" if is_of_arrays else "math"],
+        cse=lambda given: (step.named, given),
+    )
     return found

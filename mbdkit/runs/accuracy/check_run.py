@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ from mbdkit.runs.accuracy.resolved_loads import resolved_until
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.interface import Failure, Stepper
+from mbdkit.stepping.rigid_contacts import ContactState
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
@@ -39,11 +41,12 @@ def check_run(
     steps: int,
     interrupted: Callable[[], bool],
     progress: Callable[[float, float], None] | None = None,
+    contacts: ContactState | None = None,
 ) -> Accuracy:
     """Estimate the errors of a run by comparison runs.
 
-    A check takes 6 times the steps of the run, plus those of the guard (a run with another method). If the spec limits
-    wall time, the same limit applies to all companions together.
+    A check takes 6 times the steps of the run (20 times for time-stepping methods), plus those of the guard (a run with
+    another method). If the spec limits wall time, the same limit applies to all companions together.
 
     Parameters
     ----------
@@ -57,6 +60,8 @@ def check_run(
         Whether the user has asked to stop; then the errors are unknown.
     progress
         Called with (time reached, end time) [s] of each companion.
+    contacts
+        What the rigid contacts of the run hold at the end; None if it has none.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
@@ -71,7 +76,30 @@ def check_run(
     units = units_of(workspace, rows)
     errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
     told = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
-    return as_accuracy(rows, errors, _sentence(chosen, told), begin)
+    description = _sentence(chosen, told)
+    if contacts is not None:
+        until, why = _same_impacts([contacts, *(one.contacts for _, one in told if one.contacts is not None)])
+        errors = _cut(errors, rows.time, until)
+        description += why
+    return as_accuracy(rows, errors, description, begin)
+
+
+def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
+    """Return the time until which runs have the same impacts in the same order [s], and why not longer, as a sentence.
+
+    Time-stepping methods, which do not locate impacts, are left out.
+    """
+    undecided = min(one.undecided for one in runs)
+    differs = math.inf
+    for impacts in zip_longest(*(one.impacts for one in runs if not one.is_over_step)):
+        if len({None if one is None else one.contact for one in impacts}) > 1:
+            differs = min(one.time for one in impacts if one is not None)
+            break
+    if undecided < differs:
+        return undecided, f" At {undecided:.6g} s, contacts that affect each other close at once, in an unknown order."
+    if math.isfinite(differs):
+        return differs, f" After {differs:.6g} s, the impacts of the runs differ."
+    return math.inf, ""
 
 
 def units_of(workspace: Workspace, rows: ObservedRows) -> Units:

@@ -14,9 +14,12 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
+from mbdkit.mechanism.contacts import Treatment
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.stepping.interface import SAME_TIME, Stepper, Stretch, Timetable
+from mbdkit.stepping.python_stepper import PythonStepper
+from mbdkit.stepping.rigid_contacts import ContactState
 from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 
@@ -47,6 +50,8 @@ class Companion:
     after_stops
         If `within_steps`: whether rows of the main run at a stop show the state after it, as dense output does, or
         before it, as rows at ends of steps do.
+    treatment
+        Treatment of contacts, if it is not that of the run.
     """
 
     name: str
@@ -56,6 +61,7 @@ class Companion:
     stabilization: Stabilization
     within_steps: bool
     after_stops: bool = False
+    treatment: Treatment | None = None
 
 
 @dataclass(frozen=True)
@@ -68,10 +74,13 @@ class CompanionRows:
         The rows.
     failure
         Why the companion stopped early, as the rest of a sentence; empty if it did not.
+    contacts
+        What rigid contacts hold at the end, with their impacts; None if there are none.
     """
 
     rows: ObservedRows
     failure: str
+    contacts: ContactState | None = None
 
 
 def run_companion(
@@ -104,8 +113,11 @@ def run_companion(
     CompanionRows
         Its rows. Exceptions of a plugin are reported as a failure.
     """
+    if companion.treatment is not None:
+        workspace = replace(workspace, mechanism=replace(workspace.mechanism, contact_treatment=companion.treatment))
     own = workspace.for_another_run(companion.formulation, companion.stabilization)
     found = _States(times, own, companion)
+    stepper: Stepper | None = None
     try:
         table = companion.timetable
         stepper = start_method(companion.create(), own, table if watch is None else replace(table, single=True))
@@ -117,7 +129,9 @@ def run_companion(
         failure = str(error)
     except (Exception, SystemExit) as error:  # of a plugin
         failure = f"its method raised {one_line(error)}"
-    return CompanionRows(ObservedRows.at(own, times, found.q, found.v, found.z), failure.rstrip("."))
+    rows = ObservedRows.at(own, times, found.q, found.v, found.z)
+    contacts = stepper.contact_state if isinstance(stepper, PythonStepper) else None
+    return CompanionRows(rows, failure.rstrip("."), contacts)
 
 
 class _States:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.methods import dop853, gauss, radau_iia
+from mbdkit.methods import dop853, dopri5, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
 from mbdkit.runs.accuracy.companion import NEVER, Companion, finer, row_interval, until
 from mbdkit.runs.preparation import make_method, timetable
@@ -19,6 +19,13 @@ from mbdkit.stepping.interface import Guards, Timetable
 
 HALVINGS = (2, 4)
 """Factors by which the steps of a fixed-step run are divided for its companions."""
+
+OF_TIME_STEPPING = (4, 16)
+"""The same for time-stepping methods, whose errors are below a constant times the step, but do not decrease steadily,
+because impacts fall between the ends of steps."""
+
+EVENT_DRIVEN_GUARDS = {"dop853": 4, "dopri5": 16}
+"""Guards of runs with rigid contacts, with the factors by which their steps are smaller than that of the run."""
 
 TENTHS = (10.0, 100.0)
 """Factors by which the tolerances of an adaptive run are divided for its companions."""
@@ -87,7 +94,8 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
     within = _steps_within(spec, times)
     if not spec.claims.adaptive:
         plan = timetable(spec, Guards())
-        tables = [finer(plan, times, factor) for factor in HALVINGS]
+        factors = step_factors(spec)
+        tables = [finer(plan, times, factor) for factor in factors]
         first, second = (
             Companion(
                 f"step {table.step:.4g} s",
@@ -100,11 +108,46 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
             for table in tables
         )
         interval = row_interval(plan)
-        return Chosen((first, second), _guards(spec, method, workspace, within, steps, interval), 2.0, "step")
+        if spec.has_rigid_contacts:
+            guards = _event_driven_guards(spec, method, workspace, plan, times)
+        else:
+            guards = _guards(spec, method, workspace, within, steps, interval)
+        return Chosen((first, second), guards, factors[1] / factors[0], "step")
     first, second = _tighter(spec, method, workspace, within)
     own = _has_tolerances(spec, method)
     rough, fine = TENTHS if own else OTHER_TENTHS
     return Chosen((first, second), _guards(spec, method, workspace, within, steps, None), fine / rough, "tolerance")
+
+
+def step_factors(spec: RunSpec) -> tuple[int, int]:
+    """Return the factors by which the steps of two comparison runs with fixed steps are smaller than that of a run."""
+    is_time_stepping = spec.has_rigid_contacts and spec.contact.treatment == "time-stepping"
+    return OF_TIME_STEPPING if is_time_stepping else HALVINGS
+
+
+def event_driven(method: Method) -> dict[str, int]:
+    """Return the guards of a run with rigid contacts: names of methods, and the factors of their steps."""
+    tableau = method.traits.tableau
+    return {name: factor for name, factor in EVENT_DRIVEN_GUARDS.items() if tableau is None or tableau.name != name}
+
+
+def _event_driven_guards(
+    spec: RunSpec, method: Method, workspace: Workspace, plan: Timetable, times: np.ndarray
+) -> tuple[Companion, ...]:
+    """Return guards of a run with rigid contacts, which are event-driven with explicit methods."""
+    tableaux = {"dop853": dop853.tableau, "dopri5": dopri5.tableau}
+    return tuple(
+        Companion(
+            f"event-driven {name}",
+            partial(ExplicitRungeKutta, tableaux[name]()),
+            finer(plan, times, factor),
+            spec.formulation,
+            spec.stabilized,
+            within_steps=False,
+            treatment=workspace.mechanism.contact_treatment._replace(kind="event-driven"),
+        )
+        for name, factor in event_driven(method).items()
+    )
 
 
 def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:

@@ -15,13 +15,14 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.companion_choice import (
     GUARD_TOLERANCE,
-    HALVINGS,
     IMPLICIT_GUARD_TOLERANCE,
     LOOKS,
     OTHER_TENTHS,
     SINGLE_STEPS,
     TENTHS,
     TIGHTEST,
+    event_driven,
+    step_factors,
 )
 from mbdkit.spec import RunSpec
 
@@ -65,7 +66,7 @@ def _finer(spec: RunSpec, method: Method) -> list[RunSpec]:
     given = canonical(spec.integrator)
     if not spec.claims.adaptive:
         assert spec.time.step is not None
-        return [_varied(spec, step=spec.time.step / factor, factor=factor) for factor in HALVINGS]
+        return [_varied(spec, step=spec.time.step / factor, factor=factor) for factor in step_factors(spec)]
     if given.get("rtol") is not None and method.traits.tableau is not None:
         return [
             _varied(spec, factor=factor, integrator={
@@ -89,6 +90,13 @@ def other_methods(
 
     They record every step, or at an interval [s].
     """
+    if spec.has_rigid_contacts:
+        assert spec.time.step is not None
+        contact = canonical(spec.contact) | {"treatment": "event-driven"}
+        return [
+            _varied(spec, integrator={"name": name}, step=spec.time.step / factor, factor=factor, contact=contact)
+            for name, factor in event_driven(method).items()
+        ]
     tableau, stiff = method.traits.tableau, method.traits.suits_stiff
     family = "" if tableau is None else tableau.name
     adaptive = {"adaptive": True, "max_step": (spec.time.final - spec.time.start) / LOOKS}

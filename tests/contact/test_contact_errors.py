@@ -1,0 +1,57 @@
+"""Error bars of runs with rigid contacts, against motions by SciPy and closed forms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mbdkit
+from tests.witness.bouncing import Discs, compared
+
+FLOOR = {"line": {"normal": [0.0, 1.0]}}
+
+
+@pytest.mark.parametrize(("method", "seed"), [("rk-gill", 0), ("dop853", 2)])
+def test_estimated_errors_of_event_driven_runs_are_the_true_ones(method: str, seed: int) -> None:
+    found = compared(Discs.drawn(np.random.default_rng(seed)), method, end=1.0)
+    assert found.impacts >= 2
+    assert found.known == 1.0
+    assert len(found.ratios) > 50
+    assert np.all((found.ratios > 0.8) & (found.ratios < 1.12))
+
+
+def checked(model: dict[str, Any], treatment: str, method: str, step: float, end: float) -> mbdkit.Run:
+    return mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "mechanism"} | model},
+        integrator={"name": method},
+        time={"end": end, "step": step},
+        contact={"treatment": treatment},
+        measures={"height": "final(body.y)"},
+        check=True,
+    )
+
+
+def test_errors_of_time_stepping_are_known_from_an_event_driven_run() -> None:
+    floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}], "restitution": 0.5}
+    model = {"bodies": {"body": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 1.1]}}, "contacts": {"floor": floor}}
+    run = checked(model, "time-stepping", "moreau-jean", 0.002, 0.8)
+    first = np.sqrt(2.0 / 9.81)
+    after = 0.8 - first
+    true = 0.1 + 0.5 * 9.81 * first * after - 0.5 * 9.81 * after**2
+    assert run.accuracy is not None
+    assert run.accuracy.is_complete
+    error = abs(run.array("trajectory/position")[-1, 0, 1] - true)
+    assert 0.2 * error <= run.accuracy.position_error[-1, 0, 1] <= 5.0 * error
+
+
+def test_errors_are_unknown_after_contacts_that_close_at_once() -> None:
+    # the corners of a box reach the floor together; which is first decides how it rebounds
+    box = [[-0.2, -0.05], [0.2, -0.05], [0.2, 0.05], [-0.2, 0.05]]
+    floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"polygon": box}], "restitution": 0.5}
+    model = {"bodies": {"body": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 0.3]}}, "contacts": {"floor": floor}}
+    run = checked(model, "event-driven", "rk4", 0.01, 0.4)
+    assert run.accuracy is not None
+    assert run.accuracy.known_until == pytest.approx(np.sqrt(2 * 0.25 / 9.81), abs=0.01)
+    assert "contacts that affect each other close at once, in an unknown order" in run.accuracy.method
