@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,15 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import ActingMuscle, ElementState, ForceElement, SampledController
-from mbdkit.engine.contact_forces import HELD, ActingContact, acting_contacts, contact_laws
+from mbdkit.engine.contact_forces import (
+    HELD,
+    HELD_BY_BODY,
+    ActingContact,
+    acting_contacts,
+    contact_laws,
+    held_coordinates,
+    held_law,
+)
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.applied_forces import (
     BODY_FORCE,
@@ -67,7 +76,12 @@ class CompiledForces:
         for name, muscle in acting_muscles(mechanism).items():
             self.muscles.append(ActingMuscle(muscle, len(self.states)))
             self._add_law(name, muscle, "muscles")
-        self.contacts = [self._add_contact(contact) for contact in acting_contacts(mechanism, number)]
+        self.contacts = acting_contacts(mechanism, number)
+        if mechanism.contact_treatment.is_rigid:
+            self.contacts = self._add_held(self.contacts, list(mechanism.bodies))
+        else:
+            for contact in self.contacts:
+                self._add_contact(contact)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
@@ -143,11 +157,8 @@ class CompiledForces:
         self.loads.append((LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
         self.load_points.append(load.point)
 
-    def _add_contact(self, contact: ActingContact) -> ActingContact:
-        """Add a force and a torque at the centre of mass of each body that moves; see `contact_forces`.
-
-        Returns the contact with the number of its first state, if it is rigid.
-        """
+    def _add_contact(self, contact: ActingContact) -> None:
+        """Add a force and a torque at the centre of mass of each body that moves; see `contact_forces`."""
         form, begin, name = contact.form, len(self.law_parameters), contact.pair.name
         laws = contact_laws(form, len(contact.numbers))
         first, places = len(self.inputs), {}
@@ -163,32 +174,51 @@ class CompiledForces:
             rows[component] = len(self.laws)
             self._add_law_row(f"contact '{name}'", compiled, begin)
         for side, count in enumerate(form.moving):
-            of_side = (("point_force", (0, 1)), ("torque", (2,)))[: count - 1 if count else 0]
-            for load_kind, components in of_side:
-                load = len(self.loads)
-                motions = [self.motions.add(f'contacts["{name}"].{3 * side + one}') for one in components]
-                body, ground = contact.bodies[side], self.number["ground"]
-                self.load_places.append(len(self.elements))
-                self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
-                self.loads.append((LOADS[load_kind], body, ground, *motions, *[-1] * (2 - len(motions))))
-                self.load_points.append((0.0, 0.0))
-                for place, one in enumerate(components):
-                    component = 3 * side + one
-                    self.load_values.append((rows[component], motions[place]))
-                    for (of, by), slope in laws.slopes.items():
-                        if of == component:
-                            self.slopes.append((load, place, len(self.laws), places[by], -1))
-                            compiled, _ = bind_law(slope, contact.options, name)
-                            self._add_law_row(f"contact '{name}'", compiled, begin)
-        if contact.first_state < 0:
-            return contact
-        shapes = len(contact.pair.numbers)
-        for i, quantity in enumerate(HELD):
-            place = begin + 1 + names.index(f"number_{shapes + i:03d}")
-            self.state_places.append((len(self.states), place))
-            self.state_rows.append((-1, place, -1))
-            self.states.append(ElementState(f"{name}.{quantity}", "1" if quantity == "mode" else "N"))
-        return replace(contact, first_state=len(self.states) - len(HELD))
+            of_side = [rows[3 * side + axis] for axis in range(count)]
+            for load, place, axis in self._add_wrench(name, contact.bodies[side], of_side):
+                for (of, by), slope in laws.slopes.items():
+                    if of == 3 * side + axis:
+                        self.slopes.append((load, place, len(self.laws), places[by], -1))
+                        compiled, _ = bind_law(slope, contact.options, name)
+                        self._add_law_row(f"contact '{name}'", compiled, begin)
+
+    def _add_wrench(self, name: str, body: int, laws: Sequence[int]) -> list[tuple[int, int, int]]:
+        """Add a force at the centre of mass of a body, and a torque if there is a third law.
+
+        Returns for each law its load, its place there, and its own number.
+        """
+        added = []
+        for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
+            motions = [self.motions.add(f'contacts["{name}"].{len(self.loads)}.{one}') for one in components]
+            self.load_places.append(len(self.elements))
+            self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
+            self.load_values += [(laws[one], motion) for one, motion in zip(components, motions, strict=True)]
+            added += [(len(self.loads), place, one) for place, one in enumerate(components)]
+            self.loads.append((LOADS[kind], body, self.number["ground"], *motions, *[-1] * (2 - len(motions))))
+            self.load_points.append((0.0, 0.0))
+        return added
+
+    def _add_held(self, contacts: Sequence[ActingContact], bodies: Sequence[str]) -> list[ActingContact]:
+        """Add what rigid contacts hold: their forces and modes, and the sums of their forces and torques on each body.
+
+        Returns the contacts with the numbers of their first states.
+        """
+        found = []
+        for contact in contacts:
+            found.append(replace(contact, first_state=len(self.states)))
+            for name, unit in HELD.items():
+                self._add_state(ElementState(f"{contact.pair.name}.{name}", unit), 0.0, -1)
+        law = held_law()
+        laws: dict[int, list[int]] = {}
+        for coordinate in held_coordinates(found):
+            number, axis = divmod(coordinate, 3)
+            body, (name, unit) = bodies[number], list(HELD_BY_BODY.items())[axis]
+            laws.setdefault(number, []).append(len(self.laws))
+            self._add_law_row(f"contacts of '{body}'", bind_law(law, {"held": 0.0}, body)[0], len(self.law_parameters))
+            self._add_state(ElementState(f"{body}.{name}", unit), 0.0, -1)
+        for number, own in laws.items():
+            self._add_wrench(bodies[number], number, own)
+        return found
 
     def add_expressions(self, mechanism: Mechanism) -> None:
         """Add the expressions of the state: values of loads, and rates of the mechanism's own states."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -32,11 +32,14 @@ bodies at rest."""
 RIGID_KINDS = ("line", "circles", "hole")
 """Kinds of geometry whose rows are smooth where the shapes touch."""
 
-NOTHING_HELD = (0.0,) * 7
-"""Numbers of the law of a rigid contact: forces and mode, which its states replace."""
+HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
+"""What a rigid contact holds from step to step, as first-order states without rates, and their units."""
 
-HELD = ("normal_force", "friction_force", "mode")
-"""What a rigid contact holds from step to step, as first-order states without rates."""
+NO_LAW = (0.0,) * 7
+"""Numbers of the law of a rigid contact."""
+
+HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque": "N m"}
+"""The same of a body: sums of the forces of its rigid contacts, and of their torques about the centre of mass."""
 
 COORDINATES = 6
 """Coordinates and velocities of a body: x, y, angle and their rates."""
@@ -141,26 +144,39 @@ class ActingContact:
         given = {_input(one): 0.0 for one in self.form.inputs}
         return given | {_number(i): float(x) for i, x in enumerate(self.numbers)}
 
-    def values(self, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the recorded quantities (T,) at positions and velocities (T, 3 (B + 1)) and first-order states
-        (T, Z).
-        """
-        both = [x[:, 3 * body : 3 * body + 3].T for body in self.bodies for x in (q, v)]
+
+def contact_values(
+    contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, z: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the recorded quantities (T, C) of contacts at positions and velocities (T, 3 (B + 1)) and first-order
+    states (T, Z).
+    """
+    found = {name: np.zeros((len(q), len(contacts))) for name in ("gap", "slip", *HELD)}
+    alike: dict[Form, list[int]] = {}
+    for i, one in enumerate(contacts):
+        alike.setdefault(one.form, []).append(i)
+    for form, places in alike.items():
+        some = [contacts[i] for i in places]
+        bodies, numbers = np.array([one.bodies for one in some]).T, np.array([one.numbers for one in some]).T
+        state = [x[:, 3 * side + axis] for side in bodies for x in (q, v) for axis in range(3)]
         with np.errstate(all="ignore"):
-            computed = _function(self.form)(*(row for one in both for row in one), *self.numbers)
-        gap, normal, friction, slip = (np.broadcast_to(x, (len(q),)) + 0.0 for x in computed[:4])
-        if self.first_state >= 0:
-            held = (z[:, self.first_state + i] for i in range(len(HELD)))
-            return {"gap": gap, "slip": slip, **dict(zip(HELD, held, strict=True))}
-        sticks = self.form.has_friction & (np.abs(slip) <= self.law[-1])
-        mode = np.where((gap < 0.0) & (normal > 0.0), np.where(sticks, STICK, SLIP), OPEN)
-        return {
-            "gap": gap,
-            "normal_force": normal,
-            "friction_force": friction,
-            "slip": slip,
-            "mode": mode.astype(float),
-        }
+            gap, normal, friction, slip = _function(form)(*state, *numbers)[:4]
+        found["gap"][:, places], found["slip"][:, places] = gap, slip
+        if form.law == "none":
+            first = np.array([one.first_state for one in some])
+            for i, name in enumerate(HELD):
+                found[name][:, places] = z[:, first + i]
+            continue
+        found["normal_force"][:, places], found["friction_force"][:, places] = normal, friction
+        sticks = form.has_friction & (np.abs(slip) <= numbers[-1])
+        found["mode"][:, places] = np.where((gap < 0.0) & (normal > 0.0), np.where(sticks, STICK, SLIP), OPEN)
+    return found
+
+
+def held_coordinates(contacts: Sequence[ActingContact]) -> list[int]:
+    """Return the coordinates on which the forces of rigid contacts act, by their numbers, in increasing order."""
+    sides = [side for one in contacts if one.first_state >= 0 for side in zip(one.bodies, one.form.moving, strict=True)]
+    return [3 * body + axis for body, count in sorted(set(sides)) for axis in range(count)]
 
 
 def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[ActingContact]:
@@ -187,9 +203,9 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
             static, kinetic = contact.coefficients
             if is_rigid:
                 _check_rigid(pair)
-                form = Form(pair.kind, "held", static > 0.0, moving)  # type: ignore[arg-type]
+                form = Form(pair.kind, "none", False, moving)  # type: ignore[arg-type]
                 given = contact.restitution, static, kinetic
-                found.append(ActingContact(pair, form, bodies, NOTHING_HELD, 0, given))
+                found.append(ActingContact(pair, form, bodies, NO_LAW, 0, given))
                 continue
             if contact.compliance is None:
                 raise SpecError(
@@ -261,6 +277,12 @@ def _law(value: Traced) -> TracedLaw:
     return TracedLaw(lambda length, rate, time, p: plain, dict, has_derivatives=False)
 
 
+@cache
+def held_law() -> TracedLaw:
+    """Return the law whose value is its parameter."""
+    return _law(Traced(Source(), "parameters[0]"))
+
+
 def check_start(
     contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, tolerance: float, weight: float
 ) -> None:
@@ -275,9 +297,11 @@ def check_start(
     weight
         Weight of all bodies [N].
     """
-    for one in contacts:
-        values = one.values(q[None], 0.0 * v[None], np.zeros((1, one.first_state + len(HELD) + 1)))
-        depth, push = -float(values["gap"][0]), float(values["normal_force"][0])
+    if not contacts:
+        return
+    values = contact_values(contacts, q[None], 0.0 * v[None], np.zeros((1, len(HELD) * len(contacts))))
+    for i, one in enumerate(contacts):
+        depth, push = -float(values["gap"][0, i]), float(values["normal_force"][0, i])
         if one.first_state >= 0 and depth > tolerance:
             raise SpecError(
                 f"the shapes of '{one.pair.name}' overlap by {depth:.4g} m at the start, more than "

@@ -13,6 +13,7 @@ import numpy as np
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
+from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.mechanism.muscles import Muscle
@@ -148,9 +149,9 @@ class States:
         return self.observed.forces[:, : len(self.mechanism.forces)]
 
     @cached_property
-    def _contacts(self) -> list[dict[str, np.ndarray]]:
-        """Quantities (T,) of each contact by name."""
-        return [one.values(self.q, self.v, self.z) for one in self.mechanism.contacts]
+    def _contacts(self) -> dict[str, np.ndarray]:
+        """Quantities (T, C) of the contacts by name."""
+        return contact_values(self.mechanism.contacts, self.q, self.v, self.z)
 
     def of_contacts(self, name: str) -> np.ndarray:
         """Return a quantity (T, C) of the contacts; empty if there are none.
@@ -164,7 +165,7 @@ class States:
             return NONE
         if self.q.ndim > 2:
             raise SpecError(f"derivatives of {name} of contacts by parameters are not known")
-        return np.stack([one[name] for one in self._contacts], axis=1)
+        return self._contacts[name]
 
     def of_muscles(self, name: str) -> np.ndarray:
         """Return an array (T, M) of `Muscles`, or the excitations of a run; empty if there are no muscles.

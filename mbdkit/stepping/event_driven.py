@@ -155,7 +155,8 @@ class _Step:
     def contact_state(self) -> ContactState:
         """Return what the contacts hold now."""
         forced = self._forced(self.now)
-        return replace(self.state, modes=self.modes, normal=forced.normal, tangent=forced.tangent)
+        force = forced.normal @ forced.rows.normal + forced.tangent @ forced.rows.tangent
+        return replace(self.state, modes=self.modes, normal=forced.normal, tangent=forced.tangent, force=force)
 
     def reached(self, event: tuple[int, int] | None, streak: int) -> StepState:
         """Return the present state with what the contacts pass to the next step."""

@@ -183,6 +183,10 @@ class PythonStepper:
                 self._begin_after_stop()
                 before = self.now
                 there, taken = self._after(before, 1.0, self.worst_pairs)
+                begin = before.time if before.restart is None else before.restart
+                if there.is_event and there.time <= begin:  # it happens before the step, which is then begun again
+                    self.now = replace(before, state=there.state, restart=begin, is_event=True)
+                    continue
                 self._go_to(there)
                 self.failure = self._watched(before, there, taken)
                 self._keep_nodes(before, there)

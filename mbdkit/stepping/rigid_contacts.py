@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import HELD
+from mbdkit.engine.contact_forces import HELD, held_coordinates
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.stepping.complementarity import coulomb, stronge
@@ -77,6 +77,8 @@ class ContactState:
     ----------
     modes, normal, tangent
         (C,) modes and forces [N] at the end of the step.
+    force
+        (n,) generalized forces of all contacts [N, N m].
     impacts
         All impacts so far.
     energy
@@ -98,6 +100,7 @@ class ContactState:
     modes: np.ndarray
     normal: np.ndarray
     tangent: np.ndarray
+    force: np.ndarray
     impacts: tuple[ContactImpact, ...] = ()
     energy: float = 0.0
     cut: frozenset[str] = frozenset()
@@ -154,7 +157,8 @@ class RigidContacts:
 
     def __init__(self, equations: EquationsOfMotion):
         self.p, self.contacts = equations, equations.contacts
-        equations.hold(np.zeros(len(HELD) * len(self.contacts)))  # their forces are computed here
+        none = np.zeros(len(HELD) * len(self.contacts) + len(held_coordinates(self.contacts)))
+        equations.hold(none)  # their forces are computed here
         self.names = [one.pair.name for one in self.contacts]
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = given.T
@@ -171,7 +175,7 @@ class RigidContacts:
     def all_open(self) -> ContactState:
         """Return the state of contacts without forces."""
         none = np.zeros(len(self.contacts))
-        return ContactState(none.astype(int), none, none)
+        return ContactState(none.astype(int), none, none, np.zeros(self.p.n))
 
     def gaps(self, q: np.ndarray) -> np.ndarray:
         """Return the gaps (C,) of all contacts at a position [m]."""
@@ -416,18 +420,20 @@ class HeldForces:
     """Forces and modes of rigid contacts as first-order states, which do not change between the ends of steps."""
 
     def __init__(self, mechanism: CompiledMechanism):
-        self._places = [one.first_state for one in mechanism.contacts if one.first_state >= 0]
-        self.count = len(HELD) * len(self._places)
+        rigid = [one for one in mechanism.contacts if one.first_state >= 0]
+        self._first = rigid[0].first_state if rigid else 0
+        self._contacts, self._coordinates = len(HELD) * len(rigid), held_coordinates(rigid)
+        self.count = self._contacts + len(self._coordinates)
 
     def others(self, mechanism: CompiledMechanism) -> list[str]:
         """Return the names of the other first-order states of the mechanism."""
-        own = {place + i for place in self._places for i in range(len(HELD))}
+        own = range(self._first, self._first + self.count)
         return [state.name for number, state in enumerate(mechanism.states) if number not in own]
 
     def of(self, memory: ContactState | None) -> np.ndarray:
         """Return the states (Z,); zeros before the first step."""
         z = np.zeros(self.count)
-        if self._places and memory is not None:
-            for i, place in enumerate(self._places):
-                z[place : place + len(HELD)] = memory.normal[i], memory.tangent[i], abs(memory.modes[i])
+        if self.count and memory is not None:
+            z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(memory.modes)], axis=1).ravel()
+            z[self._contacts :] = memory.force[self._coordinates]
         return z

@@ -81,7 +81,7 @@ class TimeStepping(StepMethod):
         count = len(contacts.names)
         modes, normal, tangent = np.zeros(count, dtype=int), np.zeros(count), np.zeros(count)
         rows = contacts.rows(middle, v, some)
-        after = free
+        after, force = free, np.zeros(p.n)
         if len(some):
             both, k = np.vstack([rows.normal, rows.tangent]), len(some)
             none = np.zeros(p.m)
@@ -94,6 +94,7 @@ class TimeStepping(StepMethod):
                 raise StepError("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction")
             impulses = np.concatenate([found.normal, found.tangent])
             after = free + moved @ impulses
+            force = impulses @ both / h
             normal[some], tangent[some] = found.normal / h, found.tangent / h
             slip = np.sign(rows.tangent @ after)
             modes[some] = np.where(found.is_closed, np.where(found.is_slipping, SLIP * slip, STICK), OPEN)
@@ -102,7 +103,7 @@ class TimeStepping(StepMethod):
         lost = -h * float(normal[some] @ (rows.normal @ mean) + tangent[some] @ (rows.tangent @ mean))
         work, dissipated = p.powers(t + 0.5 * h, middle, mean, multipliers)
         held = contacts.all_open() if state.memory is None else state.memory
-        memory = replace(held, modes=modes, normal=normal, tangent=tangent, is_over_step=True)
+        memory = replace(held, modes=modes, normal=normal, tangent=tangent, force=force, is_over_step=True)
         return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
 
     @staticmethod

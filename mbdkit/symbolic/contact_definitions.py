@@ -26,8 +26,8 @@ cx, cy, r = CIRCLE = sp.symbols("cx cy r", real=True)
 """Center in the frame of the second body, and radius."""
 LAW = sp.symbols("stiffness dissipation release curvature static kinetic transition", positive=True)
 """Numbers of the laws; see `mbdkit.mechanism.contacts.Contact.law_numbers`."""
-LAWS = ("none", "hertz", "linear", "smooth", "held")
-"""Forms of the forces. The first two numbers of `held` are normal and friction force themselves."""
+LAWS = ("none", "hertz", "linear", "smooth")
+"""Forms of the normal force; rigid contacts have none."""
 
 CF, BD, BV = 1e-5, 300.0, 50.0
 """Constants of smoothing of Simbody's SmoothSphereHalfSpaceForce, the defaults of OpenSim."""
@@ -146,8 +146,6 @@ def normal_force(law: str, depth: sp.Expr, rate: sp.Expr) -> sp.Expr:
     k, c, release, curvature = LAW[:4]
     if law == "none":
         return sp.Integer(0)
-    if law == "held":
-        return k
     if law == "smooth":
         modulus = k ** sp.Rational(2, 3) / 2
         hertz = sp.Rational(4, 3) * modulus * sp.sqrt(curvature * modulus)
@@ -166,8 +164,6 @@ def friction_force(law: str, normal: sp.Expr, slip: sp.Expr) -> sp.Expr:
 
     The slip of the smooth law is ``sqrt(slip^2 + CF)``, as in SmoothSphereHalfSpaceForce.
     """
-    if law == "held":
-        return LAW[1]
     static, kinetic, transition = LAW[4:]
     square = slip**2 + (CF if law == "smooth" else 0)
     ratio = square / transition**2
