@@ -26,7 +26,7 @@ from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import LIBVER, write_image
 from mbdkit.archive.run_writer import utc_now
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
-from mbdkit.quantities.table import RECORDED
+from mbdkit.quantities.table import RECORDED, sizes_of
 
 FORMAT = "mbdkit-block"
 FORMAT_VERSION = "1.0"
@@ -313,7 +313,7 @@ class _Writer:
         found = [result for row in rows if (result := self.runs[row].result) is not None]
         numbers = [self.runs[row].number for row in rows]
         first, count = found[0], len(found)
-        sizes = first.names.sizes
+        sizes = sizes_of(first.names)
         texts = name_texts(first.names)
         groups = dict.fromkeys(one.group for one in first.layout if self.has_summary)
         lengths = {dim: [result.rows(dim) for result in found] for dim, _ in COUNTS}

@@ -10,6 +10,7 @@ from mbdkit.archive import layout
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.memory import available_memory, in_bytes, installed_memory
 from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.table import sizes_of
 
 NEARLY_NOTHING = 2**20
 """A disk with less free space than this is called full [bytes]."""
@@ -31,7 +32,7 @@ def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[s
     kept
         Paths of the arrays that count; by default, all.
     """
-    sizes, arrays = names.sizes, (array for array in layout.recorded_by(names, quantities) if array.grows)
+    sizes, arrays = sizes_of(names), (array for array in layout.recorded_by(names, quantities) if array.grows)
     return sum(
         8 * math.prod(sizes[dim] for dim in array.dims[1:]) for array in arrays if kept is None or array.path in kept
     )

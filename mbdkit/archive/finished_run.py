@@ -21,6 +21,7 @@ from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_line
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.array import FLOAT, GROWING, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.table import sizes_of
 from mbdkit.trust.criteria import Judgement
 
 
@@ -133,7 +134,8 @@ class ArrayWriter(RunWriter):
             for dim in GROWING
         }
         types = {one.key: np.dtype(object if one.dtype == TEXT else one.dtype) for one in self.arrays if one.grows}
-        shapes = {one.key: tuple(names.sizes[dim] for dim in one.dims[1:]) for one in self.arrays if one.grows}
+        sizes = sizes_of(names)
+        shapes = {one.key: tuple(sizes[dim] for dim in one.dims[1:]) for one in self.arrays if one.grows}
         self._buffers = {key: np.empty((0, *shape), types[key]) for key, shape in shapes.items()}
         self._rows = dict.fromkeys(GROWING, 0)
         self._capacity = dict.fromkeys(GROWING, 0)

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import ArchiveNames
-from mbdkit.quantities.table import BY_GROUP, KINDS, RECORDED
+from mbdkit.quantities.table import BY_GROUP, KINDS, RECORDED, sizes_of
 
 FORMAT = "mbdkit-run"
 
@@ -188,7 +188,7 @@ def recorded_by(
     names: ArchiveNames, quantities: frozenset[str], extra: frozenset[str] = frozenset()
 ) -> tuple[Array, ...]:
     """Return the arrays of a run as `recorded` does, without the groups of elements that the mechanism lacks."""
-    sizes = names.sizes
+    sizes = sizes_of(names)
     return recorded(
         frozenset(quantity for quantity in quantities if quantity not in ELEMENTS or sizes[BY_GROUP[quantity].axis]),
         extra,

@@ -26,6 +26,7 @@ from mbdkit.archive.run_writer import Ending, Origin, RunWriter, SharedForces, n
 from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.table import sizes_of
 from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
@@ -81,8 +82,9 @@ class ArchiveWriter(RunWriter):
         shared: SharedForces | None = None,
     ):
         super().__init__(names, arrays)
+        sizes = sizes_of(names)
         self._tables = {
-            dim: Table(growing, names.sizes, self._write_more)
+            dim: Table(growing, sizes, self._write_more)
             for dim in GROWING
             if (growing := [array for array in self.arrays if array.dims[0] == dim])
         }

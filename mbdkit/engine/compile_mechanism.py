@@ -15,6 +15,7 @@ from mbdkit.engine.compiled_mechanism import (
     CompiledMechanism,
     Row,
 )
+from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.elimination_order import minimum_degree, neighbours
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.constraints import KINDS
@@ -101,11 +102,24 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         controllers=tuple(forces.controllers),
         muscles=tuple(forces.muscles),
         contacts=tuple(forces.contacts),
+        members=_members(mechanism, forces.contacts),
         contact_treatment=mechanism.contact_treatment if mechanism.contacts else COMPLIANT,
         order=tuple(order),
         below=tuple(frozenset(b) for b in below),
         well_scaled=_is_well_scaled(mechanism),
     )
+
+
+def _members(
+    mechanism: Mechanism, contacts: Sequence[ActingContact]
+) -> dict[str, tuple[tuple[str, tuple[str, ...]], ...]]:
+    """Return `CompiledMechanism.members`."""
+    named = {
+        kind: tuple((name, tuple(body for _, body in one.places())) for name, one in elements.items())
+        for kind, elements in mechanism.elements.items()
+        if kind not in ("joints", "forces", "markers", "muscles")
+    }
+    return named | {"contacts": tuple((one.pair.name, one.pair.ordered) for one in contacts)}
 
 
 def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -181,6 +181,9 @@ class CompiledMechanism:
         First-order states of force elements and of the mechanism, and what controllers hold.
     controllers
         Sampled controllers.
+    members
+        Name and bodies of each element of the kinds that have no arrays of their own above, by kind; of contacts, of
+        each corner.
     """
 
     topology: Topology
@@ -207,6 +210,7 @@ class CompiledMechanism:
     muscles: tuple[ActingMuscle, ...] = ()
     contacts: tuple[ActingContact, ...] = ()
     contact_treatment: Treatment = COMPLIANT
+    members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
 
     def freedoms(self) -> str:
         """Return the number of degrees of freedom as text, such as ``1 degree of freedom, 10 joints, 1 driver``.
@@ -275,7 +279,7 @@ class CompiledMechanism:
             self.markers,
             self.states,
             tuple(one.force.name for one in self.muscles),
-            tuple(one.pair.name for one in self.contacts),
+            *self.members.items(),
         )
 
     @cached_property

@@ -85,16 +85,19 @@ class Mechanism(HtmlView):
     ((0.0, 0.0), (-0.5, 0.0))
     """
 
+    joints: dict[str, Joint]
+    forces: dict[str, Force]
+    markers: dict[str, Marker]
+    muscles: dict[str, Muscle]
+    contacts: dict[str, Contact]
+
     def __init__(self, gravity: Pair = (0.0, -9.81), *, name: str = "mechanism"):
         self.name = name
         self.gravity = _point(gravity, "model.gravity")
         self.bodies: dict[str, Body] = {}
         self.beams: dict[str, Beam] = {}
-        self.joints: dict[str, Joint] = {}
-        self.forces: dict[str, Force] = {}
-        self.markers: dict[str, Marker] = {}
-        self.muscles: dict[str, Muscle] = {}
-        self.contacts: dict[str, Contact] = {}
+        for kind in ELEMENTS:
+            setattr(self, kind, {})
         self.assembly = Assembly()
         self.coordinates: dict[str, NamedCoordinate] = {}
         self.states: dict[str, FirstOrderState] = {}

@@ -46,10 +46,10 @@ class ArchiveNames:
         Names of the actuators, and the unit of the value of each, ``N`` or ``N m``.
     muscles
         Names of the muscles.
-    contacts, contact_bodies
-        Names of the contacts and their corners, and first and second body of each.
     loads, load_bodies
         Names of the measured loads, and the body of each.
+    members
+        Names and bodies of the elements of each other kind; see `CompiledMechanism.members`.
     """
 
     bodies: Sequence[str]
@@ -72,30 +72,17 @@ class ArchiveNames:
     actuators: Sequence[str] = ()
     actuator_units: Sequence[str] = ()
     muscles: Sequence[str] = ()
-    contacts: Sequence[str] = ()
-    contact_bodies: Sequence[tuple[str, str]] = ()
     loads: Sequence[str] = ()
     load_bodies: Sequence[str] = ()
+    members: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]] = ()
 
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Lengths of the axes that do not grow, by name."""
-        return {
-            "body": len(self.bodies),
-            "coordinate": len(COORDINATES),
-            "joint": len(self.joints),
-            "axis": len(AXES),
-            "constraint": len(self.constraints),
-            "force": len(self.forces),
-            "marker": len(self.markers),
-            "element": len(self.elements),
-            "state": len(self.states),
-            "observed": len(self.observed),
-            "actuator": len(self.actuators),
-            "muscle": len(self.muscles),
-            "contact": len(self.contacts),
-            "load": len(self.loads),
-        }
+    def names_of(self, kind: str) -> list[str]:
+        """Return the names of the `members` of a kind."""
+        return [name for name, _ in dict(self.members).get(kind, ())]
+
+    def bodies_of(self, kind: str, place: int) -> list[str]:
+        """Return the first body (`place` 0) or another one of each of the `members` of a kind."""
+        return [bodies[place] for _, bodies in dict(self.members).get(kind, ())]
 
 
 @lru_cache(maxsize=16)
@@ -118,6 +105,5 @@ def archive_names(mechanism: CompiledMechanism) -> ArchiveNames:
         states=tuple(state.name for state in mechanism.states),
         state_units=tuple(state.unit for state in mechanism.states),
         muscles=tuple(one.force.name for one in mechanism.muscles),
-        contacts=tuple(one.pair.name for one in mechanism.contacts),
-        contact_bodies=tuple(one.pair.ordered for one in mechanism.contacts),
+        members=tuple(mechanism.members.items()),
     )

@@ -266,11 +266,11 @@ KINDS = (
         "contacts",
         _TIME,
         _texts("contact", "contact", "name of the contact; of polygons, with the number of the corner",
-            lambda names: names.contacts),
+            lambda names: names.names_of("contacts")),
         _texts("first_body", "contact", "first body of the contact, from which the normal points",
-            lambda names: [first for first, _ in names.contact_bodies], label="bodies"),
+            lambda names: names.bodies_of("contacts", 0), label="bodies"),
         _texts("second_body", "contact", "second body of the contact",
-            lambda names: [second for _, second in names.contact_bodies], label="bodies"),
+            lambda names: names.bodies_of("contacts", 1), label="bodies"),
         _of_contacts("gap", "m", "distance of the two shapes, negative where they overlap"),
         _of_contacts("normal_force", "N", "force that pushes the bodies apart",
             charts=(Chart("contact-forces", "Normal forces of the contacts", "They push the bodies apart.", "force",
@@ -466,6 +466,12 @@ RECORDED: Mapping[str, Recorded] = {
     array.key: array for kind in KINDS for array in kind.arrays if isinstance(array, Recorded)
 }
 """Arrays with a value for each recorded state, by `Array.key`."""
+
+
+def sizes_of(names: ArchiveNames) -> dict[str, int]:
+    """Return the lengths of the axes that do not grow, by name."""
+    arrays = (array for kind in KINDS for array in kind.arrays if array.is_scale)
+    return {array.name: len(array.texts(names)) for array in arrays if array.texts is not None}
 
 
 def quantities_of_events() -> str:

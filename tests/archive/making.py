@@ -14,6 +14,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.table import sizes_of
 
 SPEC = {
     "mbdkit": 1,
@@ -57,7 +58,7 @@ def names(bodies: int = 2, joints: int = 2, constraints: int | None = None, forc
 
 def rows(count: int, named: ArchiveNames, start: int = 0) -> dict[str, np.ndarray]:
     """Return rows `start` to `start + count` of a made-up run: smooth, different in every column."""
-    sizes = named.sizes
+    sizes = sizes_of(named)
     time = 0.01 * np.arange(start, start + count)
     made = {"time": time, "trajectory/elapsed_s": 1e-5 * np.arange(start, start + count)}
     growing = [array for array in layout.LAYOUT if array.dims[0] == "time" and array.key not in made]
