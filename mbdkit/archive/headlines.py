@@ -38,7 +38,8 @@ class Headline(NamedTuple):
 
 
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
-    """Return a value and its error, such as ``368.2 +- 0.3``: digits to the place of the error's first digit.
+    """Return a value and its error, such as ``368.2 +- 0.3``: digits to the place of the error's first digit, or of its
+    second one in numbers without decimals, such as ``3600 +- 210``.
 
     Parameters
     ----------
@@ -53,8 +54,11 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
         return f"{value:.{MOST_DIGITS}g} {sign} 0"
     first, last = math.floor(math.log10(max(abs(value), error))), math.floor(math.log10(error))
     last = max(last, first - MOST_DIGITS + 1)
-    known = f"{value:.{max(0, -last)}f}" if SMALLEST_PLACE <= first <= LARGEST_PLACE else f"{value:.{first - last}e}"
-    return f"{known} {sign} {error:.2g}"
+    if not SMALLEST_PLACE <= first <= LARGEST_PLACE:
+        return f"{value:.{first - last}e} {sign} {error:.2g}"
+    if last > 0:
+        return f"{round(value, 1 - last):.0f} {sign} {round(error, 1 - last):.0f}"
+    return f"{value:.{-last}f} {sign} {error:.2g}"
 
 
 def headlines(run: Run) -> list[Headline]:

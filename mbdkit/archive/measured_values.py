@@ -71,7 +71,7 @@ class MeasuredValues(ReadOnlyDict[str, float]):
     reasons
         Why a value could not be taken, by name.
     errors
-        Estimated errors by name, of runs with a check; nan where unknown.
+        Estimated errors by name, of runs with a check and of inverse dynamics; nan where unknown.
     remarks
         What users should know about a value, by name: why its error is unknown although the run has a check, or that
         recorded rows exceed it.

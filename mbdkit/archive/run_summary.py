@@ -24,6 +24,9 @@ JOINTS_NAMED = 4
 #: Number of events listed.
 EVENTS_NAMED = 4
 
+#: Residual [m or rad] up to which the model fits the data exactly.
+EXACT = 1e-12
+
 #: Distance from a singular position below which the summary reports it.
 SINGULAR = 0.1
 
@@ -317,6 +320,8 @@ def _fit(run: Run) -> str:
         known = one.residual[np.isfinite(one.residual)]
         found.append((float(np.sqrt(np.mean(known**2))) if known.size else math.nan, name, one.units))
     found.sort(reverse=True)
+    if found and found[0][0] <= EXACT:
+        return "exact to round-off"
     text = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in found[:JOINTS_NAMED])
     more = f", {len(found) - JOINTS_NAMED} more" if len(found) > JOINTS_NAMED else ""
     return f"residuals (rms) {text}{more}" if found else ""

@@ -16,10 +16,10 @@ from scipy.stats import chi2
 from mbdkit.base.errors import SpecError
 from mbdkit.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
 from mbdkit.inverse_dynamics.error_bars import CUTOFFS, LEVEL
-from mbdkit.inverse_dynamics.inverse_run import run_of
 from mbdkit.inverse_dynamics.loads import LoadSeries
 from mbdkit.inverse_dynamics.muscle_samples import forces_with, known_mean, with_drawn_muscles
 from mbdkit.inverse_dynamics.noise import NoisePath, noise_deviation
+from mbdkit.inverse_dynamics.record import run_of
 from mbdkit.inverse_dynamics.reduced_motion import Independent, motion_of_series
 from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, with_cutoff
 from mbdkit.spec import InverseSpec
@@ -75,22 +75,35 @@ class SampledMeasures:
         return np.asarray(np.sqrt(square))
 
 
-def sampled_measures(spec: InverseSpec, measures: Sequence[str]) -> SampledMeasures | None:
-    """Return K measures of a spec, given by their names, with their samples.
+def errors_of_measures(result: Inverse) -> dict[str, float]:
+    """Return the bounds of the errors of all measures of a result by name, in their units; empty if unknown."""
+    names = [measure.name for measure in result.problem.spec.defined_measures()]
+    found = samples_of(result, names) if names else None
+    return {} if found is None else dict(zip(names, found.bounds().tolist(), strict=True))
 
-    Returns
-    -------
-    SampledMeasures or None
-        None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
-        stated nor can be estimated from the residuals.
+
+def sampled_measures(spec: InverseSpec, measures: Sequence[str]) -> SampledMeasures | None:
+    """Return K measures of a spec, given by their names, with their samples; see `samples_of`.
 
     Raises
     ------
     MbdkitError
         If the computation fails for the data.
     """
+    return samples_of(compute(InverseProblem.of(spec)), measures)
+
+
+def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | None:
+    """Return K measures of a result, given by their names, with their samples.
+
+    Returns
+    -------
+    SampledMeasures or None
+        None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
+        stated nor can be estimated from the residuals.
+    """
+    spec = result.problem.spec
     asked = spec.motion.errors
-    result = compute(InverseProblem.of(spec))
     independent = result.independent
     if asked == "none" or independent is None or not independent.names:
         return None

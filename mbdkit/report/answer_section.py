@@ -150,6 +150,9 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
     count = accuracy.rows_known
     errors = accuracy.reaction_error if name == "force" else accuracy.torque_error
     error = np.max(errors[:count], axis=0) if count else np.full(len(peaks.value), np.nan)
+    if run.kind == "inverse" and count:  # bars hold at their own time; those of a run grow with time
+        rows = np.searchsorted(time, np.nan_to_num(peaks.time, nan=time[0]))
+        error = errors[rows, np.arange(len(rows))]
     until = math.inf if accuracy.is_complete else accuracy.known_until if count else -math.inf
     known = peaks if accuracy.is_complete else Peaks.of(time[:count], data, magnitude)
     return _Quantity(name, unit, peaks, known if count else None, error, until)

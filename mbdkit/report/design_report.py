@@ -33,10 +33,13 @@ from mbdkit.studies.executor_pool import Engine
 
 if TYPE_CHECKING:
     from mbdkit.designs.design import Design
+    from mbdkit.designs.gains import Cost
     from mbdkit.designs.point import DesignPoint
 
 _NUMBERS = 60_000
 """Pose values of each film."""
+COSTS = 2
+"""Largest number of loads in the headline that the design increases."""
 
 
 @contextmanager
@@ -59,8 +62,9 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
                 one.name: cuts(compared_with(evaluator, one.name), best) for one in design.compared if one.believed
             }
             changes = sensitivities(evaluator, best)
-            tables = costs_table(costs(pairs)), robustness_table(design, robustness(evaluator, best))
-        yield _page(design, path, pairs, around, changes, tables)
+            elsewhere = costs(pairs)
+            tables = costs_table(elsewhere), robustness_table(design, robustness(evaluator, best))
+        yield _page(design, path, pairs, around, changes, elsewhere, tables)
 
 
 def _page(
@@ -69,6 +73,7 @@ def _page(
     pairs: Mapping[str, Pair],
     around: Mapping[str, Sequence[Cut]],
     changes: Sequence[Sensitivity],
+    elsewhere: Sequence[Cost],
     tables: Sequence[Table],
 ) -> ReportPage:
     first = next(iter(pairs.values()))["best"]
@@ -85,6 +90,7 @@ def _page(
             ("verdict", design.trust.verdict),
             *((goal_words(one.name), one.text()) for one in design.gains),
             *((key_words(name), _value(design, design.best, name)) for name in design.best.variables),
+            *(("it costs elsewhere", one.text()) for one in elsewhere[:COSTS] if one.share > 0),
         ),
         tone=TONES.get(design.trust.verdict, ""),
         verdict=replace(verdict, figures=figures, tables=(*verdict.tables, *(one for one in tables if one.rows))),

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from mbdkit.analysis.workload import ElementWorkload, workload
-from mbdkit.archive.run_summary import reserve_shares
+from mbdkit.archive.run_summary import EXACT, reserve_shares
 from mbdkit.base.text import listed
 from mbdkit.figures.curves import bands
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, short_name
@@ -20,8 +20,6 @@ from mbdkit.report.load_frames import load_drawing
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-EXACT = 1e-12
-"""Residuals [rad or m] below this are rounding errors."""
 BARS = 24
 """Largest number of bars of a unit, those of the largest peaks."""
 _POINTS = 1_000
@@ -49,7 +47,7 @@ def inverse_charts(run: Run) -> list[Figure]:
     found = []
     for unit, word in (("rad", "angles"), ("m", "lengths")):
         chosen = [index for index, one in enumerate(observed) if one.units == unit]
-        if chosen:
+        if any(np.nanmax(np.abs(observed[index].residual), initial=0.0) > EXACT for index in chosen):
             curves = bands(time, run.array("motion/residual")[:, chosen], points=_POINTS)
             lines = tuple(Line(observed[k].name, *curves.curve(index)) for index, k in enumerate(chosen))
             caption = f"Measured minus fitted value of each of the observed {word}."
@@ -206,7 +204,9 @@ def _disagreement(run: Run) -> Section:
             gaps.append((joint, float(np.sqrt(np.mean(values**2))), float(values.max()), at))
     heads = columns_of("joint; rms [m]; largest [m]; time of the largest [s]")
     note = "Misalignment of a joint if the bodies were placed by the measured data alone."
-    tables = [residuals] + ([Table("raw-gaps", "Misalignment of the data", heads, tuple(gaps), note)] if gaps else [])
+    tables = [residuals] if any(peak > EXACT for peak, _, _ in worst.values()) else []
+    if gaps:
+        tables.append(Table("raw-gaps", "Misalignment of the data", heads, tuple(gaps), note))
     told = [
         f"{peak:.3g} {unit} ({name}, at {when:.4g} s)" for unit, (peak, name, when) in worst.items() if peak > EXACT
     ]

@@ -113,7 +113,7 @@ def _cost(run: Run) -> Table:
     rows: list[tuple[Cell, ...]] = [
         (name.replace("_", " ").replace("rhs", "right-side"), int(run.stats[name]))
         for name in COUNTERS
-        if name in run.stats
+        if name in run.stats and run.kind == "forward"
     ]
     rows += [(f"{name.removesuffix('_s')} time [s]", float(run.stats[name])) for name in TIMINGS if name in run.stats]
     return Table("cost", "Cost", columns_of("item; value"), tuple(rows))

@@ -37,15 +37,32 @@ def run_verdict(run: Run) -> Verdict:
         claims += _angles(run)
     if run.records("energy/balance"):
         claims.append(_energy(run))
+    noise = _rounding_errors(run)
     return Verdict(
         name="run",
         title="Verdict",
         sentence=" ".join(claim.sentence for claim in claims),
         claims=tuple(claims),
-        tables=run_tables(run),
-        figures=run_charts(run),
+        tables=tuple(one for one in run_tables(run) if one.name not in noise),
+        figures=tuple(one for one in run_charts(run) if one.name not in noise),
         notes=_notes(run),
     )
+
+
+def _rounding_errors(run: Run) -> set[str]:
+    """Return the names of the charts and tables that would show nothing but rounding errors."""
+    found: set[str] = set()
+    if (
+        run.records("joints/misalignment")
+        and run.joint_names
+        and run.misalignment_max <= ROUND_OFF * mechanism_size(run)
+    ):
+        found |= {"misalignment", "velocity-misalignment"}
+    if run.records("energy/balance"):
+        off, kinetic = (float(np.max(np.abs(run.dataset(f"energy/{name}")[:]))) for name in ("balance", "kinetic"))
+        if off <= max(rounding(max(kinetic, _largest_energy(run))), ROUND_OFF * kinetic):
+            found.add("balance")
+    return found
 
 
 def _notes(run: Run) -> tuple[str, ...]:

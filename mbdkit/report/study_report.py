@@ -94,8 +94,8 @@ def settings(study: Study) -> str:
         parts.append(count(len(study.families), "family", "families"))
     told = [name for name in ("complete", "failed", "left-out") if states[name]]
     levels = Counter(study.verdicts())
-    verdicts = [f"{levels[level]} {level}" for level in ("doubtful", "bad") if levels[level]]
-    return " \u00b7 ".join([*parts, *(f"{states[name]} {name.replace('-', ' ')}" for name in told), *verdicts])
+    verdicts = [f"{levels[level]:,} {level}" for level in ("doubtful", "bad") if levels[level]]
+    return " \u00b7 ".join([*parts, *(f"{states[name]:,} {name.replace('-', ' ')}" for name in told), *verdicts])
 
 
 def _verdict(study: Study) -> Verdict:

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.analysis.workload import workload
+from mbdkit.archive import archive_check
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.error_bars import _norm_bound
 from mbdkit.report.run_report import run_report
@@ -160,6 +161,7 @@ def test_bars_are_in_summary_workload_and_archive(tmp_path: Path) -> None:
     assert f"+- {error:.2g} N m" in workload(run).text()
     assert f"+- {error:.2g} N m at" in run.summary()
     run.check()
+    assert archive_check.check(tmp_path / "a.h5") == []
 
 
 @pytest.mark.parametrize("motion", [{"errors": "none", "smooth": {"name": "butterworth", "cutoff": 6.0}}, {}])
@@ -223,7 +225,7 @@ def test_without_noise_the_bar_is_the_change_with_the_cutoff() -> None:
         spec = pendulum(smooth={"name": "butterworth", "cutoff": cutoff})
         spec["motion"]["columns"]["hip.angle"]["deviation"] = 1e-9
         spec["motion"]["data"]["hip"] = np.degrees(0.5 * np.sin(9 * T))
-        return mbdkit.inverse(spec)
+        return mbdkit.inverse(spec | {"measures": {"peak": "max(abs(actuators.hip.value))"}})
 
     run, low, high = at(6.0), at(4.8), at(7.5)
     torque = [one.actuators["hip"].value for one in (run, low, high)]
@@ -236,6 +238,8 @@ def test_without_noise_the_bar_is_the_change_with_the_cutoff() -> None:
         run.accuracy.reaction_error[:, 0], np.sqrt(np.mean(squares, axis=0)), rtol=1e-4, atol=1e-4
     )
     assert np.max(changes) > 0.01
+    peak, *others = (one.measures["peak"] for one in (run, low, high))
+    assert run.measure_errors["peak"] == pytest.approx(np.sqrt(np.mean((np.array(others) - peak) ** 2)), rel=1e-4)
     assert "0.8 and 1.25 times the cutoff" in run.accuracy.method
     row = int(np.argmax(np.abs(torque[0])))
     assert f"+- {run.actuators['hip'].value_error[row]:.2g} N m" in run.summary()

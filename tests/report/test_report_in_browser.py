@@ -373,6 +373,7 @@ def test_the_policy_of_the_page_stops_what_a_script_might_try(page):
 
 def test_the_spec_can_be_saved_and_copied(page):
     tab = page.page
+    tab.locator("summary", has_text="Spec").click()
     with tab.expect_download() as begun:
         tab.get_by_role("button", name="Download: run.yaml").click()
     assert begun.value.suggested_filename == "run.yaml"
