@@ -154,9 +154,14 @@ class _Step:
 
     def contact_state(self) -> ContactState:
         """Return what the contacts hold now."""
-        forced = self._forced(self.now)
+        now, forced = self.now, self._forced(self.now)
         force = forced.normal @ forced.rows.normal + forced.tangent @ forced.rows.tangent
-        return replace(self.state, modes=self.modes, normal=forced.normal, tangent=forced.tangent, force=force)
+        normal, tangent = forced.normal, forced.tangent
+        sticks = self.modes == STICK
+        if np.any(sticks & (np.abs(tangent) > self.contacts.static * normal + self._scales(forced)[1])):
+            slides = np.where(np.abs(self.modes) == SLIP, np.sign(self.modes), 0.0)
+            normal, tangent = self.contacts.shared(now.t, now.q, now.v, self.modes != OPEN, slides, forced)
+        return replace(self.state, modes=self.modes, normal=normal, tangent=tangent, force=force)
 
     def reached(self, event: tuple[int, int] | None, streak: int) -> StepState:
         """Return the present state with what the contacts pass to the next step."""
@@ -225,7 +230,8 @@ class _Step:
         forced = self._forced(self.now)
         rows = forced.rows
         rate, curve = rows.normal @ self.now.v, rows.normal @ forced.a - rows.normal_right
-        for i in np.flatnonzero((self.modes == OPEN) & (rows.gap <= SAME * self.length) & (rate > 0) & (curve < 0)):
+        leaves = (self.modes == OPEN) & (rows.gap <= SAME * self.length) & (rate > SAME * self.speed)
+        for i in np.flatnonzero(leaves & (curve < 0)):
             h = min(h, -3.0 * rate[i] / curve[i])
         return float(h)
 
@@ -243,7 +249,8 @@ class _Step:
         return np.stack([normal, friction])
 
     def _scales(self, forced: Forced) -> np.ndarray:
-        weight = max(float(np.max(np.abs(forced.normal), initial=0.0)), 1e-300)
+        inertial = np.delete(np.abs(self.p.mass * forced.a), np.s_[2::3])
+        weight = max(float(np.max([*np.abs(forced.normal), *inertial])), 1e-300)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
         normal = np.where(is_open, 1e-15 * self.length, SAME * weight)
         return np.stack([normal, SAME * np.where(slips, self.speed, weight)])
@@ -279,7 +286,7 @@ class _Step:
         def value(share: float) -> float:
             return float(self._values(self._moved(share * h))[kind, contact])
 
-        begin, end = value(low) if low > 0 else 1.0, value(high)
+        begin, end = value(low), value(high)
         if end >= 0.0:  # the interpolation is beyond the step of the method
             return high
         if begin <= 0.0:
@@ -302,7 +309,12 @@ class _Step:
             stops[contact] = 1.0
             self.modes = np.where(stops > 0, STICK, self.modes)
             self.now = replace(self.now, v=self._closed(self.now.t, self.now.q, self.now.v)[1])
-        self.modes = self._decided(self.now, self.modes != OPEN, stops, begins)
+        touching = self.modes != OPEN
+        limit = self._scales(self._forced(self.now))[0, contact]
+        self.modes = self._decided(self.now, touching, stops, begins)
+        if kind == 0 and self.modes[contact] != OPEN and self._forced(self.now).normal[contact] <= limit:
+            touching[contact] = False  # the force vanishes now and would pull from now on
+            self.modes = self._decided(self.now, touching, stops, begins)
 
     def _touching(self) -> np.ndarray:
         rows = self.contacts.rows(self.now.q, self.now.v)
@@ -334,50 +346,47 @@ class _Step:
         approach = rows.normal @ now.v
         e = np.where(touching, self.contacts.restitution, 0.0)
         struck = self.contacts.struck(now.t, now.q, now.v, touching, e, self.treatment.impact_law)
-        # rebounds with less energy than `rest_energy` are left out
-        effective_mass = 1.0 / np.maximum(np.einsum("ij,ij->i", rows.normal, rows.normal / self.p.mass), 1e-300)
-        after = rows.normal @ struck.v
         undecided = self.state.undecided
         if self.contacts.affect_each_other(now.t, now.q, touching & (approach < -SAME * self.speed)):
             undecided = min(undecided, now.t)
-        rests = (
-            touching
-            & (after > 0)
-            & (0.5 * effective_mass * after**2 <= self.treatment.rest_energy * self.state.energy)
-            & (e > 0)
-        )
-        rests &= approach < 0
-        if np.any(rests):
-            e = np.where(rests, 0.0, e)
-            struck = self.contacts.struck(now.t, now.q, now.v, touching, e, self.treatment.impact_law)
-        lost = 0.5 * float((now.v - struck.v) @ (self.p.mass * (now.v + struck.v)))
+        self.now = replace(now, v=struck.v)
+        self.modes = self._decided(self.now, touching)
+        tails = self._cut(touching, approach)
+        lost = 0.5 * float((now.v - self.now.v) @ (self.p.mass * (now.v + self.now.v)))
+        self.now = replace(self.now, dissipated=now.dissipated + lost)
         new = [
             ContactImpact(now.t, i, float(struck.normal[i]), float(struck.tangent[i]), lost)
             for i in np.flatnonzero(touching & (struck.normal > 0)).tolist()
         ]
-        cut = [self.contacts.names[i] for i in np.flatnonzero(rests)]
         changed = [] if struck.is_as_asked else [self.contacts.names[one.contact] for one in new]
-        self.now = replace(now, v=struck.v, dissipated=now.dissipated + lost)
-        self.modes = self._decided(self.now, touching)
-        if np.any(rests):
-            new += self._tails(rests, after)
         self.state = replace(
             self.state,
-            impacts=(*self.state.impacts, *new),
-            cut=self.state.cut.union(cut),
+            impacts=(*self.state.impacts, *new, *(one for one in tails if one.time < np.inf)),
+            cut=self.state.cut.union(self.contacts.names[one.contact] for one in tails),
             changed=self.state.changed.union(changed),
             undecided=undecided,
         )
 
-    def _tails(self, rests: np.ndarray, after: np.ndarray) -> list[ContactImpact]:
-        """Return the ends of geometric sequences of impacts that are left out, as impacts without impulses."""
-        now = self.now
-        modes, self.modes = self.modes, np.where(rests, OPEN, self.modes)
-        forced = self._forced(now)
-        self.modes = modes
-        curve = forced.rows.normal @ forced.a - forced.rows.normal_right
-        e = self.contacts.restitution
-        return [
-            ContactImpact(now.t - 2.0 * float(after[i] / curve[i]) / (1.0 - float(e[i])), i, 0.0, 0.0, 0.0)
-            for i in np.flatnonzero(rests & (curve < 0) & (e < 1.0)).tolist()
-        ]
+    def _cut(self, touching: np.ndarray, approach: np.ndarray) -> list[ContactImpact]:
+        """Close the touching contacts that an impact opens with less energy than `rest_energy`, and that would close
+        again: those of a sequence of impacts without end, of one contact or of several in turn, as of a block that
+        rocks.
+
+        Returns the ends of these sequences, as impacts without impulses: infinite times if the contact did not
+        approach.
+        """
+        forced, contacts, now = self._forced(self.now), self.contacts, self.now
+        rows = forced.rows
+        after, curve = rows.normal @ now.v, rows.normal @ forced.a - rows.normal_right
+        effective_mass = 1.0 / np.maximum(np.einsum("ij,ij->i", rows.normal, rows.normal / self.p.mass), 1e-300)
+        is_small = 0.5 * effective_mass * after**2 <= self.treatment.rest_energy * self.state.energy
+        rests = touching & (self.modes == OPEN) & (after > 0) & (curve < 0) & is_small
+        if not np.any(rests):
+            return []
+        system = ClosedSystem(contacts, np.where(rests, SLIP, self.modes))
+        self.now = replace(now, v=nearest_velocities(system, now.t, now.q, now.v))
+        self.modes = self._decided(self.now, touching)
+        e = np.where((approach < 0) & (contacts.restitution > 0), contacts.restitution, 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = now.t - 2.0 * np.where(rests, after / curve, 0.0) / (1.0 - e)
+        return [ContactImpact(float(ends[i]), i, 0.0, 0.0, 0.0) for i in np.flatnonzero(rests).tolist()]

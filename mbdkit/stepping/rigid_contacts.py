@@ -128,7 +128,7 @@ class ContactState:
             names = listed(sorted(self.changed), "and")
             found.append(
                 f"the law of impact would have created energy at {names}; Stronge's law was used there, for several "
-                "contacts at once Poisson's with a smaller restitution"
+                "contacts at once that of the run or Poisson's with a smaller restitution"
             )
         return tuple(found)
 
@@ -308,6 +308,30 @@ class RigidContacts:
             slides = np.where(begins, direction, slides)
         modes[some] = np.where(begins | (slides != 0), SLIP * direction, STICK) * found.is_closed
         return modes
+
+    def shared(
+        self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, sliding: np.ndarray, forced: Forced
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return forces (C,), normal and tangential, that satisfy Coulomb's law, where those of redundant contacts that
+        stick are not unique; those of `forced` if they are.
+
+        See `decided` for the other arguments.
+        """
+        some = np.flatnonzero(touching)
+        a, _ = self.p.accelerations(t, q, v)
+        rows = forced.rows
+        response, both = self._response(t, q, rows, some)
+        right = both @ a - np.concatenate([rows.normal_right[some], rows.tangent_right[some]])
+        k = len(some)
+        friction = np.where(sliding[some] != 0, self.kinetic[some], self.static[some])
+        found = coulomb(response, right[:k], right[k:], friction, sliding[some])
+        normal, tangent = np.zeros(len(touching)), np.zeros(len(touching))
+        if found is not None:
+            normal[some], tangent[some] = found.normal, found.tangent
+            moved = both.T @ np.concatenate([normal[some] - forced.normal[some], tangent[some] - forced.tangent[some]])
+            if np.max(np.abs(self.answers(t, q, moved[None])[0])) <= SAME_ACCELERATION * max(np.max(np.abs(a)), 1.0):
+                return normal, tangent
+        return forced.normal, forced.tangent
 
     def _response(self, t: float, q: np.ndarray, rows: Rows, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accelerations (2 k, 2 k) by unit forces of contacts, and the rows (2 k, n), normal ones first."""

@@ -25,8 +25,8 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_positions
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.kinds import StepMethod, StepState
-from mbdkit.stepping.complementarity import coulomb
-from mbdkit.stepping.rigid_contacts import ClosedSystem, RigidContacts
+from mbdkit.stepping.complementarity import Pushed, coulomb, stronge
+from mbdkit.stepping.rigid_contacts import SMALL_RESTITUTION, ClosedSystem, RigidContacts
 
 MOST_HALVINGS = 4
 """How often a step may be halved."""
@@ -81,17 +81,37 @@ class TimeStepping(StepMethod):
         count = len(contacts.names)
         modes, normal, tangent = np.zeros(count, dtype=int), np.zeros(count), np.zeros(count)
         rows = contacts.rows(middle, v, some)
-        after, force = free, np.zeros(p.n)
+        after, force, changed = free, np.zeros(p.n), frozenset[str]()
         if len(some):
             both, k = np.vstack([rows.normal, rows.tangent]), len(some)
             none = np.zeros(p.m)
             moved = np.stack([matrix.solve(row, none)[0] for row in both], axis=1)
             before = rows.normal @ v
-            back = contacts.restitution[some] * np.minimum(before, 0.0)
-            rate = both @ free
-            found = coulomb(both @ moved, rate[:k] + back, rate[k:], contacts.kinetic[some])
-            if found is None:
-                raise StepError("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction")
+            rate, response = both @ free, both @ moved
+
+            def met(e: np.ndarray) -> Pushed:
+                back = e * np.minimum(before, 0.0)
+                found = coulomb(response, rate[:k] + back, rate[k:], contacts.kinetic[some])
+                if found is None:
+                    what = "no impulses of the contacts satisfy the laws of impact and friction"
+                    raise StepError("contact-solver", what)
+                return found
+
+            def gains(found: Pushed) -> bool:
+                impulses = np.concatenate([found.normal, found.tangent])
+                work = impulses * (both @ (v + free) + response @ impulses)
+                return bool(np.sum(work) > 1e-12 * np.sum(np.abs(work)))
+
+            e = contacts.restitution[some]
+            found = met(e)
+            if gains(found) and np.any(e * np.minimum(before, 0.0)):  # as in `RigidContacts.struck`
+                if k == 1 and rate[0] < 0.0:
+                    normal_, tangent_ = stronge(response, rate, float(contacts.kinetic[some[0]]), float(e[0]))
+                    found = found._replace(normal=np.array([normal_]), tangent=np.array([tangent_]))
+                while gains(found) and np.any(e):
+                    e = np.where(e > SMALL_RESTITUTION, 0.9 * e, 0.0)
+                    found = met(e)
+                changed = frozenset(contacts.names[i] for i in some[found.normal > 0.0].tolist())
             impulses = np.concatenate([found.normal, found.tangent])
             after = free + moved @ impulses
             force = impulses @ both / h
@@ -103,7 +123,10 @@ class TimeStepping(StepMethod):
         lost = -h * float(normal[some] @ (rows.normal @ mean) + tangent[some] @ (rows.tangent @ mean))
         work, dissipated = p.powers(t + 0.5 * h, middle, mean, multipliers)
         held = contacts.all_open() if state.memory is None else state.memory
-        memory = replace(held, modes=modes, normal=normal, tangent=tangent, force=force, is_over_step=True)
+        changed = held.changed.union(changed)
+        memory = replace(
+            held, changed=changed, modes=modes, normal=normal, tangent=tangent, force=force, is_over_step=True
+        )
         return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
 
     @staticmethod

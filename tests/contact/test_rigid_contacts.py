@@ -306,3 +306,20 @@ def test_shapes_that_overlap_at_the_start_are_refused() -> None:
     model["bodies"]["ball"]["position"] = [0.0, 0.09]
     with pytest.raises(SpecError, match=r"the shapes of 'floor' overlap by 0\.01 m at the start"):
         run(model, 1.0, 0.01)
+
+
+def test_a_block_that_rocks_comes_to_rest_on_both_corners() -> None:
+    # its corners strike in turn without end, without restitution; expected: rest, with all energy lost
+    side, tilt = 0.2, 0.05
+    place = {"position": [side * (np.cos(tilt) - np.sin(tilt)), side * (np.sin(tilt) + np.cos(tilt))], "angle": tilt}
+    body = {"mass": 1.0, "inertia": 2 * side**2 / 3.0} | {name: np.asarray(x).tolist() for name, x in place.items()}
+    outline = {"polygon": [[-side, -side], [side, -side], [side, side], [-side, side]]}
+    contact = {"bodies": ["ground", "block"], "shapes": [FLOOR, outline], "friction": 5.0}
+    found = run({"bodies": {"block": body}, "contacts": {"floor": contact}}, 0.5, 0.05)
+    rows = found.contacts["floor.0"], found.contacts["floor.1"]
+    assert [row.mode[-1] for row in rows] == [1.0, 1.0]
+    assert [row.normal_force[-1] for row in rows] == pytest.approx([G / 2, G / 2], rel=1e-9)
+    assert found.energy.dissipated[-1] == pytest.approx((place["position"][1] - side) * G, rel=1e-9)
+    ratios = np.sqrt(found.impacts.energy_lost[1:5] / found.impacts.energy_lost[:4])
+    assert ratios == pytest.approx(1.0 - 1.5 * np.sin(np.pi / 4) ** 2, rel=1e-9)  # Housner
+    assert any("without end were cut" in text for text in found.warnings)

@@ -1,0 +1,154 @@
+"""Rigid contacts against runs of Siconos (Apache-2.0), stored with its tutorials at b6c9bfd1, in examples/mechanics of
+github.com/siconos/siconos-tutorials. These runs are by time-stepping, and have errors in proportion to their steps.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import mbdkit
+
+
+def run(model: dict[str, Any], end: float, step: float, treatment: str = "event-driven") -> mbdkit.Run:
+    method = "moreau-jean" if treatment == "time-stepping" else "dop853"
+    spec = json.loads(json.dumps({"mbdkit": 1, "model": {"name": "mechanism"} | model}))
+    return mbdkit.run(
+        spec,
+        integrator={"name": method},
+        time={"end": end, "step": step},
+        contact={"treatment": treatment},
+    )
+
+
+def test_the_woodpecker_toy_pecks_as_in_siconos() -> None:
+    """Woodpecker/Woodpecker.ref, steps of 2e-5 s (C. Glocker, Set-Valued Force Laws, 2001). The reference is linear in
+    the angles; a mechanism whose levers are 1000 times longer, and whose angles are 1000 times smaller, is linear
+    within about 1e-3.
+    """
+    long, pole, sleeve_x, sleeve_y = 1000.0, 0.0025, 0.0031, 0.0058
+    pivot, arm, beak_x, beak_y = 0.010, 0.015, 0.0201, 0.02
+    # the reference starts with an overlap of 9e-7 m; here the sleeve touches the pole
+    wall = sleeve_x * long - (sleeve_x - pole)
+    tilt = brentq(lambda a: long * (sleeve_x * np.cos(a) + sleeve_y * np.sin(a)) - wall, -2e-4, 0.0, xtol=1e-18)
+    lean, spin = -0.2788 / long, -7.4583 / long
+    at = pivot * long * np.array([np.cos(tilt), np.sin(tilt)])
+    out = arm * long * np.array([np.cos(lean), np.sin(lean)])
+
+    def touch(body: str, point: list[float], gap: float, restitution: float) -> dict[str, Any]:
+        line = {"line": {"point": [gap, 0.0], "normal": [1.0, 0.0]}}
+        shapes = [line, {"point": [long * x for x in point]}]
+        return {"bodies": ["ground", body], "shapes": shapes, "restitution": restitution, "friction": 0.3}
+
+    beak = pivot + arm - beak_x
+    model = {
+        "bodies": {
+            "sleeve": {"mass": 0.0003, "inertia": 5e-9 * long**2, "angle": tilt, "velocity": [0.0, -0.3411]},
+            "bird": {
+                "mass": 0.0045, "inertia": 7e-7 * long**2, "position": (at + out).tolist(), "angle": lean,
+                "velocity": [-spin * out[1], -0.3411 + spin * out[0]], "angular_velocity": spin,
+            },
+        },
+        "joints": {
+            "pole": {"type": "point-on-line", "bodies": ["ground", "sleeve"], "at": [0, 0], "axis": [0, 1]},
+            "pivot": {
+                "type": "revolute", "bodies": ["sleeve", "bird"], "points": [[pivot * long, 0.0], [-arm * long, 0.0]],
+            },
+        },
+        "forces": {"spring": {"type": "torsion-spring", "bodies": ["sleeve", "bird"], "stiffness": 0.0056 * long**2}},
+        "contacts": {
+            "beak": touch("bird", [-beak_x, beak_y], beak * long - (beak - pole), 0.5),
+            "low": touch("sleeve", [sleeve_x, -sleeve_y], wall, 0.0),
+            "high": touch("sleeve", [sleeve_x, sleeve_y], wall, 0.0),
+        },
+    }  # fmt: skip
+    found = run(model, 0.15, 0.005)
+    reference = {  # time: height of the sleeve, angles of sleeve and bird
+        0.02: (-0.004374, -0.10360, -0.45231), 0.05: (-0.004407, -0.10360, -0.39298),
+        0.07: (-0.004697, -0.09038, -0.05316), 0.085: (-0.007208, 0.10291, 0.09421),
+        0.1: (-0.007080, 0.02132, 0.00827), 0.125: (-0.011815, -0.10345, -0.13627),
+        0.15: (-0.020768, -0.10345, -0.30859),
+    }  # fmt: skip
+    for t, values in reference.items():
+        row = int(np.argmin(np.abs(found.time - t)))
+        state = found["sleeve"].position[row, 1], long * found["sleeve"].angle[row], long * found["bird"].angle[row]
+        assert np.abs(np.subtract(state, values)) == pytest.approx(np.zeros(3), abs=2.5e-3 if t > 0.1 else 1.2e-3)
+    assert found.impacts.contact.tolist() == ["high", "beak", "high", "low", "low"]
+    assert np.all(found.impacts.energy_lost > 0.0)
+
+
+@pytest.mark.parametrize(("treatment", "step"), [("event-driven", 1e-3), ("time-stepping", 2.5e-5)])
+def test_a_slider_crank_with_clearance_moves_as_in_siconos(treatment: str, step: float) -> None:
+    """SliderCrank/SliderCrankMoreauJeanCombinedProjectionOSI.ref, steps of 1e-4 s, in which the crank turns by up to
+    0.9 degrees (P. Flores, R. Leine and C. Glocker, Multibody System Dynamics 23:165-190, 2010, figure 11).
+    """
+    crank, rod, a, b, clearance, speeds = 0.153, 0.306, 0.05, 0.025, 0.001, (150.0, -75.0)
+    tip = crank * speeds[0]
+    corners = [[-a, -b], [a, -b], [a, b], [-a, b]]
+
+    def guide(y: float, side: float) -> dict[str, Any]:
+        shapes = [{"line": {"point": [0.0, y], "normal": [0.0, side]}}, {"polygon": corners}]
+        return {"bodies": ["ground", "slider"], "shapes": shapes, "restitution": 0.4, "friction": 0.01}
+
+    model = {
+        "bodies": {
+            "crank": {
+                "mass": 0.038, "inertia": 7.4e-5, "position": [crank / 2, 0.0], "velocity": [0.0, tip / 2],
+                "angular_velocity": speeds[0],
+            },
+            "rod": {
+                "mass": 0.038, "inertia": 5.9e-4, "position": [crank + rod / 2, 0.0],
+                "velocity": [0.0, tip + rod / 2 * speeds[1]], "angular_velocity": speeds[1],
+            },
+            "slider": {"mass": 0.076, "inertia": 2.7e-6, "position": [crank + rod, 0.0]},
+        },
+        "joints": {
+            "A": {"type": "revolute", "bodies": ["ground", "crank"], "at": [0.0, 0.0]},
+            "B": {"type": "revolute", "bodies": ["crank", "rod"], "at": [crank, 0.0]},
+            "C": {"type": "revolute", "bodies": ["rod", "slider"], "at": [crank + rod, 0.0]},
+        },
+        "contacts": {"top": guide(b + clearance, -1.0), "bottom": guide(-b - clearance, 1.0)},
+    }  # fmt: skip
+    found = run(model, 0.02, step, treatment)
+    reference = {0.01: (0.151617, 1.0000), 0.015: (0.204258, 1.0000), 0.02: (0.258909, 0.8454)}
+    for t, (turns, height) in reference.items():  # of the crank; of the slider over its clearance
+        row = int(np.argmin(np.abs(found.time - t)))
+        assert found["crank"].angle[row] / (2 * np.pi) == pytest.approx(
+            turns, abs=2.5e-3 if treatment == "event-driven" else 4e-3
+        )
+        assert found["slider"].position[row, 1] / clearance == pytest.approx(height, abs=0.03)
+    assert np.max(np.abs(found["slider"].angle)) < 1e-9  # both corners of the slider strike together
+    assert np.min(found.contacts["top.2"].gap) > -1e-12
+
+
+@pytest.mark.parametrize(("treatment", "step"), [("event-driven", 0.01), ("time-stepping", 1e-4)])
+def test_a_stick_that_would_gain_energy_as_in_siconos_loses_some(treatment: str, step: float) -> None:
+    """ImpactingStick/ImpactingStick.ref, steps of 1e-4 s, in which Newton's law with friction creates 1.08e-4 J."""
+    angle = np.pi / 4
+    place = {"position": [0.5 * np.sin(angle), 0.5 * np.cos(angle) + 0.01], "angle": angle}
+    floor = {"line": {"normal": [0.0, 1.0]}}
+    model = {
+        "gravity": [0.0, -10.0],
+        "bodies": {
+            "stick": {"mass": 1.0, "inertia": 1 / 12, "velocity": [-0.5, 0.1], "angular_velocity": 0.1} | place,
+        },
+        "contacts": {
+            "floor": {
+                "bodies": ["ground", "stick"], "shapes": [floor, {"point": [0.0, -0.5]}], "restitution": 1.0,
+                "friction": 0.01,
+            },
+        },
+    }  # fmt: skip
+    found = run(model, 0.2, step, treatment)
+    state = [*found["stick"].position[-1], found["stick"].angle[-1]]
+    assert state == pytest.approx([0.252917, 0.247169, 1.081891], abs=2e-3)  # with other energy
+    assert 1e-3 < found.energy.dissipated[-1] < 1.6e-3
+    assert np.min(np.diff(found.energy.dissipated)) >= 0.0
+    assert any("would have created energy at floor" in text for text in found.warnings)
+    if treatment == "event-driven":
+        assert found.impacts.time == pytest.approx([0.0603, 0.1635], abs=6e-4)
+        assert found.impacts.normal_impulse[0] == pytest.approx(0.373883, rel=0.02)
