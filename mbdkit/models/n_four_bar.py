@@ -8,11 +8,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from mbdkit.base.errors import SpecError
-from mbdkit.base.memory import available_memory, in_bytes
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive
+from mbdkit.models._memory import check_memory
 
 SUMMARY = "N four-bar windows in a row, with two singular positions per turn (IFToMM benchmark A02)."
 
@@ -83,13 +82,7 @@ def build(options: NFourBarOptions) -> Mechanism:
         If the available memory is not sufficient for this many windows.
     """
     o = options
-    needed, available = o.n * BYTES_PER_WINDOW, available_memory()
-    if available is not None and needed > available:
-        raise SpecError(
-            f"{o.n:,} windows need about {in_bytes(needed)} of memory, but only {in_bytes(available)} are available: "
-            f"use at most {available // BYTES_PER_WINDOW:,}",
-            key="n",
-        )
+    check_memory(o.n, "windows", BYTES_PER_WINDOW)
     length, half = o.length, 0.5 * o.length
     inertia = o.mass * length**2 / 12 if o.inertia is None else o.inertia
     rate = -o.speed / length

@@ -13,10 +13,10 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.memory import available_memory, in_bytes
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Number, Point, Positive, pair, sequence
+from mbdkit.models._memory import check_memory
 
 SINGLE_SUMMARY = "One rod attached to the ground by a revolute joint."
 DOUBLE_SUMMARY = "Two rods in a chain."
@@ -155,13 +155,7 @@ def build_n(options: NPendulumOptions) -> Mechanism:
         If the available memory is not sufficient for this many rods.
     """
     o = options
-    needed, available = o.count * BYTES_PER_ROD, available_memory()
-    if available is not None and needed > available:
-        raise SpecError(
-            f"{o.count:,} rods need about {in_bytes(needed)} of memory, but only {in_bytes(available)} are available: "
-            f"use at most {available // BYTES_PER_ROD:,}",
-            key="n",
-        )
+    check_memory(o.count, "rods", BYTES_PER_ROD)
     uniform = o.inertia is None and o.inertias is None
     return chain(
         "n-pendulum",

@@ -12,11 +12,11 @@ from mbdkit.base.plain_data import Path, copied, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.design_spec import DesignSpec, Scenario, variable_path
 from mbdkit.spec.inverse_spec import InverseSpec
-from mbdkit.spec.loading import example_names, exists, read_source
-from mbdkit.spec.reading import Document, parse_key, put, read_file, read_stdin, set_value
+from mbdkit.spec.loading import example_names, read_source
+from mbdkit.spec.reading import Document, parse_key, put, set_value
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import is_inverse
-from mbdkit.spec.study_loading import base_source
+from mbdkit.spec.study_loading import base_source, document_of
 
 
 def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: Any) -> DesignSpec:
@@ -74,27 +74,11 @@ def _document(source: Any) -> tuple[Document, FilePath]:
     """Return the document of a design, and the folder to which file names in it are relative."""
     if isinstance(source, DesignSpec):
         source = source.model_dump(exclude_unset=True)
-    if isinstance(source, Mapping):
-        return Document(copied(source)), FilePath()
-    if isinstance(source, Document):
-        return source, FilePath(source.file).parent
-    if not isinstance(source, str | FilePath):
-        raise SpecError(
-            f"a design is a file, the name of a packaged design, a dict or a DesignSpec, not {type(source).__name__}"
-        )
-    if source == "-":
-        return read_stdin(), FilePath()
-    path = FilePath(source)
-    names = example_names("design")
-    if str(source) in names and not os.path.isfile(path):
-        return read_source(source), FilePath()
-    if not exists(path):
-        raise SpecError(
-            f"there is no such file, and no packaged design with this name{did_you_mean(str(source), names)}; "
-            f"designs: {listed(names)}",
-            file=str(source)[:200],
-        )
-    return read_file(path), path.parent
+
+    def packaged(name: str) -> tuple[Document, FilePath] | None:
+        return (read_source(name), FilePath()) if name in example_names("design") else None
+
+    return document_of(source, ("design", "designs"), packaged, lambda: example_names("design"))
 
 
 Given = dict[str, tuple[Path, Any]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
@@ -52,7 +52,9 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         if source._document is not None and not assignments:
             return source
         source = source.model_dump(exclude_unset=True)
-    document, folder = _document(source)
+    document, folder = document_of(
+        source, ("study", "studies"), _packaged_document, study_names, lambda name: registry().advice(name)
+    )
     data = document.data
     if "mbdkit_design" in data:
         message = "this is a design spec, which `mbdkit design` solves"
@@ -154,33 +156,53 @@ def _packaged(name: str) -> Registered | None:
     return installed.get("study", name) if known else None
 
 
-def _document(source: Any) -> tuple[Document, FilePath]:
-    """Return the document of a study, and the folder to which file names in it are relative."""
+def document_of(
+    source: Any,
+    words: tuple[str, str],
+    packaged: Callable[[str], tuple[Document, FilePath] | None],
+    names: Callable[[], Sequence[str]],
+    advice: Callable[[str], str] = lambda name: "",
+) -> tuple[Document, FilePath]:
+    """Return the document of a study or design, and the folder to which file names in it are relative.
+
+    Parameters
+    ----------
+    words
+        What the source is called, in singular and plural.
+    packaged
+        Returns document and folder of the packaged one with a name; None if there is none.
+    names
+        Returns the names of the packaged ones.
+    advice
+        Returns a clause for an error about a name.
+    """
     if isinstance(source, Mapping):
         return Document(copied(source)), FilePath()
     if isinstance(source, Document):
         return source, FilePath(source.file).parent
+    word, many = words
     if not isinstance(source, str | FilePath):
-        what = type(source).__name__
-        raise SpecError(f"a study is a file, the name of a packaged study, a dict or a StudySpec, not {what}")
+        kinds = f"a file, the name of a packaged {word}, a dict or a {word.title()}Spec"
+        raise SpecError(f"a {word} is {kinds}, not {type(source).__name__}")
     if source == "-":
         return read_stdin(), FilePath()
     path = FilePath(source)
-    packaged = None if os.path.isfile(path) else _packaged(str(source))
-    if packaged is not None:
-        return _document_of(packaged)
+    if not os.path.isfile(path) and (document := packaged(str(source))) is not None:
+        return document
     if not exists(path):
-        names = study_names()
         raise SpecError(
-            f"there is no such file, and no packaged study with this name{did_you_mean(str(source), names)}; "
-            f"studies: {listed(names)}{registry().advice(str(source))}",
+            f"there is no such file, and no packaged {word} with this name{did_you_mean(str(source), names())}; "
+            f"{many}: {listed(names())}{advice(str(source))}",
             file=str(source)[:200],
         )
     return read_file(path), path.parent
 
 
-def _document_of(item: Registered) -> tuple[Document, FilePath]:
+def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
     """Return the document of a packaged study and its folder; its own verdict is used unless the spec names one."""
+    item = _packaged(name)
+    if item is None:
+        return None
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec
     text = path.read_text("utf-8")

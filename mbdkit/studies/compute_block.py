@@ -107,8 +107,8 @@ class BlockStudyPlan:
         """Unit and description of each measure."""
         built_in = {name: (MEASURES[name].units, MEASURES[name].long_name) for name in self.built_in}
         built_in.pop(MISALIGNMENT, None)  # it has a column of its own
-        defined = {name: (one.units, one.long_name) for name, one in self.defined.items()}
-        checked = {name: (one.units, one.long_name) for name, one in OF_CHECKED_RUNS.items()}
+        defined = {name: (measure.units, measure.long_name) for name, measure in self.defined.items()}
+        checked = {name: (measure.units, measure.long_name) for name, measure in OF_CHECKED_RUNS.items()}
         return built_in | defined | (checked if self.is_checked else {})
 
     @property

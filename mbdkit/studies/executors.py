@@ -54,7 +54,7 @@ class SubmititExecutor(Executor):
         """Submit a job for each value, as one array of jobs; it calls ``function(value, *rest)``."""
         if self._executor is None:
             self._executor = self._begin()
-        jobs = self._executor.map_array(function, values, *([one] * len(values) for one in rest))
+        jobs = self._executor.map_array(function, values, *([value] * len(values) for value in rest))
         futures: list[Future[Any]] = [Future() for _ in jobs]
         with self._lock:
             is_watched = bool(self._jobs)

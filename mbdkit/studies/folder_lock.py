@@ -45,10 +45,10 @@ class Shard:
         SpecError
             If the text does not have this form.
         """
-        found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-        if not found or not 1 <= int(found[1]) <= int(found[2]):
+        match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        if not match or not 1 <= int(match[1]) <= int(match[2]):
             raise SpecError(f"a part of a study is written number/count, such as 1/2 and 2/2, not {text!r}")
-        return cls(int(found[1]), int(found[2]))
+        return cls(int(match[1]), int(match[2]))
 
     def has(self, place: int) -> bool:
         """Return whether the run at this index, from 0, belongs to the part."""
@@ -109,9 +109,9 @@ class Owner:
         try:
             handle = os.open(lock, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
             with os.fdopen(handle, "rb") as file:
-                told = json.loads(file.read(4096))
-            texts = {field.name: str(told[field.name]) for field in fields(cls) if field.name != "pid"}
-            return cls(pid=int(told["pid"]), **texts)
+                content = json.loads(file.read(4096))
+            texts = {field.name: str(content[field.name]) for field in fields(cls) if field.name != "pid"}
+            return cls(pid=int(content["pid"]), **texts)
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
@@ -143,8 +143,8 @@ def _started(pid: int) -> str:
         except OSError:
             return ""
         return "" if status[0] in "ZX" else status[19]  # a dead process that its parent has not waited for; see proc(5)
-    told = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False)
-    return told.stdout.strip()
+    process = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False)
+    return process.stdout.strip()
 
 
 @contextlib.contextmanager

@@ -50,8 +50,8 @@ def _verdict_of_sample(study: Study) -> Verdict:
 
 def _extremes(points: list[StudyPoint]) -> str:
     """Return a sentence on the smallest and largest misalignment, without a ranking of rounding errors."""
-    found = [(value(point, "misalignment_max"), point.number, point) for point in points]
-    ranked = sorted(entry for entry in found if np.isfinite(entry[0]))
+    measured = [(value(point, "misalignment_max"), point.number, point) for point in points]
+    ranked = sorted(entry for entry in measured if np.isfinite(entry[0]))
     if len(ranked) < 2:
         return ""
     (least, _, best), (most, _, worst) = ranked[0], ranked[-1]
@@ -90,8 +90,8 @@ def _orders(study: Study) -> Table:
         noise = _ROUNDINGS * EPS * max(map(_size, points))
         for column in ("end_error", "misalignment_max"):
             steps, values = Points(points).along(STEP, column)
-            found = observed_order(steps, np.where(values > noise, values, np.nan))
-            orders.append(found.order if found.found else np.nan)
+            estimate = observed_order(steps, np.where(values > noise, values, np.nan))
+            orders.append(estimate.order if estimate.found else np.nan)
         if np.any(np.isfinite(orders)):
             rows.append((name, *orders))
     columns = (Column("runs"), Column("order of the error"), Column("order of the misalignment"))

@@ -39,7 +39,7 @@ def judge(study: Study) -> Verdict:
         return general_verdict(study)
     item, function = find_verdict(study.spec)
     try:
-        found: Any = function(study)
+        verdict: Any = function(study)
     except (LookupError, ValueError) as error:
         wrong = (
             f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
@@ -49,18 +49,18 @@ def judge(study: Study) -> Verdict:
         if item.origin.distribution == "mbdkit":
             raise
         raise PluginError(f"the verdict of '{item.id}' raised {with_place(error)}") from error
-    return _checked(found, item)
+    return _checked(verdict, item)
 
 
-def _checked(found: Any, item: Registered) -> Verdict:
+def _checked(verdict: Any, item: Registered) -> Verdict:
     from mbdkit.analysis.verdict import Verdict
 
-    if not isinstance(found, Verdict):
-        what = type(found).__name__
+    if not isinstance(verdict, Verdict):
+        what = type(verdict).__name__
         raise PluginError(
             f"the verdict of '{item.id}' is an object of type {what}, not an mbdkit.analysis.verdict.Verdict"
         )
-    return found
+    return verdict
 
 
 def check_verdict(spec: StudySpec) -> None:

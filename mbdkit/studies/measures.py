@@ -78,8 +78,8 @@ def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
                 break
         else:
             alike.append([index])
-    for found in groups.values():
-        yield from found
+    for lists in groups.values():
+        yield from lists
 
 
 @dataclass(frozen=True)

@@ -71,19 +71,19 @@ class Grid:
 
     def with_units(self) -> list[Setting]:
         """Return one value of each key and each unit that its values are written in, as text with this unit."""
-        found: dict[tuple[str, str], Setting] = {}
+        settings: dict[tuple[str, str], Setting] = {}
         for number, axis in enumerate(self.axes):
             for key, values in axis:
                 place = (*self.axes_place, number, key)
-                found |= {
+                settings |= {
                     (key, one.unit): Setting(parse_key(key), f"{one.value!r} {one.unit}", (*place, *one.place))
                     for one in reversed(values)
                     if one.unit
                 }
         for key, unit in self.sample_units.items():
             value = float(self.table[key][0])
-            found[key, unit] = Setting(parse_key(key), f"{value!r} {unit}", ("sample", "variables", key))
-        return list(found.values())
+            settings[key, unit] = Setting(parse_key(key), f"{value!r} {unit}", ("sample", "variables", key))
+        return list(settings.values())
 
     @property
     def count(self) -> int:
@@ -128,15 +128,15 @@ class Grid:
 
     def labels(self) -> dict[str, np.ndarray]:
         """Return the labels of all points on each axis, by dotted key: numbers, or an object array."""
-        found = {}
+        columns = {}
         combinations = np.arange(self.count) // self.rows
         places = _choices(combinations, self.shape)
         for axis, choices in zip(self.axes, places, strict=True):
             for key, values in axis:
                 labels = [value.label for value in values]
                 is_text = any(isinstance(label, str) for label in labels)
-                found[key] = np.array(labels, object if is_text else None)[choices]
-        return found | {key: np.tile(column, math.prod(self.shape)) for key, column in self.table.items()}
+                columns[key] = np.array(labels, object if is_text else None)[choices]
+        return columns | {key: np.tile(column, math.prod(self.shape)) for key, column in self.table.items()}
 
 
 def _choices(combination: Any, shape: tuple[int, ...]) -> list[Any]:
@@ -144,11 +144,11 @@ def _choices(combination: Any, shape: tuple[int, ...]) -> list[Any]:
 
     `numpy.unravel_index` allows only 64 axes.
     """
-    found = []
+    places = []
     for count in reversed(shape):
         combination, choice = np.divmod(combination, count)
-        found.append(choice)
-    return found[::-1]
+        places.append(choice)
+    return places[::-1]
 
 
 def grids(spec: StudySpec) -> tuple[Grid, ...]:
@@ -183,9 +183,9 @@ def _check_size(spec: StudySpec) -> None:
     runs = number_of_points(spec)
     key = "sample" if spec.sample is not None else "families" if spec.families else "axes"
     if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and (spec.store == "files" or spec.needs_files)):
-        told = runs if runs < 10**12 else "too many"
+        number = runs if runs < 10**12 else "too many"
         most = f"{LARGEST_STUDY} with a file for each" if runs <= LARGEST_TABLE else f"{LARGEST_TABLE}"
-        raise spec.placed(SpecError(f"makes {told} runs; a study has at most {most}", key=key))
+        raise spec.placed(SpecError(f"makes {number} runs; a study has at most {most}", key=key))
     values = sum(size(values) for axes in _axes(spec) for axis in axes for values in axis.values())
     if values > MOST_SETTINGS:
         raise spec.placed(
@@ -302,8 +302,8 @@ class PlannedPoint:
 
     def _checked(self, settings: tuple[Setting, ...], which: str) -> RunSpec:
         data = {"mbdkit": 1, **copy.deepcopy(dict(self.grid.base))}
-        told = shortened(point_label(self.axes))
-        where = f" (in {which}{': ' if told else ''}{told})"
+        label = shortened(point_label(self.axes))
+        where = f" (in {which}{': ' if label else ''}{label})"
         for setting in settings:
             try:
                 put(data, setting.path, copy.deepcopy(setting.value))
@@ -378,17 +378,18 @@ class PlannedPoints(Sequence[PlannedPoint]):
     def labels(self) -> dict[str, np.ndarray]:
         """Return the labels of all points on each axis by dotted key, (N,); nan or None for points without the axis."""
         parts = [grid.labels() for grid in self.grids]
-        found = {}
+        labels = {}
         for key in dict.fromkeys(key for part in parts for key in part):
             columns = [part.get(key) for part in parts]
             is_text = any(column is not None and column.dtype == object for column in columns)
-            dtype = object if is_text else np.result_type(*(float if one is None else one.dtype for one in columns))
+            types = [float if column is None else column.dtype for column in columns]
+            dtype = object if is_text else np.result_type(*types)
             filled = [
                 np.full(grid.count, None if is_text else np.nan, dtype) if column is None else column.astype(dtype)
                 for grid, column in zip(self.grids, columns, strict=True)
             ]
-            found[key] = np.concatenate(filled)
-        return found
+            labels[key] = np.concatenate(filled)
+        return labels
 
     def families(self) -> np.ndarray:
         """Return the name of the family of each point, (N,) objects."""

@@ -58,7 +58,8 @@ class QuantileBands:
         MbdkitError
             If pandas is not installed.
         """
-        return data_frame({float(one): row for one, row in zip(self.q, self.values, strict=True)}, self.time, "time")
+        columns = {float(probability): row for probability, row in zip(self.q, self.values, strict=True)}
+        return data_frame(columns, self.time, "time")
 
 
 def quantiles(
@@ -83,11 +84,11 @@ def quantiles(
         expression = SeriesExpression.parse(quantity, RunSpec(**run.spec))
         unit = expression.unit.text
         values = np.broadcast_to(expression.rows(run), run.time.shape)
-        rows += [grid.at(time, one) for time, one in _by_run(run.time, values, numbers, counts, places)]
+        rows += [grid.at(time, row) for time, row in _by_run(run.time, values, numbers, counts, places)]
     if not rows:
         raise MbdkitError("none of the runs has results, so there are no quantiles")
-    found, count = _quantiles(np.array(rows), probabilities)
-    return QuantileBands(quantity, unit, probabilities, grid.time, found, count)
+    bands, count = _quantiles(np.array(rows), probabilities)
+    return QuantileBands(quantity, unit, probabilities, grid.time, bands, count)
 
 
 def _given(times: Any) -> np.ndarray:
@@ -145,10 +146,10 @@ class _Grid:
         """Return values of a run at the times, (K,); nan outside of the run."""
         if not self.has_rows:
             return np.asarray(np.interp(self.time, time, values, left=np.nan, right=np.nan))
-        found = np.full(len(self.time), np.nan)
+        row = np.full(len(self.time), np.nan)
         chosen = values[:: self.step]
-        found[: len(chosen)] = chosen
-        return found
+        row[: len(chosen)] = chosen
+        return row
 
 
 def _quantiles(values: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -124,8 +124,8 @@ class RunBlocks(RunStore[int]):
             **{name: numbers[name] for name in ordered},
             "data_sha256": texts["data_sha256"],
         }
-        told = {name: described[name] for name in ordered}
-        return Index(columns, told, axes=frozenset(labels), states=self._states())
+        of_numbers = {name: described[name] for name in ordered}
+        return Index(columns, of_numbers, axes=frozenset(labels), states=self._states())
 
     def indexed(self, key: int) -> Outcome | None:
         """See `RunStore.indexed`."""
@@ -204,7 +204,8 @@ class BlockRows:
                     **block.columns("measures"),
                     **block.columns("stats"),
                 }
-                return cls(texts, numbers, {name: Description(*told) for name, told in block.described().items()})
+                described = {name: Description(*column) for name, column in block.described().items()}
+                return cls(texts, numbers, described)
         except (MbdkitError, OSError):
             return None
 

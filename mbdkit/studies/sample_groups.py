@@ -111,14 +111,14 @@ def groups_where(study: SampledStudy, where: Mapping[str, Any] | None) -> list[S
 
 def one_group(study: SampledStudy, where: Mapping[str, Any] | None) -> SampleGroup:
     """Return the only group with the given family and labels; raise MbdkitError if there is none, or several."""
-    found = groups_where(study, where)
-    if len(found) > 1:
-        one = found[0]
-        labels = ({"family": one.family} if one.family else {}) | dict(one.axes)
+    groups = groups_where(study, where)
+    if len(groups) > 1:
+        group = groups[0]
+        labels = ({"family": group.family} if group.family else {}) | dict(group.axes)
         raise MbdkitError(
-            f"the study has {len(found)} samples; choose one by `where`, such as where={labels!r}: {_told(found)}"
+            f"the study has {len(groups)} samples; choose one by `where`, such as where={labels!r}: {_told(groups)}"
         )
-    return found[0]
+    return groups[0]
 
 
 def _told(groups: Sequence[SampleGroup]) -> str:
@@ -134,7 +134,7 @@ def measured(study: SampledStudy, name: str, places: range) -> np.ndarray:
         If there is no such column, or it has no numbers.
     """
     columns = study.columns()
-    numbers = [key for key, one in columns.items() if key != "number" and np.asarray(one).dtype.kind in "fiu"]
+    numbers = [key for key, column in columns.items() if key != "number" and np.asarray(column).dtype.kind in "fiu"]
     if name not in numbers:
         hint = did_you_mean(name, numbers) or f"; columns: {listed(numbers)}"
         raise MbdkitError(f"the study has no measure '{name}'{hint}")

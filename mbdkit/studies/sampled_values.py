@@ -45,8 +45,8 @@ def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
         with np.errstate(all="ignore"):
             values[key] = np.asarray(frozen(distribution).ppf(points[:, column]), np.float64)
         if not np.all(np.isfinite(values[key])):
-            told = "the distribution yields values that are too large for double precision"
-            raise SpecError(told, key=path_text(("variables", key)))
+            message = "the distribution yields values that are too large for double precision"
+            raise SpecError(message, key=path_text(("variables", key)))
     return values
 
 

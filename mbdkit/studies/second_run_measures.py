@@ -40,9 +40,9 @@ def second_run(spec: RunSpec, names: Sequence[str]) -> tuple[dict[str, float], s
     values: dict[str, float] = {}
     notes = []
     if set(names) & set(REVERSALS):
-        found = reverse(spec)
-        values |= dict(zip(REVERSALS, (found.defect, found.velocity_defect), strict=True))
-        notes.append(found.note)
+        reversal = reverse(spec)
+        values |= dict(zip(REVERSALS, (reversal.defect, reversal.velocity_defect), strict=True))
+        notes.append(reversal.note)
     if "velocity_misalignment_every_step" in names:
         values["velocity_misalignment_every_step"], note = velocity_misalignment(spec)
         notes.append(note)

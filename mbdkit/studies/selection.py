@@ -68,14 +68,14 @@ class _Condition(Compiler):
         super().__init__(text)
 
     def unquoted(self) -> str:
-        return self.words.sub(lambda found: " " * len(found[0]), self.source)
+        return self.words.sub(lambda match: " " * len(match[0]), self.source)
 
     def tree(self) -> ast.expr:
         """Return the syntax tree, in which columns whose names are not Python identifiers have substitutes of the same
         length.
         """
         original = self.source
-        self.source = self.words.sub(lambda found: found[1] or self.alias(found[2]), original)
+        self.source = self.words.sub(lambda match: match[1] or self.alias(match[2]), original)
         try:
             return super().tree()
         finally:
@@ -93,48 +93,48 @@ class _Condition(Compiler):
         """Return the rows that satisfy the condition."""
         node = self.tree()
         with np.errstate(all="ignore"):
-            found = self.value(node, 0)
+            value = self.value(node, 0)
         count = len(next(iter(self.columns.values())))
-        if np.asarray(found).dtype != bool:
+        if np.asarray(value).dtype != bool:
             self.refuse("this is not a condition: it should compare a column, as in misalignment_max < 1e-6", node)
-        return np.array(np.broadcast_to(found, (count,)))
+        return np.array(np.broadcast_to(value, (count,)))
 
     def value(self, node: ast.expr, nesting: int) -> Any:
         """Return the value of a node: an array (N,), a number, or a text."""
         if nesting > MAX_NESTING:
             self.refuse("the condition is too deeply nested", node)
-        found: Any = None
+        result: Any = None
         match node:
             case ast.Constant(value=str() as text):
-                found = text
+                result = text
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                found = self.number(number, node)
+                result = self.number(number, node)
             case ast.Name(id=name):
-                found = self.column(name, node)
+                result = self.column(name, node)
             case ast.BoolOp(op=op, values=values):
                 parts = [self.condition(value, nesting + 1) for value in values]
                 together = np.logical_and if isinstance(op, ast.And) else np.logical_or
-                found = together.reduce(np.broadcast_arrays(*parts))
+                result = together.reduce(np.broadcast_arrays(*parts))
             case ast.UnaryOp(op=ast.Not(), operand=operand):
-                found = np.logical_not(self.condition(operand, nesting + 1))
+                result = np.logical_not(self.condition(operand, nesting + 1))
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                found = np.negative(self.numeric(operand, nesting + 1))
+                result = np.negative(self.numeric(operand, nesting + 1))
             case ast.BinOp(left=left, op=operation, right=right) if type(operation) in OPERATORS:
                 operands = self.numeric(left, nesting + 1), self.numeric(right, nesting + 1)
-                found = OPERATIONS[OPERATORS[type(operation)]].array(*operands)
+                result = OPERATIONS[OPERATORS[type(operation)]].array(*operands)
             case ast.BinOp(op=ast.BitAnd() | ast.BitOr()):
                 self.refuse("conditions are joined by the words `and` and `or`", node)
             case ast.Compare():
-                found = self.comparison(node, nesting)
+                result = self.comparison(node, nesting)
             case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in _FUNCTIONS:
-                found = _FUNCTIONS[name](self.numeric(argument, nesting + 1))
+                result = _FUNCTIONS[name](self.numeric(argument, nesting + 1))
             case _:
                 self.refuse(
                     f"'{self.segment(node)}' cannot be part of a condition, which consists of columns, numbers, "
                     f"'text', comparisons, and, or, not, + - * / **, parentheses and {listed(_FUNCTIONS, 'and')}",
                     node,
                 )
-        return found
+        return result
 
     def number(self, number: float, node: ast.expr) -> np.float64:
         try:
@@ -152,26 +152,26 @@ class _Condition(Compiler):
 
     def condition(self, node: ast.expr, nesting: int) -> Any:
         """Return the value of a node that must be true or false."""
-        found = self.value(node, nesting)
-        if np.asarray(found).dtype != bool:
+        result = self.value(node, nesting)
+        if np.asarray(result).dtype != bool:
             self.refuse(f"'{self.segment(node)}' is neither true nor false; compare it with something", node)
-        return found
+        return result
 
     def numeric(self, node: ast.expr, nesting: int) -> Any:
         """Return the value of a node that must be a number."""
-        found = self.value(node, nesting)
-        if np.asarray(found).dtype.kind not in "fiu":
+        result = self.value(node, nesting)
+        if np.asarray(result).dtype.kind not in "fiu":
             self.refuse(f"'{self.segment(node)}' is not a number", node)
-        return found
+        return result
 
     def comparison(self, node: ast.Compare, nesting: int) -> Any:
         """Return where all comparisons of a chain hold."""
-        found: Any = np.bool_(True)
+        result: Any = np.bool_(True)
         left = node.left
         for operation, right in zip(node.ops, node.comparators, strict=True):
-            found = np.logical_and(found, self.compared(left, operation, right, nesting + 1))
+            result = np.logical_and(result, self.compared(left, operation, right, nesting + 1))
             left = right
-        return found
+        return result
 
     def compared(self, left: ast.expr, operation: ast.cmpop, right: ast.expr, nesting: int) -> Any:
         if isinstance(operation, ast.In | ast.NotIn):

@@ -72,14 +72,14 @@ class Sensitivity:
 
     def __str__(self) -> str:
         width = max(map(len, ("variable", *self.variables)))
-        one = self.indices
+        indices = self.indices
         lines = [f"{'variable':<{width}}  {'first order':<26}  total"]
         for index, name in enumerate(self.variables):
             first, total = (
                 f"{_shown(value[index])} ({low[index]:.3f} to {high[index]:.3f})"
                 for value, low, high in (
-                    (one.first, one.first_low, one.first_high),
-                    (one.total, one.total_low, one.total_high),
+                    (indices.first, indices.first_low, indices.first_high),
+                    (indices.total, indices.total_low, indices.total_high),
                 )
             )
             lines.append(f"{name:<{width}}  {first:<26}  {total}")

@@ -98,8 +98,8 @@ class Study(HtmlView):
         KeyError
             If there is no such column.
         """
-        told = self._index.described.get(name) or describe_column(name)
-        return told.units, told.long_name
+        column = self._index.described.get(name) or describe_column(name)
+        return column.units, column.long_name
 
     @property
     def folder(self) -> Path:
@@ -294,7 +294,7 @@ class Study(HtmlView):
 
     def reference(self, point: StudyPoint) -> Run | None:
         """Open the archive of the reference run of a point, or return None if it has none."""
-        return next((self.run(one) for one in self.references if one.run_id == point.reference_id), None)
+        return next((self.run(other) for other in self.references if other.run_id == point.reference_id), None)
 
     def runs(self, family: str | None = None) -> Iterator[tuple[StudyPoint, Run | None]]:
         """Yield each point of one family, or of the whole study, with its open archive."""
@@ -330,7 +330,7 @@ class Study(HtmlView):
             If pandas is not installed.
         """
         frame = data_frame(self._table(family))
-        frame.attrs["units"] = {name: told.units for name, told in self._index.described.items()}
+        frame.attrs["units"] = {name: column.units for name, column in self._index.described.items()}
         return frame
 
     def columns(self) -> dict[str, Any]:

@@ -84,10 +84,10 @@ def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) 
 
 def _extremes(study: Study, group: SampleGroup, values: np.ndarray) -> str:
     """Return the runs with the smallest and the largest value in words."""
-    told = []
+    parts = []
     for word, place in (("smallest", int(np.nanargmin(values))), ("largest", int(np.nanargmax(values)))):
         point = study.points[group.places[place]]
         units = {key: axis_unit(key, [point]) for key in point.axes}
         words = point_words(point, units)
-        told.append(f"{word} in run {point.number}{f' ({words})' if words else ''}")
-    return ", ".join(told)
+        parts.append(f"{word} in run {point.number}{f' ({words})' if words else ''}")
+    return ", ".join(parts)

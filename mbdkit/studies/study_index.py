@@ -245,8 +245,8 @@ def _write_states(file: h5py.File, states: np.ndarray) -> None:
     for name, size in zip(("block", "property"), states.shape, strict=True):
         scale = Array(f"blocks/{name}", (name,), "1", f"number of the {name}", INTEGER)
         create(file, scale, np.arange(size))
-    told = "size, times [ns] and number of the file"
-    create(file, Array("blocks/file_state", ("block", "property"), "1", told, INTEGER), states)
+    what = "size, times [ns] and number of the file"
+    create(file, Array("blocks/file_state", ("block", "property"), "1", what, INTEGER), states)
 
 
 @dataclass(frozen=True)
@@ -293,8 +293,8 @@ class _Table:
 
     def _coded(self, name: str, place: int, values: np.ndarray) -> None:
         """Write a column of format 2.x."""
-        told, path = self._described(name), f"{self.group}/{axis_column(name)}"
-        array = Array(path, (self.dim,), told.units, told.long_name)
+        described, path = self._described(name), f"{self.group}/{axis_column(name)}"
+        array = Array(path, (self.dim,), described.units, described.long_name)
         if name in HASHES:
             write_hashes(self.file, array, [str(value) for value in values])
         elif values.dtype == object:
@@ -348,9 +348,10 @@ def read(path: Path) -> Index:
         if file.attrs.get("format") != FORMAT:
             raise SpecError("this is not the index of a study", file=path)
         written = str(file.attrs["format_version"])
-        major, known = written.partition(".")[0], [one.partition(".")[0] for one in (FILES_VERSION, BLOCKS_VERSION)]
+        major = written.partition(".")[0]
+        known = [number.partition(".")[0] for number in (FILES_VERSION, BLOCKS_VERSION)]
         if major not in known:
-            ours = " and ".join(f"{one}.x" for one in known)
+            ours = " and ".join(f"{number}.x" for number in known)
             raise SpecError(f"this index has format version {written}, this mbdkit reads {ours}", file=path)
         if file.attrs["data_sha256"] != data_sha256(file):
             raise ValueError("data_sha256 does not match")

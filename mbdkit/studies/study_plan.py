@@ -73,7 +73,7 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
         If an expression is not valid for a run, or has different units in two runs.
     """
     measures = spec.defined_measures()
-    found: dict[str, Description] = {}
+    described: dict[str, Description] = {}
     first: dict[str, str] = {}
     for number, (label, run) in enumerate(runs if measures else ()):
         for measure in measures:
@@ -84,7 +84,7 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
             except SpecError as error:
                 text = f" (in {label})" if number else ""
                 raise _placed(spec, measure, SpecError(error.message + text, key=error.key)) from None
-            before = found.setdefault(measure.name, now)
+            before = described.setdefault(measure.name, now)
             if before != now:
                 raise _placed(
                     spec,
@@ -96,8 +96,8 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
                 )
             first.setdefault(measure.name, label)
             if has_error(measure, run):
-                found.setdefault(measure.name + ERROR, Description(now.units, f"estimated error of {measure.name}"))
-    return found
+                described.setdefault(measure.name + ERROR, Description(now.units, f"estimated error of {measure.name}"))
+    return described
 
 
 def _placed(spec: StudySpec, measure: DefinedMeasure, error: SpecError) -> SpecError:
@@ -143,8 +143,8 @@ def check_column_names(spec: StudySpec) -> None:
                 place: Path = (*grid.axes_place, number, key)
                 _check_text(spec, key, place, _CONTROL)
                 for value in values:
-                    for one in value.value if value.together else (key,):
-                        _check_sets_no_measure(spec, one, (*place, *value.place))
+                    for changed in value.value if value.together else (key,):
+                        _check_sets_no_measure(spec, changed, (*place, *value.place))
                     _check_text(spec, str(value.label), (*place, *value.place), _UNSTORED)
                 other = columns.setdefault(axis_column(key), key)
                 if axis_column(key) in measures:
@@ -185,6 +185,6 @@ def _refusal(key: str, other: str) -> str:
 
 
 def _check_text(spec: StudySpec, text: str, place: Path, refused: re.Pattern[str]) -> None:
-    if found := refused.search(text):
-        message = f"contains the character {found[0]!r}, which cannot be stored in a name or label"
+    if match := refused.search(text):
+        message = f"contains the character {match[0]!r}, which cannot be stored in a name or label"
         raise spec.placed(SpecError(message, key=_CONTROL.sub("?", path_text(place))))

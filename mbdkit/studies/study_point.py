@@ -121,7 +121,7 @@ class Points(Sequence[StudyPoint]):
 
     def __getitem__(self, place: int | slice) -> StudyPoint | tuple[StudyPoint, ...]:
         if isinstance(place, slice):
-            return tuple(self[one] for one in range(*place.indices(len(self))))
+            return tuple(self[index] for index in range(*place.indices(len(self))))
         place = self._places[place]
         planned, row = self._planned[place], self._index.row(place)
         path = None if self._index.states is not None else archive_of(row, self._folder)
