@@ -136,17 +136,13 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
 
     source, is_study = recognized(spec)
     if is_study:
-        from mbdkit.studies.compute_block import plan_blocks
         from mbdkit.studies.study_blocks import is_for_blocks
         from mbdkit.studies.study_plan import plan_study
-        from mbdkit.studies.study_summary import block_plan_summary, plan_summary
+        from mbdkit.studies.study_summary import plan_summary
 
         study = load_study_spec(source, assignments or ())
-        if is_for_blocks(study):
-            told = block_plan_summary(plan_blocks(study.stored_as(study.store or "all")))
-        else:
-            told = plan_summary(study, plan_study(study))
-        show(f"{spec}: this study is valid\n{told}")
+        plan = plan_study(study.stored_as(study.store or "all") if is_for_blocks(study) else study)
+        show(f"{spec}: this study is valid\n{plan_summary(plan)}")
         return
     document = read_source(source)
     if "mbdkit_design" in document.data:

@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from mbdkit.archive.block_writer import BlockHeading, BlockRun, kept, write_block
+from mbdkit.archive.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents, Heading
@@ -25,76 +25,32 @@ from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_batch
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
-from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
-from mbdkit.spec.study_spec import StudySpec
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit.studies.judge import check_verdict
-from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, RunGroup, places_by_group
-from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints
-from mbdkit.studies.study_blocks import StudyBlocks, stored
+from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group
+from mbdkit.studies.planned_points import PlannedPoint
+from mbdkit.studies.study_blocks import stored
 from mbdkit.studies.study_folder import StudyFolder
-from mbdkit.studies.study_plan import check_column_names, describe_measures
+from mbdkit.studies.study_plan import StudyPlan
 from mbdkit.studies.tasks import mark_of
 
 MISALIGNMENT = "misalignment_max"
 """The measure that has a column of its own in blocks."""
 
-SAMPLES = 8
-"""Runs of a study whose specs are validated before the first run; those of all others when they are computed."""
-
 PATIENCE = 10.0
 """Time to wait for another process that computes the same block, such as one whose parent was killed [s]."""
 
 
-class BlockStudyPlan:
-    """The plan of a study in blocks.
+class BlockMeasures:
+    """The measures that are taken of the runs in blocks.
 
     Parameters
     ----------
-    spec
-        The study spec, with its `store`.
+    plan
+        The plan of the study.
     """
 
-    def __init__(self, spec: StudySpec):
-        self.spec = spec
-        self.points = PlannedPoints(spec)
-
-    @cached_property
-    def blocks(self) -> StudyBlocks:
-        """The division of the runs into blocks."""
-        return StudyBlocks.of(self.spec, self.points)
-
-    @cached_property
-    def samples(self) -> list[PlannedPoint]:
-        """Some points from the first to the last."""
-        last = len(self.points) - 1
-        places = dict.fromkeys(last * number // max(1, SAMPLES - 1) for number in range(SAMPLES))
-        return [self.points[place] for place in places]
-
-    @cached_property
-    def defined(self) -> dict[str, Description]:
-        """Units and descriptions of the measures that the study defines.
-
-        Raises
-        ------
-        SpecError
-            If a measure is not valid for one of the samples, or none of these has a valid spec.
-        """
-        valid, errors = [], []
-        for point in self.samples:
-            if point.lacking:
-                continue
-            try:
-                valid.append((f"run {point.number}", point.spec))
-            except SpecError as error:
-                errors.append(error)
-        if errors and not valid:
-            raise errors[0]
-        return describe_measures(self.spec, valid)
-
-    def check(self) -> None:
-        """Raise SpecError if the specs of all samples are invalid, or a measure of the study is."""
-        assert self.described is not None
+    def __init__(self, plan: StudyPlan):
+        self.plan, self.spec = plan, plan.spec
 
     @property
     def built_in(self) -> list[str]:
@@ -105,18 +61,17 @@ class BlockStudyPlan:
     @cached_property
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each measure."""
-        built_in = {name: (MEASURES[name].units, MEASURES[name].long_name) for name in self.built_in}
-        built_in.pop(MISALIGNMENT, None)  # it has a column of its own
-        defined = {name: (measure.units, measure.long_name) for name, measure in self.defined.items()}
-        checked = {name: (measure.units, measure.long_name) for name, measure in OF_CHECKED_RUNS.items()}
-        return built_in | defined | (checked if self.is_checked else {})
+        built_in = {name: MEASURES[name] for name in self.built_in if name != MISALIGNMENT}  # it has its own column
+        checked = OF_CHECKED_RUNS if self.is_checked else {}
+        measures: dict[str, Measure | Description] = {**built_in, **self.plan.defined, **checked}
+        return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
 
     @property
     def is_checked(self) -> bool:
         """Whether errors of runs are estimated."""
-        return any(point.spec.estimates_errors for point in self.samples[:1] if not point.lacking)
+        return any(point.spec.estimates_errors for point in self.plan.samples[:1] if not point.lacking)
 
-    def measured(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
+    def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Refused]:
         """Return the measures of runs by name, or the reason why they could not be computed."""
         runs = [Run(ArrayContents(finished, Heading(spec))) for finished, spec in results]
         taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
@@ -134,35 +89,10 @@ class BlockStudyPlan:
     def _of_one(self, run: Run) -> dict[str, float]:
         """Return the measures that are taken of one run at a time."""
         taken: dict[str, float] = {}
-        for measure in self.user_measures:
+        for measure in self.spec.defined_measures():
             taken |= with_error(measure, run, run.run_spec)
         checked = {} if run.accuracy is None else OF_CHECKED_RUNS
         return taken | {name: measure.of(run) for name, measure in checked.items()}
-
-    @cached_property
-    def user_measures(self) -> tuple[DefinedMeasure, ...]:
-        """The measures that the study defines by expressions or takes from plugins."""
-        return self.spec.defined_measures()
-
-    @property
-    def expressions(self) -> tuple[str, ...]:
-        """Expressions of the measures of the study itself, and not of its bases."""
-        return expressions_of(self.user_measures)
-
-
-def plan_blocks(spec: StudySpec) -> BlockStudyPlan:
-    """Return the plan of a study in blocks, with the specs of some runs validated.
-
-    Raises
-    ------
-    SpecError
-        If the study, all of these runs, or one of the measures is invalid.
-    """
-    check_verdict(spec)
-    check_column_names(spec)
-    plan = BlockStudyPlan(spec)
-    plan.check()
-    return plan
 
 
 @dataclass(frozen=True)
@@ -207,7 +137,8 @@ def compute_block(
         If the block cannot be written, or another process is computing it.
     """
     files = StudyFolder(Path(folder))
-    plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
+    measures = _measures(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
+    plan = measures.plan
     skip = skip or {}
     with _Mark(files.block(block)) as mark, collecting_new_objects_only():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
@@ -215,21 +146,21 @@ def compute_block(
         runs = []
         results = _results(plan, members, mark, notify)
         while some := list(islice(results, CHUNK)):
-            runs += _stored(plan, some)
+            runs += _stored(measures, some)
         heading = BlockHeading(
-            plan.spec.sha256(), stored(plan.spec), surroundings(), plan.described, plan.spec.compress
+            plan.spec.sha256(), stored(plan.spec), surroundings(), measures.described, plan.spec.compress
         )
         write_block(files.block(block), heading, runs)
     return sum(run.status == "failed" for run in runs)
 
 
 @lru_cache(maxsize=4)
-def _plan(study: str, changed: int) -> BlockStudyPlan:
-    """Return the plan of a study, once for all blocks that a process computes."""
+def _measures(study: str, changed: int) -> BlockMeasures:
+    """Return the measures of a study, with its plan, once for all blocks that a process computes."""
     spec = load_study_spec(study)
     if not spec.in_blocks:
         raise SpecError("this study is not stored in blocks", file=study)
-    return BlockStudyPlan(spec)
+    return BlockMeasures(StudyPlan(spec))
 
 
 def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:
@@ -255,7 +186,7 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
 
 
 def _results(
-    plan: BlockStudyPlan, members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
+    plan: StudyPlan, members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
 ) -> Iterator[tuple[_Member, FinishedRun | Refused]]:
     """Yield each member with its result, in order."""
     specs = {member.point.number: member.spec for member in members if isinstance(member.spec, RunSpec)}
@@ -268,22 +199,22 @@ def _results(
         yield member, result
 
 
-def _stored(plan: BlockStudyPlan, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:
+def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:
     """Return the data that the block stores of runs."""
     finished = [
         (result, member.spec)
         for member, result in some
         if isinstance(result, FinishedRun) and isinstance(member.spec, RunSpec)
     ]
-    measured = iter(plan.measured(finished))
+    measured = iter(measures.of(finished))
     return [
-        _block_run(plan, member, result, next(measured) if isinstance(result, FinishedRun) else {})
+        _block_run(stored(measures.spec), member, result, next(measured) if isinstance(result, FinishedRun) else {})
         for member, result in some
     ]
 
 
 def _block_run(
-    plan: BlockStudyPlan, member: _Member, result: FinishedRun | Refused, measured: dict[str, float] | Refused
+    store: Store, member: _Member, result: FinishedRun | Refused, measured: dict[str, float] | Refused
 ) -> BlockRun:
     """Return the data that the block stores of a run."""
     point, spec = member.point, member.spec
@@ -302,7 +233,7 @@ def _block_run(
         ending.reason,
         *hashes,
         plugins=json.dumps(plugins_of(spec), separators=(",", ":")),
-        result=kept(result, stored(plan.spec)),
+        result=kept(result, store),
         measures=None if isinstance(measured, Refused) else measured,
     )
 

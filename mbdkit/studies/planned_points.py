@@ -342,6 +342,8 @@ class PlannedPoints(Sequence[PlannedPoint]):
     ----------
     spec
         The study spec with its bases resolved.
+    kept
+        Whether points are kept, with their run specs, once they have been created.
 
     Raises
     ------
@@ -349,8 +351,9 @@ class PlannedPoints(Sequence[PlannedPoint]):
         If there are too many points, or if a value has a unit that its key does not have.
     """
 
-    def __init__(self, spec: StudySpec):
+    def __init__(self, spec: StudySpec, *, kept: bool = False):
         self.study = spec
+        self._kept: dict[int, PlannedPoint] | None = {} if kept else None
         self.grids = grids(spec)
         self._ends = np.cumsum([grid.count for grid in self.grids]).tolist()
         for end, grid in zip(self._ends, self.grids, strict=True):
@@ -370,6 +373,13 @@ class PlannedPoints(Sequence[PlannedPoint]):
         if isinstance(index, slice):
             return tuple(self[place] for place in range(*index.indices(len(self))))
         place = range(len(self))[index]
+        if self._kept is None:
+            return self._point(place)
+        if place not in self._kept:
+            self._kept[place] = self._point(place)
+        return self._kept[place]
+
+    def _point(self, place: int) -> PlannedPoint:
         number = bisect.bisect_right(self._ends, place)
         grid = self.grids[number]
         labels, settings, lacking = grid.point(place - (self._ends[number] - grid.count))
@@ -396,8 +406,8 @@ class PlannedPoints(Sequence[PlannedPoint]):
         return np.repeat(np.array([grid.name for grid in self.grids], object), [grid.count for grid in self.grids])
 
 
-def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
-    """Return all points of a study; their run specs are built on first access.
+def plan_points(spec: StudySpec) -> PlannedPoints:
+    """Return the points of a study with a file for each run; their run specs are built on first access.
 
     Parameters
     ----------
@@ -409,7 +419,7 @@ def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
     SpecError
         If there are more than `LARGEST_STUDY` points, or if their axes set more than `MOST_SETTINGS` values.
     """
-    points = PlannedPoints(spec)
+    points = PlannedPoints(spec, kept=True)
     settings = sum(grid.count * sum(map(len, grid.axes)) for grid in points.grids)
     if len(points) > LARGEST_STUDY or settings > MOST_SETTINGS:
         message = (
@@ -417,7 +427,7 @@ def plan_points(spec: StudySpec) -> tuple[PlannedPoint, ...]:
             f"most {LARGEST_STUDY} runs and {MOST_SETTINGS} values"
         )
         raise spec.placed(SpecError(message, key="families" if spec.families else "axes"))
-    return tuple(points)
+    return points
 
 
 def distinct_runs(points: Iterable[PlannedPoint]) -> Iterator[tuple[str, RunSpec]]:

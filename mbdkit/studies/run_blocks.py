@@ -17,12 +17,13 @@ from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.measures.take import Description
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec.study_spec import StudySpec
-from mbdkit.studies.compute_block import MISALIGNMENT, plan_blocks
+from mbdkit.studies.compute_block import MISALIGNMENT
 from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.run_store import MISSING, Noted, Round, RunStore
 from mbdkit.studies.study_blocks import AnotherStudyError
 from mbdkit.studies.study_folder import StudyFolder
 from mbdkit.studies.study_index import Index, describe_column
+from mbdkit.studies.study_plan import plan_study
 from mbdkit.studies.tasks import Outcome, Task, forget_run_at_work
 
 OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", "worst_joint", "data_sha256")
@@ -51,7 +52,7 @@ class RunBlocks(RunStore[int]):
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         super().__init__(spec, folder)
-        self.plan = plan_blocks(spec)
+        self.plan = plan_study(spec)
         self.count = len(self.plan.points)
         self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
 

@@ -16,7 +16,6 @@ from mbdkit.archive.untrusted_file import is_sparse
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.text import counted
 from mbdkit.runs.integrals import functionals_of
-from mbdkit.spec.study_measures import expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.archive_rows import ArchiveRows
 from mbdkit.studies.folder_lock import Shard
@@ -38,7 +37,6 @@ class RunFiles(RunStore[str]):
         super().__init__(spec, folder)
         self.plan = plan_study(spec)
         self.count = len(self.plan.runs)
-        self._measures = expressions_of(spec.defined_measures())
         self._hashes: dict[str, str] = {}
         self._timings: dict[str, tuple[float, ...]] = {}
         self._second: dict[str, Outcome] = {}
@@ -76,7 +74,8 @@ class RunFiles(RunStore[str]):
 
     def rounds(self) -> Iterator[Round]:
         """Yield the missing runs, and then the second runs and the timings of complete ones."""
-        yield Round([self._task(run_id, measures=self._measures) for run_id in self._missing], len(self._missing))
+        runs = [self._task(run_id, measures=self.plan.expressions) for run_id in self._missing]
+        yield Round(runs, len(runs))
         second = self.spec.second_run_measures
         again = [self._task(run_id, second=second) for run_id in self._again if self._is_complete(run_id)]
         yield Round(again, len(self._again))
@@ -210,5 +209,5 @@ class RunFiles(RunStore[str]):
 
     def _has_integrals(self, run: Run) -> bool:
         """Return whether a run has the time integrals that the measures of the study need."""
-        needed = {integral.text for integral in functionals_of(self.plan.runs[run.run_id], self._measures)}
+        needed = {integral.text for integral in functionals_of(self.plan.runs[run.run_id], self.plan.expressions)}
         return needed <= run.integrals.keys()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from functools import cached_property
 
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import SpecError
@@ -12,51 +12,95 @@ from mbdkit.base.plain_data import Path, path_text
 from mbdkit.measures.take import Description, describe, has_error, is_taken
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
-from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
 from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies.judge import check_verdict
-from mbdkit.studies.planned_points import PlannedPoint, distinct_runs, grids, plan_points
+from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
+from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
 
+SAMPLES = 8
+"""Runs of a study in blocks whose specs are validated before the first run; all others when they are computed."""
 
-@dataclass(frozen=True)
+
 class StudyPlan:
     """The plan of a study.
 
     Parameters
     ----------
+    spec
+        The study spec; that of a study in blocks has its `store`.
+
+    Attributes
+    ----------
     points
         Points in the order of the study, including those that are left out.
     runs
-        Specs of the different runs by run id, references first.
+        Specs of the different runs by run id, references first; empty in blocks, where runs are not known beforehand.
     defined
         Units and descriptions of the measures that the study defines.
-    """
-
-    points: tuple[PlannedPoint, ...]
-    runs: Mapping[str, RunSpec]
-    defined: Mapping[str, Description]
-
-
-def plan_study(spec: StudySpec) -> StudyPlan:
-    """Return the plan of a study; the specs of all runs are validated, and their mechanisms are built.
 
     Raises
     ------
     SpecError
-        If the study, one of its runs or one of its measures is invalid.
+        If there are too many points, or one of the runs (in blocks, all samples) or of the measures is invalid.
+    """
+
+    def __init__(self, spec: StudySpec):
+        self.spec = spec
+        self.points = PlannedPoints(spec) if spec.in_blocks else plan_points(spec)
+        planned = [] if spec.in_blocks else [point for point in self.points if not point.lacking]
+        runs, references = {}, {}
+        for point in planned:
+            runs[point.run_id] = point.spec
+            if point.reference is not None:
+                references[point.reference_id] = point.reference
+        self.runs: Mapping[str, RunSpec] = references | runs
+        self.defined = describe_measures(spec, self._valid_samples() if spec.in_blocks else distinct_runs(planned))
+
+    @cached_property
+    def blocks(self) -> StudyBlocks:
+        """The division of the runs into blocks."""
+        return StudyBlocks.of(self.spec, self.points)
+
+    @cached_property
+    def samples(self) -> list[PlannedPoint]:
+        """Some points from the first to the last."""
+        last = len(self.points) - 1
+        places = dict.fromkeys(last * number // max(1, SAMPLES - 1) for number in range(SAMPLES))
+        return [self.points[place] for place in places]
+
+    def _valid_samples(self) -> list[tuple[str, RunSpec]]:
+        """Return the specs of the samples that are valid, with names for error messages; raise SpecError if none is."""
+        valid, errors = [], []
+        for point in self.samples:
+            if point.lacking:
+                continue
+            try:
+                valid.append((f"run {point.number}", point.spec))
+            except SpecError as error:
+                errors.append(error)
+        if errors and not valid:
+            raise errors[0]
+        return valid
+
+    @cached_property
+    def expressions(self) -> tuple[str, ...]:
+        """Expressions of the measures of the study itself, and not of its bases."""
+        return expressions_of(self.spec.defined_measures())
+
+
+def plan_study(spec: StudySpec) -> StudyPlan:
+    """Return the plan of a study with the specs of its runs validated and their mechanisms built; in blocks, of some.
+
+    Raises
+    ------
+    SpecError
+        If the study, one of these runs (in blocks, all of them) or one of its measures is invalid.
     """
     check_verdict(spec)
     check_column_names(spec)
-    points = plan_points(spec)
-    runs, references = {}, {}
-    for point in points:
-        if point.lacking:
-            continue
-        runs[point.run_id] = point.spec
-        if point.reference is not None:
-            references[point.reference_id] = point.reference
-    return StudyPlan(points, references | runs, describe_measures(spec, distinct_runs(points)))
+    return StudyPlan(spec)
 
 
 def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> dict[str, Description]:

@@ -15,7 +15,6 @@ from mbdkit.trust.criteria import LEVELS
 if TYPE_CHECKING:
     from mbdkit.measures.take import Description
     from mbdkit.spec.study_spec import StudySpec
-    from mbdkit.studies.compute_block import BlockStudyPlan
     from mbdkit.studies.planned_points import Grid
     from mbdkit.studies.study import Study
     from mbdkit.studies.study_plan import StudyPlan
@@ -53,46 +52,40 @@ def summary(study: Study) -> str:
     return "\n".join(text)
 
 
-def plan_summary(spec: StudySpec, plan: StudyPlan) -> str:
-    """Return a plain text summary of a study before it runs: its runs, its axes, and the measures that it defines."""
-    absent = Counter(point.lacking for point in plan.points if point.lacking)
-    made = len({point.run_id for point in plan.points if not point.lacking})
-    references = len({point.reference_id for point in plan.points if not point.lacking and point.reference_id})
-    lines = [
-        ("study", " ".join(spec.title.split())),
-        (
-            "runs",
-            f"{len(plan.points)}"
-            + (f", {made} of them different" if made != len(plan.points) - absent.total() else "")
-            + (f"; reference runs: {references}" if references else ""),
-        ),
-        *(("left out", f"{count}: the distribution {name} is not installed") for name, count in absent.items()),
-    ]
-    grids = {point.grid.name: point.grid for point in plan.points}
-    return _plan_text([*lines, *_grid_lines(grids.values()), *_measure_lines(plan.defined)])
+def plan_summary(plan: StudyPlan) -> str:
+    """Return a plain text summary of a study before it runs: its runs, its axes, and the measures that it defines.
 
-
-def block_plan_summary(plan: BlockStudyPlan) -> str:
-    """Return a plain text summary of a study in blocks before it runs.
-
-    Specs that are not among the samples of the plan are validated when they are computed.
+    Specs of a study in blocks that are not among the samples of the plan are validated when they are computed.
 
     Raises
     ------
     SpecError
         If the spec of a sample is invalid.
     """
+    spec = plan.spec
+    lines = [("study", " ".join(spec.title.split())), *(_lines_of_blocks(plan) if spec.in_blocks else _lines_of(plan))]
+    lines += [*_grid_lines(plan.points.grids, is_drawn=spec.in_blocks and spec.sample is not None)]
+    lines += [*(_sample_lines(spec) if spec.in_blocks else ()), *_measure_lines(plan.defined)]
+    return "\n".join(f"{label:<10} {shown(value)}" for label, value in lines if value)
+
+
+def _lines_of(plan: StudyPlan) -> Iterator[tuple[str, str]]:
+    """Yield lines about the runs of a study with an archive for each."""
+    absent = Counter(point.lacking for point in plan.points if point.lacking)
+    made = len({point.run_id for point in plan.points if not point.lacking})
+    references = len({point.reference_id for point in plan.points if not point.lacking and point.reference_id})
+    different = f", {made} of them different" if made != len(plan.points) - absent.total() else ""
+    yield "runs", f"{len(plan.points)}{different}{f'; reference runs: {references}' if references else ''}"
+    for name, count in absent.items():
+        yield "left out", f"{count}: the distribution {name} is not installed"
+
+
+def _lines_of_blocks(plan: StudyPlan) -> Iterator[tuple[str, str]]:
+    """Yield lines about the runs of a study in blocks."""
     checked = [point for point in plan.samples if not point.lacking and point.spec]
-    lines = [
-        ("study", " ".join(plan.spec.title.split())),
-        (
-            "runs",
-            f"{len(plan.points)}, in {counted(plan.blocks.count, 'block')}; the specs of {len(checked)} are valid",
-        ),
-        ("store", str(plan.spec.store)),
-    ]
-    grids = _grid_lines(plan.points.grids, is_drawn=plan.spec.sample is not None)
-    return _plan_text([*lines, *grids, *_sample_lines(plan.spec), *_measure_lines(plan.defined)])
+    blocks = counted(plan.blocks.count, "block")
+    yield "runs", f"{len(plan.points)}, in {blocks}; the specs of {len(checked)} are valid"
+    yield "store", str(plan.spec.store)
 
 
 def _grid_lines(grids: Iterable[Grid], *, is_drawn: bool = False) -> Iterator[tuple[str, str]]:
@@ -118,10 +111,6 @@ def _sample_lines(spec: StudySpec) -> Iterator[tuple[str, str]]:
 def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, str]]:
     for name, column in defined.items():
         yield "measure", f"{name} [{column.units}]: {column.long_name}"
-
-
-def _plan_text(lines: Iterable[tuple[str, str]]) -> str:
-    return "\n".join(f"{label:<10} {shown(value)}" for label, value in lines if value)
 
 
 def _few(labels: Sequence[object]) -> str:
