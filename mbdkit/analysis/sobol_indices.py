@@ -32,7 +32,7 @@ class SobolIndices:
     total_low: np.ndarray
     total_high: np.ndarray
 
-    def told(self) -> SobolIndices:
+    def informative(self) -> SobolIndices:
         """Return the indices without those about which the intervals tell nothing, because they cover 0 to 1."""
         first, total = (
             np.where((low <= 0.0) & (high >= 1.0), np.nan, value)

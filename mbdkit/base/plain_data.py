@@ -221,7 +221,7 @@ def _finite(data: Any) -> Any:
     return _finite(data.tolist()) if hasattr(data, "tolist") else str(data)
 
 
-def found(value: Any) -> str:
+def value_text(value: Any) -> str:
     """Return a short description of a value for an error message, including its type unless it is obvious."""
     match value:
         case None:
@@ -239,12 +239,12 @@ def found(value: Any) -> str:
         case list() | tuple():
             return f"a list of {len(value)}" if value else "an empty list"
     if hasattr(value, "tolist") and not isinstance(value, type):  # a NumPy array or number
-        return found(value.tolist())
+        return value_text(value.tolist())
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _key(key: Any, path: Path) -> str:
     if not isinstance(key, str):
-        raise SpecError(f"the key {found(key)} is not text; put it in quotes", key=path_text(path))
+        raise SpecError(f"the key {value_text(key)} is not text; put it in quotes", key=path_text(path))
     return key

@@ -91,7 +91,7 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
     return found
 
 
-def told(evaluator: Evaluator) -> str:
+def derivatives_sentence(evaluator: Evaluator) -> str:
     """Return how the derivatives were computed, as a sentence; empty if none were needed."""
     if evaluator.why_differences:
         return f"Derivatives are differences of runs: {evaluator.why_differences}."

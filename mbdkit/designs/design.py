@@ -10,7 +10,7 @@ import numpy as np
 
 from mbdkit.base.text import counted, table
 from mbdkit.designs.compared_settings import Comparison, compare, comparison_table
-from mbdkit.designs.derivatives import told, unconfirmed
+from mbdkit.designs.derivatives import derivatives_sentence, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.front import front_table, pareto_front
 from mbdkit.designs.gains import Gain, gains, goal_words
@@ -200,7 +200,7 @@ def solve(evaluator: Evaluator, notify: Notify) -> Design:
         failures=evaluator.failures,
         searches=(near, len(found)),
         message=best.message,
-        derivatives=told(evaluator),
+        derivatives=derivatives_sentence(evaluator),
         unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients else (),
         undetermined=alone,
         compared=compared,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, found, path_text
+from mbdkit.base.plain_data import Path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key
@@ -85,7 +85,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     if isinstance(holder, str):
         raise _refused(f"'{name}' is the text or expression '{holder}', not a number; name a parameter in it")
     if isinstance(holder, bool) or not isinstance(holder, int | float):
-        raise _refused(f"'{name}' should be the key of a number, not of {found(holder)}")
+        raise _refused(f"'{name}' should be the key of a number, not of {value_text(holder)}")
     return Parameter(name, path, float(holder))
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import LONGEST_NAME, found, quoted
+from mbdkit.base.plain_data import LONGEST_NAME, quoted, value_text
 from mbdkit.base.text import did_you_mean, listed, shortened
 from mbdkit.mechanism.beams import Beam, beam_of, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element
@@ -140,7 +140,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
 def check_name(name: object, key: str) -> None:
     """Raise a SpecError unless `name` is a valid name of an element or event in specs and archives."""
     if not isinstance(name, str):
-        raise SpecError(f"should be text, not {found(name)}", key=key)
+        raise SpecError(f"should be text, not {value_text(name)}", key=key)
     if name == GROUND:
         raise SpecError("the name 'ground' is reserved for the global frame; choose another name", key=key)
     if len(name) > LONGEST_NAME:
@@ -153,7 +153,7 @@ def check_name(name: object, key: str) -> None:
 def check_known(name: object, bodies: Iterable[str], key: str) -> None:
     """Raise a SpecError unless `name` is the ground or one of the `bodies`."""
     if not isinstance(name, str):
-        raise SpecError(f"should be text, not {found(name)}", key=key)
+        raise SpecError(f"should be text, not {value_text(name)}", key=key)
     if name != GROUND and name not in bodies:
         known = [GROUND, *bodies]
         nodes = [other for other in known if beam_of(other) == name]

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.html_view import HtmlView
-from mbdkit.base.plain_data import found, plain, quoted
+from mbdkit.base.plain_data import plain, quoted, value_text
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import counted
 from mbdkit.mechanism.angle_function import Center
@@ -983,7 +983,7 @@ class Mechanism(HtmlView):
         1.0
         """
         if not isinstance(spec, Mapping):
-            raise SpecError(f"should be a mapping (`key: value`), not {found(spec)}", key="model")
+            raise SpecError(f"should be a mapping (`key: value`), not {value_text(spec)}", key="model")
         values = plain(spec, ("model",))
         name = values.pop("name", "mechanism")
         if name != "mechanism":

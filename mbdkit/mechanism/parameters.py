@@ -21,7 +21,7 @@ from pydantic_core import ErrorDetails
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, found, parse_path, path_text
+from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import PLAIN, Unit, described_units, read_quantity, read_unit
@@ -81,7 +81,7 @@ def parameter_values(given: Any) -> dict[str, float]:
     if given is None:
         return {}
     if not isinstance(given, Mapping):
-        raise SpecError(f"should be a mapping of names and numbers, not {found(given)}", key="parameters")
+        raise SpecError(f"should be a mapping of names and numbers, not {value_text(given)}", key="parameters")
     given = without_units(given)
     for name, value in given.items():
         _check(name, value)
@@ -241,7 +241,7 @@ def _check(name: Any, value: Any) -> None:
     if name in RESERVED:
         raise SpecError(f"'{name}' has a meaning in expressions already; choose another name", key=key)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise SpecError(f"should be a number, or an expression of other parameters, not {found(value)}", key=key)
+        raise SpecError(f"should be a number, or an expression of other parameters, not {value_text(value)}", key=key)
     if not isinstance(value, str) and not abs(value) <= sys.float_info.max:
         raise SpecError(f"should be a finite number, not {value!r}", key=key)
 

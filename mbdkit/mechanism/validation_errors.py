@@ -14,7 +14,7 @@ from pydantic_core.core_schema import ErrorType
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, found, parse_path, path_text
+from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import did_you_mean, listed, message_of, shortened, shown
 from mbdkit.expressions.parser import Expression
@@ -165,19 +165,19 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
             values = re.findall(r"'[^']*'|[^',\s]+", str(context["expected"]).replace(" or ", ", "))
             words = [value.strip("'") for value in values] if len(values) > 1 else []
             hint = did_you_mean(given, words) if isinstance(given, str) else ""
-            return f"should be {listed(values, 'or')}, not {found(given)}{hint}"
+            return f"should be {listed(values, 'or')}, not {value_text(given)}{hint}"
         case "too_short" | "too_long" if isinstance(given, list | tuple):
             bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
             return f"should have {bound} items, not {len(given)}"
         case "value_error" | "assertion_error" if isinstance(inner, Exception):  # raised by options of a plugin
-            return message_of(inner) or f"is not valid: {found(given)}"
+            return message_of(inner) or f"is not valid: {value_text(given)}"
     if kind in WANTED:
-        return f"should be {WANTED[kind]}, not {found(given)}{_hint(kind, given)}"
+        return f"should be {WANTED[kind]}, not {value_text(given)}{_hint(kind, given)}"
     if kind in BOUNDS:
-        return f"should be {BOUNDS[kind].format(*context.values())}, not {found(given)}"
+        return f"should be {BOUNDS[kind].format(*context.values())}, not {value_text(given)}"
     message = details["msg"]
     if kind in PYDANTIC_KINDS:
-        message = f"{message[:1].lower()}{message[1:]}, not {found(given)}"
+        message = f"{message[:1].lower()}{message[1:]}, not {value_text(given)}"
     return message
 
 

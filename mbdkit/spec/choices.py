@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, Validat
 from pydantic_core import CoreSchema, core_schema
 
 from mbdkit.base.errors import SpecError, blaming
-from mbdkit.base.plain_data import found
+from mbdkit.base.plain_data import value_text
 from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import listed
 from mbdkit.mechanism.law_element import Law
@@ -67,11 +67,11 @@ class Choice:
         """Return `data` unchanged; raise SpecError unless it is a mapping with a name."""
         if not isinstance(data, Mapping):
             example = data if isinstance(data, str) and data in self.registry.names(self.kind) else "NAME"
-            problem, key = f"should be a mapping such as `{{name: {example}}}`, not {found(data)}", ""
+            problem, key = f"should be a mapping such as `{{name: {example}}}`, not {value_text(data)}", ""
         elif "name" not in data:
             problem, key = f"is missing: the name of the {self.kind}", "name"
         elif not isinstance(data["name"], str):
-            problem, key = f"should be text, not {found(data['name'])}", "name"
+            problem, key = f"should be text, not {value_text(data['name'])}", "name"
         else:
             return data
         raise SpecError(f"{problem}; installed: {listed(self.registry.names(self.kind))}", key=key)

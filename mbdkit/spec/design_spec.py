@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, found, path_text
+from mbdkit.base.plain_data import Path, copied, path_text, value_text
 from mbdkit.base.units import Unit, read_quantity
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
@@ -185,7 +185,7 @@ Optimizer = LocalOptimizer | GlobalOptimizer | EvolutionStrategy
 
 def _check_goals(given: Any) -> Any:
     if not isinstance(given, str | Mapping):
-        raise SpecError(f"should be an expression, or a mapping of names and expressions, not {found(given)}")
+        raise SpecError(f"should be an expression, or a mapping of names and expressions, not {value_text(given)}")
     if isinstance(given, Mapping) and not given:
         raise SpecError("needs at least one goal, such as `torque: rms(joints.motor.torque)`")
     return given

@@ -22,9 +22,9 @@ from mbdkit.base.plain_data import (
     Path,
     assignment_parts,
     copied,
-    found,
     parse_path,
     path_text,
+    value_text,
     without_collection,
 )
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
@@ -147,7 +147,7 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
         raise SpecError("this file is empty; a spec begins with `mbdkit: 1`", file=file)
     if not isinstance(data, Mapping):
         raise SpecError(
-            f"a spec should be a mapping (`key: value`) at the top level, not {found(data)}", file=file, line=1
+            f"a spec should be a mapping (`key: value`) at the top level, not {value_text(data)}", file=file, line=1
         )
     try:
         document.data = copied(data)  # checks the depth
@@ -325,7 +325,7 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
             if not last and place.get(part) is None and isinstance(path[index + 1], str):
                 place[part] = {}
         else:
-            raise SpecError(f"{here} is {found(place)}, so it has no '{part}'", key=path_text(path))
+            raise SpecError(f"{here} is {value_text(place)}, so it has no '{part}'", key=path_text(path))
         if last:
             place[part] = value
         else:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, found, quoted
+from mbdkit.base.plain_data import Path, quoted, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import QUANTITY, Unit, read_quantity
 from mbdkit.spec.reading import parse_key
@@ -54,7 +54,7 @@ def frozen(given: Any) -> Any:
         If it is not a distribution, with the key within it.
     """
     if not isinstance(given, Mapping) or len(given) != 1:
-        raise SpecError(f"should be {FORM}, not {found(given)}")
+        raise SpecError(f"should be {FORM}, not {value_text(given)}")
     name, parameters = next(iter(given.items()))
     try:
         return _frozen(str(name), parameters)
@@ -103,14 +103,14 @@ def _values(name: str, given: Any, names: Sequence[str], needed: Sequence[str]) 
             raise SpecError(f"has {len(given)} parameters, which are too many: {text}")
         values = dict(zip(names, given, strict=False))
     else:
-        raise SpecError(f"needs its parameters as a list or a mapping, not {found(given)}: {text}")
+        raise SpecError(f"needs its parameters as a list or a mapping, not {value_text(given)}: {text}")
     missing = [one for one in needed if one not in values]
     if missing:
         raise SpecError(f"needs {listed([f'`{one}`' for one in missing], 'and')}: {text}")
     values, _ = _in_si(values)
     for key, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise SpecError(f"should be a number, not {found(value)}", key=str(key))
+            raise SpecError(f"should be a number, not {value_text(value)}", key=str(key))
     return {key: float(value) for key, value in values.items()}
 
 

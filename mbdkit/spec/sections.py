@@ -12,7 +12,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import canonical, found
+from mbdkit.base.plain_data import canonical, value_text
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
@@ -290,7 +290,7 @@ def _named(given: Any) -> Any:
         raise SpecError(f"is missing: the name of the stabilization; known: {listed(NAMES)}", key="name")
     hint = did_you_mean(name, NAMES) if isinstance(name, str) else ""
     raise SpecError(
-        f"should be {listed((repr(known) for known in NAMES), 'or')}, not {found(name)}{hint}",
+        f"should be {listed((repr(known) for known in NAMES), 'or')}, not {value_text(name)}{hint}",
         key="name" if isinstance(given, Mapping) else "",
     )
 

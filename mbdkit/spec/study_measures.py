@@ -14,7 +14,7 @@ from pydantic_core import CoreSchema
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError, blaming
-from mbdkit.base.plain_data import Path, found, path_text
+from mbdkit.base.plain_data import Path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.validation_errors import spec_error
@@ -119,7 +119,7 @@ def _defined_in(definitions: Mapping[str, Any], above: Path) -> Iterator[Defined
             case {"name": str()}:
                 yield _of_plugin(name, definition, place)
             case _:
-                raise SpecError(f"should be {_FORMS}, not {found(definition)}", key=path_text(place))
+                raise SpecError(f"should be {_FORMS}, not {value_text(definition)}", key=path_text(place))
 
 
 def _unit(keys: Mapping[str, Any], place: Path) -> str:
@@ -131,7 +131,7 @@ def _unit(keys: Mapping[str, Any], place: Path) -> str:
     unit = keys.get("unit", "")
     if "unit" in keys:
         if not isinstance(unit, str):
-            message = f"should be a unit such as N, in quotes if it is a number, not {found(unit)}"
+            message = f"should be a unit such as N, in quotes if it is a number, not {value_text(unit)}"
             raise SpecError(message, key=path_text((*place, "unit")))
         try:
             read_unit(unit)
@@ -172,11 +172,11 @@ def _check(given: Any) -> Any:
         return given
     if not isinstance(given, list | Mapping):
         raise SpecError(
-            f"should be 'all', a list of measures, or a mapping of names and expressions, not {found(given)}"
+            f"should be 'all', a list of measures, or a mapping of names and expressions, not {value_text(given)}"
         )
     for index, entry in enumerate(given if isinstance(given, list) else ()):
         if not isinstance(entry, str | Mapping):
-            message = f"should be the name of a measure, or a mapping of a name and {_FORMS}, not {found(entry)}"
+            message = f"should be the name of a measure, or a mapping of a name and {_FORMS}, not {value_text(entry)}"
             raise SpecError(message, key=path_text((index,)))
     places: dict[str, Path] = {}
     for measure in defined(given):
@@ -189,7 +189,7 @@ def _check(given: Any) -> Any:
 def _check_definitions(given: Any) -> Any:
     """Check the value of `measures` of a run and return it unchanged."""
     if not isinstance(given, Mapping):
-        raise SpecError(f"should be a mapping of names and expressions, not {found(given)}")
+        raise SpecError(f"should be a mapping of names and expressions, not {value_text(given)}")
     return _check(given)
 
 

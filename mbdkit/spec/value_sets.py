@@ -17,7 +17,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, WithJsonSchema
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import LARGEST_NUMBER, Path, found
+from mbdkit.base.plain_data import LARGEST_NUMBER, Path, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import QUANTITY, Unit, read_quantity
 
@@ -87,7 +87,7 @@ def check_values(given: Any) -> Any:
             word = str(next(iter(given)))
             raise SpecError(f"unknown key{did_you_mean(word, SPACED)}; the values of an axis are {FORMS}", key=word)
         case _:
-            raise SpecError(f"should be {FORMS}, not {found(given)}")
+            raise SpecError(f"should be {FORMS}, not {value_text(given)}")
     if size(given) > LARGEST_SET:
         raise SpecError(f"has more than {LARGEST_SET} values")
     return given
@@ -106,11 +106,11 @@ def _check_labelled(entry: Any, key: str) -> None:
     if "value" in entry and "set" in entry:
         raise SpecError("takes either `value` or `set`, not both", key=key)
     if "set" in entry and not (isinstance(entry["set"], Mapping) and entry["set"]):
-        message = f"should be dotted keys of a run spec with their values, not {found(entry['set'])}"
+        message = f"should be dotted keys of a run spec with their values, not {value_text(entry['set'])}"
         raise SpecError(message, key=f"{key}.set")
     name = entry.get("if_installed")
     if "if_installed" in entry and not (isinstance(name, str) and _DISTRIBUTION.fullmatch(name)):
-        message = f"should be the name of a distribution, such as mbdkit-generalized-alpha, not {found(name)}"
+        message = f"should be the name of a distribution, such as mbdkit-generalized-alpha, not {value_text(name)}"
         raise SpecError(message, key=f"{key}.if_installed")
 
 
@@ -121,7 +121,7 @@ def is_labelled(entry: Any) -> bool:
 
 def _check_limits(kind: str, limits: Any) -> None:
     if not isinstance(limits, list) or len(limits) != 3 or not all(map(_is_number, _in_si(kind, limits))):
-        raise SpecError(f"should be [first, last, number of values], not {found(limits)}", key=kind)
+        raise SpecError(f"should be [first, last, number of values], not {value_text(limits)}", key=kind)
     limits = _in_si(kind, limits)
     for place, limit in enumerate(limits):
         if not abs(limit) <= LARGEST_NUMBER:

@@ -18,7 +18,7 @@ from mbdkit.archive.block_writer import Store
 from mbdkit.archive.missing_plugins import advised
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
-from mbdkit.base.plain_data import found, plain
+from mbdkit.base.plain_data import plain, value_text
 from mbdkit.base.progress_bars import count_bar, in_notebook
 from mbdkit.base.terminal import say
 from mbdkit.base.text import counted, shown
@@ -291,7 +291,7 @@ def _columns_of(variables: Mapping[str, Any]) -> dict[str, np.ndarray]:
         elif column.dtype.kind == "f":
             column = column.astype(np.float64)
         else:
-            raise SpecError(f"needs an array of numbers or of texts, not {found(values)}", key=f"variables: {key}")
+            raise SpecError(f"needs an array of numbers or of texts, not {value_text(values)}", key=f"variables: {key}")
         if column.ndim != 1 or not len(column):
             raise SpecError(f"needs an array (N,), not one of the shape {column.shape}", key=f"variables: {key}")
         columns[str(key)] = column

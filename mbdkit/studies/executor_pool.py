@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import found
+from mbdkit.base.plain_data import value_text
 from mbdkit.base.text import one_line
 from mbdkit.studies.executors import SubmititExecutor
 from mbdkit.studies.pool import PROGRAM, Pool
@@ -67,7 +67,9 @@ def checked_executor(executor: Any) -> Executor | None:
         return executor
     if hasattr(executor, "map_array"):
         return SubmititExecutor(lambda: executor)
-    raise SpecError(f"needs a concurrent.futures.Executor, or one of submitit, not {found(executor)}", key="executor")
+    raise SpecError(
+        f"needs a concurrent.futures.Executor, or one of submitit, not {value_text(executor)}", key="executor"
+    )
 
 
 class ExecutorPool:

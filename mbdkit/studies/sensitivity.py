@@ -115,7 +115,7 @@ def sensitivity(
     known = values[np.all(np.isfinite(values), axis=1)]
     if len(known) < 2:
         raise MbdkitError(f"fewer than two members of the sample have a value of '{measure}' in all of their runs")
-    indices = sobol_indices(known, confidence=confidence, resamples=resamples, seed=sample.seed).told()
+    indices = sobol_indices(known, confidence=confidence, resamples=resamples, seed=sample.seed).informative()
     reason = _within_errors(study, measure, group.places, known)
     if reason:
         indices = sobol_indices(np.zeros_like(known))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.designs.derivatives import derivatives, differences, told, unconfirmed
+from mbdkit.designs.derivatives import derivatives, derivatives_sentence, differences, unconfirmed
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.landscape import sensitivities
 from mbdkit.report.sensitivity_bars import _svg
@@ -33,7 +33,7 @@ def test_exact_derivatives_are_those_of_the_measures(kind: str) -> None:
     evaluator = Evaluator(load_design_spec(design_of(base, subject_to=LIMITS, **goal)))
     x = np.array([0.4, 0.3])
     exact = derivatives(evaluator, x)
-    assert told(evaluator) == "Derivatives are exact, computed at 1 point."
+    assert derivatives_sentence(evaluator) == "Derivatives are exact, computed at 1 point."
     np.testing.assert_allclose(exact, differences(evaluator, x), rtol=1e-6, atol=1e-9 * np.max(np.abs(exact)))
 
 
