@@ -167,12 +167,12 @@ class Accuracy(HtmlView):
         known = np.max(size[:count], axis=0) if count else np.full(len(names), np.nan)
         errors = np.max(self.reaction_error[:count], axis=0) if count else np.full(len(names), np.nan)
         most = float(np.max(known, initial=0.0)) if count else math.nan
-        found = []
+        figures = []
         for name, peak, reached, error in zip(names, peaks, known, errors, strict=True):
             over = reached if reached > SMALL_FORCE * most else most
             share = error / over if over > 0 else 0.0 * error
-            found.append(JointAccuracy(name, float(peak), float(reached), float(error), float(share)))
-        return tuple(found)
+            figures.append(JointAccuracy(name, float(peak), float(reached), float(error), float(share)))
+        return tuple(figures)
 
     def figures(self, names: Sequence[str], force: np.ndarray) -> AccuracyFigures:
         """Return the figures for a verdict; see `of_joints` for the arguments."""

@@ -310,13 +310,13 @@ class _Writer:
 
     def structure(self, under: str, rows: Sequence[int]) -> None:
         """Write the arrays of the runs with one structure."""
-        found = [result for row in rows if (result := self.runs[row].result) is not None]
+        results = [result for row in rows if (result := self.runs[row].result) is not None]
         numbers = [self.runs[row].number for row in rows]
-        first, count = found[0], len(found)
+        first, count = results[0], len(results)
         sizes = sizes_of(first.names)
         texts = name_texts(first.names)
         groups = dict.fromkeys(one.group for one in first.layout if self.has_summary)
-        lengths = {dim: [result.rows(dim) for result in found] for dim, _ in COUNTS}
+        lengths = {dim: [result.rows(dim) for result in results] for dim, _ in COUNTS}
         for group in groups:
             self.scale(under, group, "run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
@@ -327,20 +327,22 @@ class _Writer:
                 create(self.file, one, np.array(texts[one.path], object), under=under)
         for one in first.layout:
             if one.grows and (not one.is_scale or one.path in ("trajectory/time",)):
-                self.array(under, one, found, (count, max(lengths[one.dims[0]]), *(sizes[dim] for dim in one.dims[1:])))
+                self.array(
+                    under, one, results, (count, max(lengths[one.dims[0]]), *(sizes[dim] for dim in one.dims[1:]))
+                )
         if not self.has_summary:
             return
         for dim, group in COUNTS:
             if any(one.grows and one.dims[0] == dim for one in first.layout):
                 counted = Array(f"{group}/rows", ("run",), "1", f"number of {_AXIS[dim]}s of the run", INTEGER)
                 write_column(self.file, counted, np.array(lengths[dim]), under=under)
-        largest = np.array([result.misalignment_max for result in found]).reshape(count, -1)
+        largest = np.array([result.misalignment_max for result in results]).reshape(count, -1)
         array = Array(
             "joints/misalignment_max", ("run", "joint"), "m", "largest misalignment of the joint over every step"
         )
         write_column(self.file, array, largest, compress=self.heading.compress, under=under)
         if first.shared is not None:
-            length = [result.shared.length if result.shared else np.nan for result in found]
+            length = [result.shared.length if result.shared else np.nan for result in results]
             array = Array("joints/characteristic_length", ("run",), "m", "length in the norm of redundant reactions")
             write_column(self.file, array, np.array(length), under=under)
 
@@ -361,7 +363,7 @@ class _Writer:
 
 def _structure(result: FinishedRun) -> tuple[str, str, str]:
     shared = None if result.shared is None else asdict(result.shared) | {"length": 0.0}
-    return _json(asdict(result.names)), _json([one.path for one in result.layout]), _json(shared)
+    return _json(asdict(result.names)), _json([array.path for array in result.layout]), _json(shared)
 
 
 def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:

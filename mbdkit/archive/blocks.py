@@ -105,10 +105,10 @@ class Block:
 
     def row(self, number: int) -> int:
         """Return the row of a run in the block by its number in the study; raise SpecError if it has none."""
-        found = np.flatnonzero(self.numbers == number)
-        if len(found) != 1:
+        rows = np.flatnonzero(self.numbers == number)
+        if len(rows) != 1:
             raise SpecError(f"this block does not contain run {number}", file=self.path)
-        return int(found[0])
+        return int(rows[0])
 
     @cached_property
     def runs(self) -> dict[str, np.ndarray]:
@@ -203,17 +203,17 @@ class Block:
         )
         under = prefix(number)
         arrays, present = {}, []
-        for one in (layout.BY_PATH[path] for path in recorded):
-            if one.grows and one.key not in arrays:
-                counts = self.file.get(f"{under}{dict(COUNTS)[one.dims[0]]}/rows")
-                if counts is None or f"{under}{one.path}" not in self.file:
+        for array in (layout.BY_PATH[path] for path in recorded):
+            if array.grows and array.key not in arrays:
+                counts = self.file.get(f"{under}{dict(COUNTS)[array.dims[0]]}/rows")
+                if counts is None or f"{under}{array.path}" not in self.file:
                     continue
-                item, rows = self.file[f"{under}{one.path}"], int(counts[place])
-                if one.is_scale and one.dims[0] != "time":
-                    arrays[one.key] = np.arange(1, rows + 1)
+                item, rows = self.file[f"{under}{array.path}"], int(counts[place])
+                if array.is_scale and array.dims[0] != "time":
+                    arrays[array.key] = np.arange(1, rows + 1)
                 else:
-                    arrays[one.key] = np.asarray((item.asstr() if is_text(item) else item)[place, :rows])
-            present.append(one)
+                    arrays[array.key] = np.asarray((item.asstr() if is_text(item) else item)[place, :rows])
+            present.append(array)
         stats = {
             name: _plain(item[row])
             for name in (*COUNTERS, *TIMINGS)

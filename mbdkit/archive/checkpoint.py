@@ -218,9 +218,9 @@ def _without_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
             arrays.append(np.ascontiguousarray(value))
             return {_ARRAY: [value.dtype.str, list(value.shape)]}
         case Mapping():
-            return {name: _without_arrays(one, arrays) for name, one in value.items()}
+            return {name: _without_arrays(item, arrays) for name, item in value.items()}
         case list() | tuple():
-            return [_without_arrays(one, arrays) for one in value]
+            return [_without_arrays(item, arrays) for item in value]
         case bool() | int() | float() | str() | None:
             return value
     raise TypeError(f"values of the type {type(value).__name__} cannot be stored in a checkpoint")
@@ -232,7 +232,7 @@ def _with_arrays(value: Any, reader: _Reader) -> Any:
         case dict():
             if value.keys() == {_ARRAY}:
                 return reader.take(*value[_ARRAY])
-            return {name: _with_arrays(one, reader) for name, one in value.items()}
+            return {name: _with_arrays(item, reader) for name, item in value.items()}
         case list():
-            return [_with_arrays(one, reader) for one in value]
+            return [_with_arrays(item, reader) for item in value]
     return value

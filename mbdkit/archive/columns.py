@@ -61,8 +61,8 @@ def write_column(
 
 def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compress: bool = False) -> None:
     """Write a column of hexadecimal hashes as bytes; an empty hash is all zero. All have the length of the longest."""
-    width = max((len(one) // 2 for one in hashes), default=0) or 1
-    values = np.frombuffer(b"".join(bytes.fromhex(one or "00" * width) for one in hashes), np.uint8)
+    width = max((len(text) // 2 for text in hashes), default=0) or 1
+    values = np.frombuffer(b"".join(bytes.fromhex(text or "00" * width) for text in hashes), np.uint8)
     scale = Array(f"{array.path}_byte", (f"{array.name}_byte",), "1", f"number of the byte of {array.name}", "<i8")
     create(file, scale, np.arange(1, width + 1))
     bytes_ = Array(array.path, (*array.dims, scale.name), "1", array.long_name, "|u1")
@@ -84,9 +84,9 @@ def _hexadecimal(values: np.ndarray) -> np.ndarray:
     width = 2 * values.shape[1]
     text = values.tobytes().hex()
     empty = ~values.any(axis=1)
-    found = np.array([text[k : k + width] for k in range(0, len(text), width)], object)
-    found[empty] = ""
-    return found
+    texts = np.array([text[k : k + width] for k in range(0, len(text), width)], object)
+    texts[empty] = ""
+    return texts
 
 
 def _coded(values: Sequence[str] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -131,19 +131,19 @@ def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
     file = run.file
     with reading("its contents", run.path):
         arrays = {item.name.lstrip("/"): item for item in datasets(file) if is_hashed(item.name)}
-        found = data_sha256(file)
+        digest = data_sha256(file)
         checks = [
-            ("data", "data_sha256", run.data_sha256, found),
+            ("data", "data_sha256", run.data_sha256, digest),
             ("spec", "spec_sha256", run.spec_sha256, spec_sha256(run.spec_json)),
             ("attributes", ATTRIBUTES_HASH, str(file.attrs.get(ATTRIBUTES_HASH, "")), attributes_sha256(file)),
         ]
     where = run.path or "the run in memory"
-    told = [
+    sentences = [
         f"{where}: its {what} changed after it was written: {name} does not match"
         for what, name, stored, there in checks
         if stored and stored != there  # the archive of a crashed run has no hash
     ]
-    return arrays, found, told
+    return arrays, digest, sentences
 
 
 def _lines(arrays: Mapping[str, h5py.Dataset], left_out: frozenset[str]) -> list[str]:

@@ -132,8 +132,8 @@ def group_table(run: Run, group: str) -> GroupTable:
 
 def _arrays(run: Run, group: str) -> list[Array]:
     """Return the arrays of a group over time that a run recorded, without the time itself."""
-    found = [array for array in LAYOUT if array.group == group and array.grows and run.records(array.path)]
-    return [array for array in found if array.name != "time"] if len(found) > 1 else []
+    arrays = [array for array in LAYOUT if array.group == group and array.grows and run.records(array.path)]
+    return [array for array in arrays if array.name != "time"] if len(arrays) > 1 else []
 
 
 def _columns(run: Run, array: Array) -> Iterator[TableColumn]:

@@ -78,14 +78,14 @@ def largest_loads(run: Run) -> list[Headline]:
     if not run.joint_names or not run.records("joints/reaction_force"):
         return []
     force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    found = _largest("force in", run.joint_names, force, "N", _errors(run, "reaction_error"))
+    forces = _largest("force in", run.joint_names, force, "N", _errors(run, "reaction_error"))
     if not run.drivers or not run.records("joints/reaction_torque"):
-        return found
+        return forces
     torque = np.abs(run.array("joints/reaction_torque"))
-    of_drivers = [one for one in _largest("torque of", run.joint_names, torque, "N m", _errors(run, "torque_error"))
-                  if one.label.removeprefix("largest torque of ") in run.drivers]  # fmt: skip
-    floor = ROUND_OFF * max((one.value for one in found), default=0.0)
-    return [*(one for one in of_drivers if one.value > floor), *found]
+    torques = _largest("torque of", run.joint_names, torque, "N m", _errors(run, "torque_error"))
+    of_drivers = [one for one in torques if one.label.removeprefix("largest torque of ") in run.drivers]
+    floor = ROUND_OFF * max((headline.value for headline in forces), default=0.0)
+    return [*(headline for headline in of_drivers if headline.value > floor), *forces]
 
 
 def _actuators(run: Run) -> list[Headline]:
@@ -93,9 +93,9 @@ def _actuators(run: Run) -> list[Headline]:
         return []
     size = np.abs(run.array("actuators/value"))
     errors = run.array("actuators/value_error") if run.records("actuators/value_error") else None
-    units = {name: one.units for name, one in run.actuators.items()}
-    found = _largest("", list(run.actuators), size, "", errors)
-    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in found][:2]
+    units = {name: actuator.units for name, actuator in run.actuators.items()}
+    headlines = _largest("", list(run.actuators), size, "", errors)
+    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in headlines[:2]]
 
 
 def _activations(run: Run) -> list[Headline]:
@@ -121,10 +121,10 @@ def _largest(
 ) -> list[Headline]:
     """Return the largest values over time (T, J) of each element, the largest first, without zeros."""
     rows = np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)
-    found = []
+    headlines = []
     for column, row in enumerate(rows):
         error = math.nan if errors is None else float(errors[row, column])
         label = f"largest {words} {names[column]}" if words else names[column]
-        found.append(Headline(label, float(size[row, column]), unit, error))
-    most = max((one.value for one in found), default=0.0)
-    return sorted((one for one in found if one.value > ROUND_OFF * most), key=lambda one: -one.value)
+        headlines.append(Headline(label, float(size[row, column]), unit, error))
+    most = max((headline.value for headline in headlines), default=0.0)
+    return sorted((one for one in headlines if one.value > ROUND_OFF * most), key=lambda one: -one.value)

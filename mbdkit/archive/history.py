@@ -289,8 +289,8 @@ class BeamHistory(View, of="beams"):
         elements = self.moment.shape[1]
         forces = np.stack([self.axial, self.shear, self.moment], axis=-1)
         nodes = 2 if len(self.nodes) == elements + 1 else 3
-        found = with_ends(forces, self._length / elements, nodes)
-        return np.asarray(found[..., ("axial", "shear", "moment").index(component)])
+        values = with_ends(forces, self._length / elements, nodes)
+        return np.asarray(values[..., ("axial", "shear", "moment").index(component)])
 
     @property
     def _length(self) -> float:
@@ -466,7 +466,7 @@ class Impacts:
     @classmethod
     def of(cls, run: Source) -> Impacts:
         """Return the impacts recorded by a run; none if its contacts are not rigid."""
-        names = [one.name for one in fields(cls)]
+        names = [item.name for item in fields(cls)]
         if run.records("impacts/time"):
             return cls(*(run.array(f"impacts/{name}") for name in names))
         return cls(*(np.zeros(0, dtype=object if name == "contact" else float) for name in names))

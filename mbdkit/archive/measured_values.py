@@ -116,16 +116,16 @@ class MeasuredValues(ReadOnlyDict[str, float]):
 
         Values that are not finite become None.
         """
-        found: dict[str, dict[str, float | str | None]] = {}
+        values: dict[str, dict[str, float | str | None]] = {}
         for name, value in self.items():
-            found[name] = {"value": _finite(value), "unit": self.units[name]}
+            values[name] = {"value": _finite(value), "unit": self.units[name]}
             if not math.isnan(self.errors[name]):
-                found[name]["error"] = _finite(self.errors[name])
+                values[name]["error"] = _finite(self.errors[name])
             if name in self.reasons:
-                found[name]["reason"] = self.reasons[name]
+                values[name]["reason"] = self.reasons[name]
             if name in self.remarks:
-                found[name]["remark"] = self.remarks[name]
-        return found
+                values[name]["remark"] = self.remarks[name]
+        return values
 
     def to_json(self) -> str:
         """Return the attribute of an archive."""

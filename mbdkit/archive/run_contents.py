@@ -358,12 +358,12 @@ class ArrayContents(RunContents):
     def _texts(self) -> Mapping[str, tuple[str, ...]]:
         """Names along the axes, by path."""
         texts = name_texts(self._finished.names)
-        return {one.path: tuple(texts[one.path]) for one in self._finished.layout if not one.grows}
+        return {array.path: tuple(texts[array.path]) for array in self._finished.layout if not array.grows}
 
     @cached_property
     def _recorded(self) -> frozenset[str]:
         """Paths of the arrays with rows."""
-        return frozenset([one.path for one in self._finished.layout if one.grows])
+        return frozenset([array.path for array in self._finished.layout if array.grows])
 
     @cached_property
     def names(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]

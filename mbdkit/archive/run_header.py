@@ -128,10 +128,10 @@ def numbers(group: h5py.Group) -> Mapping[str, Any]:
 
 def names(file: h5py.File, path: str) -> tuple[str, ...]:
     """Return an array of names; raise ValueError if one is too long to be shown."""
-    found = tuple(file[path].asstr()[:])
-    if any(len(name) > LONGEST for name in found):
+    texts = tuple(file[path].asstr()[:])
+    if any(len(name) > LONGEST for name in texts):
         raise ValueError(f"{path} has a name of more than {LONGEST:,} characters")
-    return found
+    return texts
 
 
 def misalignments(file: h5py.File) -> np.ndarray | None:

@@ -119,9 +119,9 @@ def _named(spec: Mapping[str, Any], kind: str) -> str:
 
 def _start(run: Run) -> str:
     """Return the changes made by assembly; empty if there were none."""
-    told = str(run.provenance.get("assembly", ""))
-    moved = told.removeprefix("The start was made consistent; ")
-    return moved.rstrip(".") if moved != told else ""
+    assembly = str(run.provenance.get("assembly", ""))
+    moved = assembly.removeprefix("The start was made consistent; ")
+    return moved.rstrip(".") if moved != assembly else ""
 
 
 def _method(spec: Mapping[str, Any]) -> str:
@@ -150,15 +150,15 @@ def _stabilization(run: Run) -> str:
 
 def corrections(run: Run) -> str:
     """Describe the number and the largest size of the corrections of a stabilized run; empty if none are recorded."""
-    told = []
+    parts = []
     if run.records("steps/projections"):
         steps = run.steps
-        told.append(counted(int(np.sum(steps.projections)), "projection"))
+        parts.append(counted(int(np.sum(steps.projections)), "projection"))
         most = (np.max(x, initial=0.0) for x in (steps.position_correction, steps.velocity_correction))
-        told.append("moved by at most {:.3g} m and {:.3g} m/s".format(*most))
+        parts.append("moved by at most {:.3g} m and {:.3g} m/s".format(*most))
     if run.records("steps/acceleration_correction"):
-        told.append(f"terms of at most {np.max(run.steps.acceleration_correction, initial=0.0):.3g} m/s^2")
-    return ", ".join(told)
+        parts.append(f"terms of at most {np.max(run.steps.acceleration_correction, initial=0.0):.3g} m/s^2")
+    return ", ".join(parts)
 
 
 def accuracy_sentence(run: Run) -> str:
@@ -297,13 +297,13 @@ def _drivers(run: Run) -> str:
     columns = [run.joint_names.index(name) for name in run.drivers]
     torque, force = (run.array(f"joints/reaction_{kind}")[:, columns] for kind in ("torque", "force"))
     floor = ROUND_OFF * max(np.nanmax(np.abs(torque), initial=0.0), np.nanmax(np.abs(force), initial=0.0))
-    found = []
+    parts = []
     for name, size, unit in (("torque", np.abs(torque), "N m"), ("force", np.linalg.norm(force, axis=2), "N")):
         largest = float(np.nanmax(size, initial=0.0))
         if largest > floor:
             row, column = np.unravel_index(int(np.nanargmax(size)), size.shape)
-            found.append(f"largest {name} {largest:.4g} {unit}, of {run.drivers[column]} at {run.time[row]:.4g} s")
-    return "; ".join(found)
+            parts.append(f"largest {name} {largest:.4g} {unit}, of {run.drivers[column]} at {run.time[row]:.4g} s")
+    return "; ".join(parts)
 
 
 def _smoothing(spec: Mapping[str, Any]) -> str:
@@ -315,16 +315,16 @@ def _smoothing(spec: Mapping[str, Any]) -> str:
 
 def _fit(run: Run) -> str:
     """Return the root mean square of the residuals of each observed quantity, the largest first."""
-    found = []
+    parts = []
     for name, one in run.motion.items():
         known = one.residual[np.isfinite(one.residual)]
-        found.append((float(np.sqrt(np.mean(known**2))) if known.size else math.nan, name, one.units))
-    found.sort(reverse=True)
-    if found and found[0][0] <= EXACT:
+        parts.append((float(np.sqrt(np.mean(known**2))) if known.size else math.nan, name, one.units))
+    parts.sort(reverse=True)
+    if parts and parts[0][0] <= EXACT:
         return "exact to round-off"
-    text = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in found[:JOINTS_NAMED])
-    more = f", {len(found) - JOINTS_NAMED} more" if len(found) > JOINTS_NAMED else ""
-    return f"residuals (rms) {text}{more}" if found else ""
+    text = ", ".join(f"{name} {size:.3g} {units}" for size, name, units in parts[:JOINTS_NAMED])
+    more = f", {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
+    return f"residuals (rms) {text}{more}" if parts else ""
 
 
 def _raw_misalignment(run: Run) -> str:
@@ -368,17 +368,17 @@ def _muscles(run: Run) -> str:
 
 def _contacts(run: Run) -> str:
     """Return the deepest overlap of each contact, its time, and the largest slip while it sticks; the deepest first."""
-    told = []
+    parts = []
     for name, contact in run.contacts.items():
         row = int(np.argmin(contact.gap))
         depth = -float(contact.gap[row])
         if depth > 0.0:
             creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
             crept = f", creeps at up to {creep:.2g} m/s" if creep else ""
-            told.append((depth, f"{name} overlaps by up to {depth:.3g} m at {run.time[row]:.4g} s{crept}"))
-    told.sort(key=lambda one: -one[0])
-    more = f"; {len(told) - JOINTS_NAMED} more" if len(told) > JOINTS_NAMED else ""
-    return "; ".join(text for _, text in told[:JOINTS_NAMED]) + more
+            parts.append((depth, f"{name} overlaps by up to {depth:.3g} m at {run.time[row]:.4g} s{crept}"))
+    parts.sort(key=lambda one: -one[0])
+    more = f"; {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
+    return "; ".join(text for _, text in parts[:JOINTS_NAMED]) + more
 
 
 def _contact_forces(run: Run) -> str:
@@ -386,16 +386,16 @@ def _contact_forces(run: Run) -> str:
     if not run.records("muscles/certificate"):
         return ""
     without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
-    told = []
+    parts = []
     for index, (name, joint) in enumerate(run.joints.items()):
         size = np.linalg.norm(joint.reaction_force, axis=1)
         row, most = int(np.argmax(size)), float(np.max(without[:, index]))
         error = math.nan if run.accuracy is None else float(run.accuracy.reaction_error[row, index])
         with_muscles = f"{size[row]:.4g}" if math.isnan(error) else plus_minus(float(size[row]), error)
         if size[row] > 1.001 * most or size[row] < 0.999 * most:
-            told.append((float(size[row]), f"{name} {with_muscles} N, {most:.4g} N without muscles"))
-    told.sort(key=lambda one: -one[0])
-    return "; ".join(text for _, text in told[:JOINTS_NAMED])
+            parts.append((float(size[row]), f"{name} {with_muscles} N, {most:.4g} N without muscles"))
+    parts.sort(key=lambda one: -one[0])
+    return "; ".join(text for _, text in parts[:JOINTS_NAMED])
 
 
 def _reserves(run: Run) -> str:
@@ -408,27 +408,27 @@ def _reserves(run: Run) -> str:
 
 def reserve_shares(run: Run) -> dict[str, float]:
     """Return the root mean square of each reserve that is used, relative to that of the moment it is part of."""
-    found = {}
+    shares = {}
     for name, reserve in run.actuators.items():
         actuator = name.removeprefix(RESERVE)
         if name == actuator or actuator not in run.actuators:
             continue
         own, whole = (float(np.sqrt(np.mean(one.value**2))) for one in (reserve, run.actuators[actuator]))
         if own > 0:  # else no muscle acts on this actuator
-            found[actuator] = own / whole if whole > 0 else 0.0
-    return found
+            shares[actuator] = own / whole if whole > 0 else 0.0
+    return shares
 
 
 def _events(run: Run) -> str:
     """Return the number of crossings of each event and the time of the first."""
-    found = []
+    parts = []
     for name in run.spec.get("events") or ():
         times = run.events.of_name(name).time
         first = f" at {times[0]:.10g} s" if len(times) == 1 else f" from {times[0]:.10g} s on" if len(times) else ""
-        found.append(
+        parts.append(
             f"{name} {('once' if len(times) == 1 else f'{len(times)} times') if len(times) else 'never'}{first}"
         )
-    return ", ".join(found[:EVENTS_NAMED]) + (f", {len(found) - EVENTS_NAMED} more" if found[EVENTS_NAMED:] else "")
+    return ", ".join(parts[:EVENTS_NAMED]) + (f", {len(parts) - EVENTS_NAMED} more" if parts[EVENTS_NAMED:] else "")
 
 
 def answer_lines(run: Run) -> list[tuple[str, str]]:

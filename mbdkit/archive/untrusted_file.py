@@ -150,7 +150,7 @@ class _Inspection:
 
     def links(self, path: str, group: h5g.GroupID) -> list[tuple[bytes, int]]:
         """Return names and kinds of the members of a group; refuse every link but the only one to an object."""
-        found: list[tuple[bytes, int]] = []
+        links: list[tuple[bytes, int]] = []
         words = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
         if len(self.seen) + group.get_num_objs() > self.objects:
             raise self.refused(f"it has more than {self.objects:,} groups and arrays")
@@ -161,20 +161,20 @@ class _Inspection:
                 place = f"{path}/{name.decode(errors='replace')}".lstrip("/")
                 others.append(f"{place} is {words.get(link.type, 'a link of unknown type')}")
                 return 1
-            found.append((name, 0))
+            links.append((name, 0))
             return None
 
         group.links.iterate(visit, info=True)
         if others:
             raise self.refused(others[0])
-        for number, (name, _) in enumerate(found):
+        for number, (name, _) in enumerate(links):
             info = h5o.get_info(group, name)
             if info.addr in self.seen:
                 place = f"{path}/{name.decode(errors='replace')}".lstrip("/")
                 raise self.refused(f"{place} is a second link to an object")
             self.seen.add(info.addr)
-            found[number] = name, info.type
-        return found
+            links[number] = name, info.type
+        return links
 
     def attributes(self, path: str, item: h5g.GroupID | h5d.DatasetID) -> None:
         count = h5a.get_num_attrs(item)

@@ -248,8 +248,8 @@ def no_events(quantity: Quantity) -> float:
 
 def value_at(part: MotionPart, one: Functional, known: Integrals, duration: float, time: float) -> np.ndarray:
     """Return a value at a time within a part of the motion, (1,), or (2,) of a vector."""
-    found = one.values(part.series(np.array([time])), known, duration)
-    return np.atleast_1d(found.reshape(-1))
+    values = one.values(part.series(np.array([time])), known, duration)
+    return np.atleast_1d(values.reshape(-1))
 
 
 def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
@@ -265,7 +265,7 @@ def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: flo
     steps, reached = steps_of_extremum(part, one, known, duration, best)
     if not len(steps):
         return before
-    found = sampled(part, one, known, duration, steps).peak(reached)
-    if math.isnan(found.value):
+    peak = sampled(part, one, known, duration, steps).peak(reached)
+    if math.isnan(peak.value):
         return Peak(math.nan, float(part.ends.time[0]))
-    return found if begins or sign * found.value > best else before
+    return peak if begins or sign * peak.value > best else before

@@ -139,12 +139,12 @@ class MotionPart:
 
 def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
     """Return the values of states; nan from a state on that has no unique accelerations."""
-    found = observer.arrays(len(time))
-    singular = observer.observe(time, q, v, found, z=z)
+    arrays = observer.arrays(len(time))
+    singular = observer.observe(time, q, v, arrays, z=z)
     if singular is not None:
-        for values in found:
+        for values in arrays:
             values[singular.row :] = np.nan
-    return found
+    return arrays
 
 
 @dataclass(frozen=True)
@@ -173,8 +173,8 @@ class Sampled:
 
     def at(self, time: np.ndarray) -> np.ndarray:
         """Return the quantity at times [s], in order, (T,), or (2, T) of a vector."""
-        found = self.functional.values(self.part.series(time), self.known, self.duration)
-        return np.broadcast_to(found, (*found.shape[:-1], len(time)))
+        values = self.functional.values(self.part.series(time), self.known, self.duration)
+        return np.broadcast_to(values, (*values.shape[:-1], len(time)))
 
     def integral(self) -> np.ndarray:
         """Return the integral over the steps, (1,), or (2,) of a vector."""
@@ -222,7 +222,7 @@ class Sampled:
             steps, places, kind, values = steps[order], places[order], kind[order], values[order]
         time = self.part.times(steps, places)
         best = max(best, float(np.max(values)))
-        found: list[Peak] = []
+        peaks: list[Peak] = []
         before, after = np.roll(values, 1), np.roll(values, -1)
         before[0], after[-1] = values[0], values[-1]
         bend = np.abs(before - 2.0 * values + after)
@@ -230,20 +230,20 @@ class Sampled:
         rise = np.where(bend > NOISE * np.max(np.abs(values)), RISE * bend, 0.0)
         tops = np.flatnonzero((values >= before) & (values >= after))
         for middle in tops[np.argsort(-(values + rise)[tops], kind="stable")]:
-            if found and values[middle] + rise[middle] < best - EQUAL * spread:
+            if peaks and values[middle] + rise[middle] < best - EQUAL * spread:
                 break
-            one = Peak(sign * float(values[middle]), float(time[middle]), int(kind[middle]))
+            peak = Peak(sign * float(values[middle]), float(time[middle]), int(kind[middle]))
             own = np.flatnonzero(steps[max(0, middle - 1) : middle + 2] == steps[middle]) + max(0, middle - 1)
-            between = time[[own[0], middle, own[-1]] if one.switch >= 0 else [own[0], own[-1]]]
-            margin = SAME * abs(values[middle]) if one.switch >= 0 else 0.0
+            between = time[[own[0], middle, own[-1]] if peak.switch >= 0 else [own[0], own[-1]]]
+            margin = SAME * abs(values[middle]) if peak.switch >= 0 else 0.0
             for begin, end in pairwise(between.tolist() if rise[middle] > 0.0 else ()):
                 refined = self._refined(sign, begin, end, float(self.part.size[steps[middle]]))
-                if refined is not None and refined[1] > sign * one.value + margin:
-                    one = Peak(sign * refined[1], refined[0])
-            if rise[middle] > 0.0 or not found:
-                found.append(one)
-            best = max(best, sign * one.value)
-        return found
+                if refined is not None and refined[1] > sign * peak.value + margin:
+                    peak = Peak(sign * refined[1], refined[0])
+            if rise[middle] > 0.0 or not peaks:
+                peaks.append(peak)
+            best = max(best, sign * peak.value)
+        return peaks
 
     def _refined(self, sign: float, begin: float, end: float, step: float) -> tuple[float, float] | None:
         """Return time and value of the largest value of ``sign * x`` between two times."""
@@ -251,21 +251,21 @@ class Sampled:
             return None
         from scipy.optimize import minimize_scalar  # takes a quarter of a second to load
 
-        found = minimize_scalar(
+        minimum = minimize_scalar(
             lambda t: -sign * float(self.at(np.array([t]))[0]),
             bounds=(begin, end), method="bounded", options={"xatol": PEAK * step},
         )  # fmt: skip
         around = min(AROUND * step, 0.25 * (end - begin))
-        middle = min(max(float(found.x), begin + around), end - around)
+        middle = min(max(float(minimum.x), begin + around), end - around)
         places = np.cos(np.pi * (np.arange(PEAK_POINTS) + 0.5) / PEAK_POINTS)[::-1]
         power = np.polynomial.Polynomial.fit(places, sign * self.at(middle + around * places), PEAK_POINTS - 1)
-        rate, place = power.deriv(), (float(found.x) - middle) / around
+        rate, place = power.deriv(), (float(minimum.x) - middle) / around
         with np.errstate(all="ignore"):
             for _ in range(4):
                 place -= float(rate(place) / rate.deriv()(place))
         at_root = sign * float(self.at(np.array([middle + around * place]))[0]) if abs(place) <= 1.0 else -np.inf
-        if at_root < -float(found.fun):
-            return float(found.x), -float(found.fun)
+        if at_root < -float(minimum.fun):
+            return float(minimum.x), -float(minimum.fun)
         return middle + around * place, at_root
 
 
@@ -358,14 +358,14 @@ def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.n
     crosses = extra * fb[near] < 0.0
     group, vertex, extra = group[crosses], vertex[crosses], extra[crosses]
     all_groups = np.concatenate([np.repeat(np.arange(len(values)), len(_PLACES)), group])
-    places, found = np.concatenate([np.tile(_PLACES, len(values)), vertex]), np.concatenate([values.ravel(), extra])
+    places, samples = np.concatenate([np.tile(_PLACES, len(values)), vertex]), np.concatenate([values.ravel(), extra])
     order = np.lexsort((places, all_groups))
-    all_groups, places, found = all_groups[order], places[order], found[order]
-    changes = (all_groups[1:] == all_groups[:-1]) & (np.sign(found[1:]) * np.sign(found[:-1]) < 0.0)
+    all_groups, places, samples = all_groups[order], places[order], samples[order]
+    changes = (all_groups[1:] == all_groups[:-1]) & (np.sign(samples[1:]) * np.sign(samples[:-1]) < 0.0)
     first = np.flatnonzero(changes)
-    exact = np.flatnonzero((found == 0.0) & (places > 0.0) & (places < 1.0))  # a sample at a root
+    exact = np.flatnonzero((samples == 0.0) & (places > 0.0) & (places < 1.0))  # a sample at a root
     lower, upper = np.concatenate([first, exact]), np.concatenate([first + 1, exact])
-    return all_groups[lower], places[lower], places[upper], found[lower], found[upper]
+    return all_groups[lower], places[lower], places[upper], samples[lower], samples[upper]
 
 
 def _roots(

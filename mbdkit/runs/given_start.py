@@ -95,9 +95,9 @@ class _GivenStart:
         return q, self._velocities(q, v, moving)
 
     def _positions(self, q: np.ndarray, held: Mapping[str, tuple[Quantity, float]]) -> np.ndarray:
-        quantities = [one for one, _ in held.values()]
+        quantities = [quantity for quantity, _ in held.values()]
         goal, here = np.array([value for _, value in held.values()]), self._values(quantities, q)
-        unit = np.array([1.0 if one.unit == "rad" else self.length for one in quantities])
+        unit = np.array([1.0 if quantity.unit == "rad" else self.length for quantity in quantities])
         parts = max(1, math.ceil(float(np.max(np.abs(goal - here) / unit)) / LONGEST))
         for part in range(1, parts + 1):
             values = here + (goal - here) * (part / parts) if part < parts else goal
@@ -106,9 +106,9 @@ class _GivenStart:
                 told = self._told(list(held), goal)
                 raise SpecError(f"the joints cannot be assembled with these initial values: {told}", key="initial")
             q = closed
-        for one, value in held.values():
-            if isinstance(one, Coordinate):
-                q[3 * one.body + one.axis] = value  # without rounding error
+        for quantity, value in held.values():
+            if isinstance(quantity, Coordinate):
+                q[3 * quantity.body + quantity.axis] = value  # without rounding error
         return q
 
     def _closed(self, q: np.ndarray, quantities: list[Quantity], values: np.ndarray) -> np.ndarray | None:
@@ -143,7 +143,7 @@ class _GivenStart:
         return rows, phi, phi_t
 
     def _values(self, quantities: list[Quantity], q: np.ndarray) -> np.ndarray:
-        return np.array([float(one.value(q[None])[0]) for one in quantities])
+        return np.array([float(quantity.value(q[None])[0]) for quantity in quantities])
 
     def _told(self, names: list[str], values: np.ndarray) -> str:
         return ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, values, strict=True))

@@ -362,13 +362,13 @@ class _Group:
                 if left is not None and ranges.stops:
                     finished.append(None)
                     continue
-            found = center_warnings(member.spec.mechanism(), reached[lane])
-            found = (*member.warnings, *found, *(() if ranges is None else ranges.warnings()))
+            warnings = center_warnings(member.spec.mechanism(), reached[lane])
+            warnings = (*member.warnings, *warnings, *(() if ranges is None else ranges.warnings()))
             counters = vars(results.counters[lane]).copy()
             counters["factorizations"] += int(
                 member.pivots is not None
             )  # the mechanism for which the pivots were chosen
-            finished.append(self._run(member, own, recorded[lane], found, results.evidence[lane], counters))
+            finished.append(self._run(member, own, recorded[lane], warnings, results.evidence[lane], counters))
         return finished
 
     def _states(self, results: LaneResults) -> States:

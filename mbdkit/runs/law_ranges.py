@@ -106,10 +106,10 @@ class LawRanges:
 
     def __init__(self, laws: Sequence[WatchedLaw], workspace: Workspace | None = None, *, stops: bool = False):
         self.laws, self.stops = laws, stops
-        self._columns = [one.column for one in laws]
+        self._columns = [law.column for law in laws]
         self._observer = None if workspace is None else StateObserver(workspace.with_own_pivots())
         self._between: list[np.ndarray] = []
-        bounds = np.array([one.bounds for one in laws])  # (K, 3, 2)
+        bounds = np.array([law.bounds for law in laws])  # (K, 3, 2)
         self._sides = np.array([-1.0, 1.0])
         finite = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
         self._limits = self._sides * bounds + ROUNDING * finite.max(axis=2, keepdims=True)
@@ -165,9 +165,9 @@ class LawRanges:
 
     def _arguments(self, time: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Return the arguments of the laws (T, K, 3) at times (T,), from the values of all force elements (T, F, 5)."""
-        found = np.empty((len(time), len(self.laws), 3))
-        found[..., :2], found[..., 2] = forces[:, self._columns, :2], time[:, None]
-        return found
+        arguments = np.empty((len(time), len(self.laws), 3))
+        arguments[..., :2], arguments[..., 2] = forces[:, self._columns, :2], time[:, None]
+        return arguments
 
     def add(self, time: np.ndarray, forces: np.ndarray) -> float | None:
         """Add recorded states, and those between them.
@@ -218,16 +218,16 @@ class LawRanges:
 
     def warnings(self) -> tuple[str, ...]:
         """Return a sentence for each bound that an argument of a law has passed."""
-        found = []
+        warnings = []
         for k, argument, side in zip(*np.nonzero(np.isfinite(self._first)), strict=True):
             place = k, argument, side
             law, value = self.laws[k], self._sides[side] * self._worst[place]
-            found.append(
+            warnings.append(
                 f"the {ARGUMENTS[argument]} of {law.name} leaves the range in which {law.held(int(argument))}, "
                 f"at t = {self._first[place]:.6g} s, and reaches {value:.6g} {law.units[argument]} at "
                 f"t = {self._worst_time[place]:.6g} s"
             )
-        return tuple(found)
+        return tuple(warnings)
 
     def failure(self) -> Failure:
         """Return the failure of a run that stops because it has left a range."""
@@ -246,9 +246,9 @@ class LawRanges:
         self._last = np.zeros((min(1, len(state["last"])), len(self.laws), 3))
         for name in ("first", "worst", "worst_time", "last"):
             fill(getattr(self, f"_{name}"), state[name])
-        self._between = [np.zeros((len(one), len(self.laws), 3)) for one in state["between"]]
-        for one, given in zip(self._between, state["between"], strict=True):
-            fill(one, given)
+        self._between = [np.zeros((len(values), len(self.laws), 3)) for values in state["between"]]
+        for values, given in zip(self._between, state["between"], strict=True):
+            fill(values, given)
 
 
 def _cubics(states: np.ndarray) -> np.ndarray:
@@ -275,8 +275,8 @@ def _turning_points(cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     _, c1, c2, c3 = cubics
     with np.errstate(all="ignore"):
         sum_ = -(c2 + np.copysign(np.sqrt(c2 * c2 - 3.0 * c3 * c1), c2))
-        found = sum_ / (3.0 * c3), c1 / sum_
-    first, second = (np.where((x > 0.0) & (x < 1.0), x, 0.0) for x in found)
+        roots = sum_ / (3.0 * c3), c1 / sum_
+    first, second = (np.where((x > 0.0) & (x < 1.0), x, 0.0) for x in roots)
     return first, second
 
 

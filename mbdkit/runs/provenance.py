@@ -32,14 +32,14 @@ def _processor() -> str:
 
     Libraries of linear algebra and compilers select their code by these.
     """
-    told = {}
+    content = {}
     with suppress(OSError):  # elsewhere than on Linux, the name alone
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0].splitlines()
-        told = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
-    flags = told.get("flags", "").split()
+        content = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    flags = content.get("flags", "").split()
     extensions = [name for name in ("fma", "avx2", "avx512f") if name in flags]
-    model = told.get("model name") or platform.processor()
-    numbers = [f"{key} {told[key]}" for key in ("cpu family", "model") if key in told]
+    model = content.get("model name") or platform.processor()
+    numbers = [f"{key} {content[key]}" for key in ("cpu family", "model") if key in content]
     emulated = [f"{name}={os.environ[name]}" for name in _EMULATING if os.environ.get(name)]
     return ", ".join(filter(None, (platform.machine(), model, *numbers, *extensions, *emulated)))
 
@@ -73,14 +73,14 @@ def plugins_of(spec: RunSpec) -> dict[str, str]:
 
 def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
     """Return the given plugins, and those of the force laws of a spec, with their versions."""
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     for kind, item in items.items():
-        found[kind] = item.id
-        found[f"{kind}_distribution"] = item.origin.distribution
-        found[f"{kind}_version"] = item.origin.version
-        found[f"{kind}_entry_point"] = item.origin.entry_point
+        versions[kind] = item.id
+        versions[f"{kind}_distribution"] = item.origin.distribution
+        versions[f"{kind}_version"] = item.origin.version
+        versions[f"{kind}_entry_point"] = item.origin.entry_point
     if laws := spec.force_law_items:
-        found["force_laws"] = ", ".join(item.id for item in laws)
+        versions["force_laws"] = ", ".join(item.id for item in laws)
         for part in ("distribution", "version", "entry_point"):
-            found[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
-    return found
+            versions[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
+    return versions

@@ -209,7 +209,7 @@ class Recorder:
         smallest = min(self.guards.misalignment, self.guards.angle_misalignment)
         if np.max(np.abs(observed.phi), initial=0.0) <= smallest / 4:  # a joint has at most three rows; saves time
             return None
-        found: tuple[int, Failure] | None = None
+        first: tuple[int, Failure] | None = None
         for values, limit, unit in (
             (self._joints.misalignment(observed.phi), self.guards.misalignment, "m"),
             (self._joints.angle_misalignment(observed.phi), self.guards.angle_misalignment, "rad"),
@@ -218,7 +218,7 @@ class Recorder:
             if not np.any(beyond):
                 continue
             row = int(np.argmax(np.any(beyond, axis=1)))
-            if found is None or row < found[0]:
+            if first is None or row < first[0]:
                 joint = int(np.argmax(np.where(beyond[row], values[row], -np.inf)))
                 name, gap = self.workspace.mechanism.joints[joint], f"{values[row, joint]:.3g} {unit}"
                 sentence = (
@@ -226,8 +226,8 @@ class Recorder:
                     f"allows ({limit:.3g} {unit}); this state is not recorded; use smaller steps or, with stiff "
                     "springs or dampers, an implicit method."
                 )
-                found = row, Failure("fell-apart", sentence)
-        return found
+                first = row, Failure("fell-apart", sentence)
+        return first
 
     def _out_of_range(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
         """Return the row of the first state after a force law has left its range, and the failure, if that stops."""
@@ -276,20 +276,20 @@ class Recorder:
             }
         self.writer.append_steps(rows)
 
-    def record_events(self, found: Sequence[Found]) -> None:
+    def record_events(self, crossings: Sequence[Found]) -> None:
         """Write the crossings found since the last call."""
-        if not found:
+        if not crossings:
             return
-        shape = (len(found), len(self.workspace.mechanism.bodies), 3)
-        for one in found:
-            self.event_times.setdefault(one.name, []).append(one.time)
+        shape = (len(crossings), len(self.workspace.mechanism.bodies), 3)
+        for crossing in crossings:
+            self.event_times.setdefault(crossing.name, []).append(crossing.time)
         self.writer.append_events(
             {
-                "name": np.array([one.name for one in found], dtype=object),
-                "time": np.array([one.time for one in found]),
-                "direction": np.array([one.direction for one in found]),
-                "position": np.array([one.q[:-3] for one in found]).reshape(shape),
-                "velocity": np.array([one.v[:-3] for one in found]).reshape(shape),
+                "name": np.array([crossing.name for crossing in crossings], dtype=object),
+                "time": np.array([crossing.time for crossing in crossings]),
+                "direction": np.array([crossing.direction for crossing in crossings]),
+                "position": np.array([crossing.q[:-3] for crossing in crossings]).reshape(shape),
+                "velocity": np.array([crossing.v[:-3] for crossing in crossings]).reshape(shape),
             }
         )
 

@@ -198,9 +198,9 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any])
     keys = [*_NEEDED, *(key for key in now if key.endswith(("_distribution", "_version")))]
     other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
     if other:
-        told = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
+        changes = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
         same = "use such a processor" if [key for key, *_ in other] == ["processor"] else "install the same"
-        raise _refused(part, f"it began with {listed(told, 'and')}", hint=f"{same}, or {_ANEW}")
+        raise _refused(part, f"it began with {listed(changes, 'and')}", hint=f"{same}, or {_ANEW}")
     if spec.run_id() != run_id:
         raise _refused(part, "this version interprets its spec differently")
     return spec

@@ -117,8 +117,8 @@ class Continuation:
         number.
         """
         known = self.state.get("times")
-        found = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
-        return {name: float(one) if isinstance(one, float) else 0.0 for name, one in zip(TIMES, found, strict=True)}
+        times = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
+        return {name: float(one) if isinstance(one, float) else 0.0 for name, one in zip(TIMES, times, strict=True)}
 
 
 def why_without(spec: RunSpec, method: Method) -> str:
@@ -200,7 +200,7 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     stepper._renewed = {(int(done), int(status)) for done, status in state["renewed"]}
     if "sampler" in state:  # not in checkpoints of earlier versions
         stepper.sampler.restore(state["sampler"])
-    stepper.impacts[:] = [Impact(*map(float, one)) for one in state["impacts"]]
+    stepper.impacts[:] = [Impact(*map(float, numbers)) for numbers in state["impacts"]]
     stepper._count()
 
 

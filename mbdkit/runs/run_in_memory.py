@@ -37,10 +37,10 @@ def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str) -> Run
 
 def measured_values(run: Run, spec: RunSpec) -> MeasuredValues:
     """Return the measures of a run, and log why some have no value."""
-    found = take_all(run, spec)
-    for name, reason in found.reasons.items():
+    values = take_all(run, spec)
+    for name, reason in values.reasons.items():
         _LOG.warning("measure %s: %s", name, reason)
-    return found
+    return values
 
 
 def measured_gradients(spec: RunSpec) -> str:

@@ -379,10 +379,10 @@ class SimulatedRun:
 
     def measured(self, file: h5py.File) -> str:
         """Return the measures of the run in a file, as its archive stores them, after storing their gradients."""
-        found = measured_values(Run(file), self.spec)
+        values = measured_values(Run(file), self.spec)
         if self.failure is None and not self.interrupted and (gradients := measured_gradients(self.spec)):
             set_text(file, GRADIENTS, gradients)
-        return found.to_json()
+        return values.to_json()
 
     def finish(self) -> None:
         """Finish the archive with the final status."""
@@ -420,10 +420,10 @@ class SimulatedRun:
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
             errors = estimated_errors(self.recorder, self.accuracy, position, missed)
         judgement = judge(evidence, errors)
-        told = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
+        message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
         level = logging.WARNING if status == "failed" else logging.INFO
         if _LOG.isEnabledFor(level):
-            _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), told, judgement.level)
+            _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), message, judgement.level)
         _LOG.debug("counters: %s; timings: %s", counters, self.timings)
         ended = Ending(
             status,

@@ -83,13 +83,13 @@ class StepEnds:
         least = LEAST_DISTANCE * (time[step + 1] - time[step])
         sides: list[list[int]] = []
         for begin, places in ((step, range(step - 1, -1, -1)), (step + 1, range(step + 2, len(time)))):
-            found = [begin]
+            columns = [begin]
             for place in places:
-                if abs(time[place] - time[found[-1]]) >= least:
-                    found.append(place)
-                if len(found) == count:
+                if abs(time[place] - time[columns[-1]]) >= least:
+                    columns.append(place)
+                if len(columns) == count:
                     break
-            sides.append(found[1:])
+            sides.append(columns[1:])
         before, after = sides
         left = min((count - 2) // 2, len(before))
         right = min(count - 2 - left, len(after))
@@ -115,9 +115,9 @@ class StepEnds:
         for level in range(1, len(order)):
             same = (order[level:] == order[:-level])[more]
             with np.errstate(divide="ignore", invalid="ignore"):
-                found = (column[1:] - column[:-1]) / (nodes[level:] - nodes[:-level])[more]
+                slopes = (column[1:] - column[:-1]) / (nodes[level:] - nodes[:-level])[more]
             repeated = rate if level == 1 or curvature is None else curvature
-            column = np.where(same, repeated[: len(found)], found)
+            column = np.where(same, repeated[: len(slopes)], slopes)
             newton.append(column[0])
         return nodes, np.array(newton)
 

@@ -182,8 +182,8 @@ def _excitations(spec: RunSpec) -> Iterator[str]:
     for name, muscle in acting_muscles(spec.mechanism()).items():
         if (outside := muscle.excitation_outside(spec.time.start, spec.time.final)) is not None:
             time, value = outside
-            found = f"{value:.3g} at t = {time:.6g} s"
-            yield f"the excitation of muscle '{name}' is {found}; it should stay between 0 and 1"
+            reached = f"{value:.3g} at t = {time:.6g} s"
+            yield f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
 
 
 def _unresolved_beams(spec: RunSpec) -> Iterator[str]:

@@ -11,9 +11,9 @@ from mbdkit.stepping.interface import Stepper
 def watch_events(spec: RunSpec, workspace: Workspace, stepper: Stepper, *, all_events: bool = True) -> Watch:
     """Wrap a stepper to detect the events of a spec, or only those that set states."""
     settings = spec.settings()
-    found = [
+    events = [
         Watched(name, expression, spec.events[name].direction, spec.events[name].action, settings.get(name, {}))
         for name, expression in spec.watched().items()
         if all_events or name in settings
     ]
-    return Watch(stepper, workspace, found)
+    return Watch(stepper, workspace, events)

@@ -75,10 +75,10 @@ def check_run(
     guard, guarded = _guard(chosen, workspace, rows.time, budget, progress, watch)
     units = units_of(workspace, rows)
     errors = estimate_errors((rows, runs[0].rows, runs[1].rows), guarded.rows, units, chosen.refinement)
-    told = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
-    description = _sentence(chosen, told)
+    pairs = [*zip(chosen.finer, runs, strict=True), (guard, guarded)]
+    description = _sentence(chosen, pairs)
     if contacts is not None:
-        until, why = _same_impacts([contacts, *(one.contacts for _, one in told if one.contacts is not None)])
+        until, why = _same_impacts([contacts, *(one.contacts for _, one in pairs if one.contacts is not None)])
         errors = _cut(errors, rows.time, until)
         description += why
     return as_accuracy(rows, errors, description, begin)
@@ -143,10 +143,10 @@ def _guard(
     """Return the first guard that reaches the end; if none does, the one that gets farthest."""
     best: tuple[Companion, CompanionRows] | None = None
     for companion in chosen.guards:
-        found = run_companion(companion, workspace, times, budget.stopped, progress, watch)
-        if best is None or _reached(found) > _reached(best[1]):
-            best = companion, found
-        if not found.failure or budget.stopped():
+        states = run_companion(companion, workspace, times, budget.stopped, progress, watch)
+        if best is None or _reached(states) > _reached(best[1]):
+            best = companion, states
+        if not states.failure or budget.stopped():
             break
     assert best is not None
     return best

@@ -221,9 +221,9 @@ def choose_method(
     search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)
     recordable = first.adaptive and not spec.events and not workspace.mechanism.states
     if recordable and can_be_recorded(first.applied_to(spec, LOOSEST, search.measure.size)):
-        found = search.ladder(first)
-        if found is not None:
-            return found
+        candidates = search.ladder(first)
+        if candidates is not None:
+            return candidates
     if spec.choose == "step":
         return search.of(first)
     if first.integrator["name"] != FIRST_EXPLICIT["name"]:

@@ -116,20 +116,20 @@ def run_companion(
     if companion.treatment is not None:
         workspace = replace(workspace, mechanism=replace(workspace.mechanism, contact_treatment=companion.treatment))
     own = workspace.for_another_run(companion.formulation, companion.stabilization)
-    found = _States(times, own, companion)
+    states = _States(times, own, companion)
     stepper: Stepper | None = None
     try:
         table = companion.timetable
         stepper = start_method(companion.create(), own, table if watch is None else replace(table, single=True))
         watched = None if watch is None else watch(own, stepper)
-        failure = _advance(stepper, watched, companion, found, stopped, progress)
+        failure = _advance(stepper, watched, companion, states, stopped, progress)
     except SingularSystemError:
         failure = "its equations are singular at the start"
     except MbdkitError as error:
         failure = str(error)
     except (Exception, SystemExit) as error:  # of a plugin
         failure = f"its method raised {one_line(error)}"
-    rows = ObservedRows.at(own, times, found.q, found.v, found.z)
+    rows = ObservedRows.at(own, times, states.q, states.v, states.z)
     contacts = stepper.contact_state if isinstance(stepper, PythonStepper) else None
     return CompanionRows(rows, failure.rstrip("."), contacts)
 

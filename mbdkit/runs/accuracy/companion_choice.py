@@ -159,7 +159,7 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
     options, after = spec.integrator, spec.output.interval is not None
     own = _has_tolerances(spec, method)
     given = _tolerances(spec, method)
-    found = []
+    companions = []
     for factor in TENTHS if own else OTHER_TENTHS:
         rtol, atol = max(given.rtol / factor, TIGHTEST), max(given.atol / factor, TIGHTEST * given.atol / given.rtol)
         tolerances = replace(given, rtol=rtol, atol=atol)
@@ -173,8 +173,8 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
             create = partial(_radau, tolerances)
             name = f"adaptive radau-iia with tolerance {tolerances.rtol:.2g}"
             run = ("index-1", _projected(workspace))
-        found.append(Companion(name, create, table, *run, within_steps=True, after_stops=after))
-    return found[0], found[1]
+        companions.append(Companion(name, create, table, *run, within_steps=True, after_stops=after))
+    return companions[0], companions[1]
 
 
 def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
@@ -216,9 +216,9 @@ def _guards(
         ("gauss", "gauss of order 10", partial(_gauss, loose), within),
     )
     after = spec.output.interval is not None
-    found = tuple(
+    companions = tuple(
         Companion(
-            f"adaptive {told}",
+            f"adaptive {description}",
             create,
             table,
             "index-1",
@@ -226,14 +226,14 @@ def _guards(
             within_steps=table is within,
             after_stops=after,
         )
-        for family, told, create, table in candidates
+        for family, description, create, table in candidates
         if not name.startswith(family) and (family != "gauss" or stiff)
     )
     if not stiff or not workspace.mechanism.rows or name == radau_iia.tableau(5).name:
-        return found
-    told = "adaptive radau-iia of order 9 and index 2"
+        return companions
+    description = "adaptive radau-iia of order 9 and index 2"
     create = partial(_radau, loose)
-    return *found, Companion(told, create, within, "index-2", NONE, within_steps=True, after_stops=after)
+    return *companions, Companion(description, create, within, "index-2", NONE, within_steps=True, after_stops=after)
 
 
 def _most(limits: tuple[int, int], steps: int) -> int:
