@@ -62,7 +62,7 @@ def run_report(run: Run) -> ReportPage:
         spec=yaml_text(run.spec),
         spec_file="run.yaml",
         sections=(model_section(run, mechanism), *(section for section in found if section is not None)),
-        beside_verdict=("misalignment", "errors", *DRIFT),
+        beside_verdict=("misalignment", "contacts", "errors", *DRIFT),
     )
 
 

@@ -1,4 +1,4 @@
-"""The tables of a run's report besides model and answer: misalignment, estimated errors, events and cost."""
+"""The tables of a run's report besides model and answer: misalignment, contacts, errors, events and cost."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.figures.beam_curves import has_beams
 from mbdkit.figures.page_model import Cell, Column, Table, columns_of
+from mbdkit.mechanism.contacts import STICK
 from mbdkit.report.answer_section import Peaks
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ _QUANTITIES = (
 def run_tables(run: Run) -> tuple[Table, ...]:
     """Return the tables of a run: those of its misalignment and errors first."""
     tables = [_joints(run)] if run.joint_names else []
+    if len(run.contacts):
+        tables.append(_contacts(run))
     if run.accuracy is not None and run.accuracy.rows_known:
         tables.append(_errors(run, run.accuracy))
     if run.spec.get("events"):
@@ -75,6 +78,27 @@ def _joints(run: Run) -> Table:
     left = len(run.joint_names) - len(rows)
     note = f"The {JOINTS} of {len(run.joint_names)} joints with the largest misalignment." if left else ""
     return Table("misalignment", "Misalignment of the joints", tuple(columns), tuple(rows), note)
+
+
+def _contacts(run: Run) -> Table:
+    """Return the table of what contacts do wrong, overlap and creep, and of their largest forces and impulses."""
+    columns = columns_of(
+        "contact; between; largest overlap [m]; largest creep [m/s]; largest normal force [N]; impacts; "
+        "largest impulse [N s]"
+    )
+    struck, impulses = run.impacts.contact, run.impacts.normal_impulse
+    rows: list[tuple[Cell, ...]] = []
+    for name, contact in run.contacts.items():
+        own = impulses[(struck == name) & (impulses > 0.0)]
+        creep = float(np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0))
+        overlap, force = -min(float(np.min(contact.gap)), 0.0), float(np.max(contact.normal_force))
+        cells = overlap, creep, force, len(own), float(np.max(own)) if len(own) else None
+        rows.append((name, " - ".join(contact.bodies), *cells))
+    rows.sort(key=lambda row: -float(row[2] or 0.0))
+    note = "Overlap and creep, the slip of a contact that sticks, are those at the recorded times."
+    if len(rows) > JOINTS:
+        note += f" The {JOINTS} of {len(rows)} contacts with the largest overlap."
+    return Table("contacts", "Overlap and creep of the contacts", columns, tuple(rows[:JOINTS]), note)
 
 
 def _errors(run: Run, accuracy: Accuracy) -> Table:

@@ -26,7 +26,7 @@ from mbdkit.engine.nearest_state import nearest_positions
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping.complementarity import Pushed, coulomb, stronge
-from mbdkit.stepping.rigid_contacts import SMALL_RESTITUTION, ClosedSystem, RigidContacts
+from mbdkit.stepping.rigid_contacts import SMALL_RESTITUTION, ClosedSystem, ContactState, RigidContacts
 
 MOST_HALVINGS = 4
 """How often a step may be halved."""
@@ -69,6 +69,7 @@ class TimeStepping(StepMethod):
     def _whole(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         p, theta, q, v = equations, self.theta, state.q, state.v
         contacts = RigidContacts(p)
+        held = contacts.all_open().after_stop() if state.memory is None else state.memory
         middle = q + 0.5 * h * v
         a, multipliers = p.accelerations(t, q, v)
         matrix = p.iteration_matrix(
@@ -88,10 +89,13 @@ class TimeStepping(StepMethod):
             moved = np.stack([matrix.solve(row, none)[0] for row in both], axis=1)
             before = rows.normal @ v
             rate, response = both @ free, both @ moved
+            friction = np.where(
+                self._sticks(held, rows.tangent @ v, v, some), contacts.static[some], contacts.kinetic[some]
+            )
 
             def met(e: np.ndarray) -> Pushed:
                 back = e * np.minimum(before, 0.0)
-                found = coulomb(response, rate[:k] + back, rate[k:], contacts.kinetic[some])
+                found = coulomb(response, rate[:k] + back, rate[k:], friction)
                 if found is None:
                     what = "no impulses of the contacts satisfy the laws of impact and friction"
                     raise StepError("contact-solver", what)
@@ -106,7 +110,7 @@ class TimeStepping(StepMethod):
             found = met(e)
             if gains(found) and np.any(e * np.minimum(before, 0.0)):  # as in `RigidContacts.struck`
                 if k == 1 and rate[0] < 0.0:
-                    normal_, tangent_ = stronge(response, rate, float(contacts.kinetic[some[0]]), float(e[0]))
+                    normal_, tangent_ = stronge(response, rate, float(friction[0]), float(e[0]))
                     found = found._replace(normal=np.array([normal_]), tangent=np.array([tangent_]))
                 while gains(found) and np.any(e):
                     e = np.where(e > SMALL_RESTITUTION, 0.9 * e, 0.0)
@@ -122,12 +126,18 @@ class TimeStepping(StepMethod):
         mean = 0.5 * (v + after)
         lost = -h * float(normal[some] @ (rows.normal @ mean) + tangent[some] @ (rows.tangent @ mean))
         work, dissipated = p.powers(t + 0.5 * h, middle, mean, multipliers)
-        held = contacts.all_open() if state.memory is None else state.memory
         changed = held.changed.union(changed)
         memory = replace(
             held, changed=changed, modes=modes, normal=normal, tangent=tangent, force=force, is_over_step=True
         )
         return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
+
+    @staticmethod
+    def _sticks(held: ContactState, slip: np.ndarray, v: np.ndarray, some: np.ndarray) -> np.ndarray:
+        """Return which of some contacts have stuck in the last step; at the start, which do not slip."""
+        if len(held.modes):
+            return np.asarray(held.modes[some] == STICK)
+        return np.abs(slip) <= SMALL * np.max(np.abs(v), initial=0.0)
 
     @staticmethod
     def _closed(contacts: RigidContacts, t: float, q: np.ndarray) -> np.ndarray:

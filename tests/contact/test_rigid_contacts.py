@@ -323,3 +323,13 @@ def test_a_block_that_rocks_comes_to_rest_on_both_corners() -> None:
     ratios = np.sqrt(found.impacts.energy_lost[1:5] / found.impacts.energy_lost[:4])
     assert ratios == pytest.approx(1.0 - 1.5 * np.sin(np.pi / 4) ** 2, rel=1e-9)  # Housner
     assert any("without end were cut" in text for text in found.warnings)
+
+
+def test_the_report_has_overlap_force_and_impulse_of_each_contact() -> None:
+    from mbdkit.report.run_tables import run_tables
+
+    found = run(ball(0.5), 0.6, 0.05)
+    table = next(one for one in run_tables(found) if one.name == "contacts")
+    # expected: no overlap, no force in flight, and the impulse of an impact with sqrt(2 g h)
+    assert table.rows[0][:6] == ("floor", "ground - ball", pytest.approx(0.0, abs=1e-15), 0.0, 0.0, 1)
+    assert table.rows[0][6] == pytest.approx(3.0 * np.sqrt(2 * G), rel=1e-12)

@@ -35,6 +35,7 @@ STUDIES = (
         "Results, claims and predictions of the source paper on RK-Gill and Gauss methods, recomputed and tested.",
         BIBTEX,
     ),
+    _packaged("contact", "Error, work, penetration and creep of compliant, event-driven and time-stepping contact."),
     _packaged("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),
     _packaged("drift", "Order, drift, energy and cost of formulations and stabilizations."),
     _packaged(
