@@ -15,6 +15,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
 from mbdkit.engine.kernels import equations
+from mbdkit.engine.kernels.equations import MASS
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
@@ -133,6 +134,17 @@ class EquationsOfMotion:
     def length(self) -> float:
         """Characteristic length of the mechanism [m]."""
         return self._workspace.mechanism.length
+
+    def free_now(self) -> np.ndarray:
+        """Return for each body (B,) whether the last tangents that were evaluated have no joint at it, and no force on
+        it that depends on a position or velocity.
+        """
+        terms = self._workspace.terms
+        coupled = (self._classes != MASS) & (self.terms_now[terms.source] != 0.0)
+        free = np.ones(self.n // 3, dtype=bool)
+        for places in (terms.row[coupled], terms.column[coupled]):
+            free[places[places < self.n] // 3] = False
+        return free
 
     def hold(self, z: np.ndarray) -> None:
         """Use the values `z` (Z,) of first-order states in what is evaluated next."""

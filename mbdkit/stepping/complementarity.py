@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.stepping.cone_sweeps import couple_contacts, sweep_contacts
+
 TINY = 1e-11
 """Entries of a scaled tableau that are zero but for rounding errors."""
 
@@ -76,12 +78,15 @@ class Pushed(NamedTuple):
         (k,) forces.
     is_closed, is_slipping
         (k,) whether the normal force is a basic variable, and whether friction is at its limit.
+    residual
+        Error of the velocities of contacts, relative to the largest one without these forces.
     """
 
     normal: np.ndarray
     tangent: np.ndarray
     is_closed: np.ndarray
     is_slipping: np.ndarray
+    residual: float = 0.0
 
 
 def coulomb(
@@ -150,6 +155,80 @@ def coulomb(
     slips = slides | (friction == 0.0)
     slips[sticks] = is_basic[k + 2 * m :]
     return Pushed(scale * forces, scale * t, is_basic[:k], slips)
+
+
+class Coupled(NamedTuple):
+    """How k contacts affect each other; see `mbdkit.stepping.cone_sweeps.sweep_contacts`."""
+
+    start: np.ndarray
+    other: np.ndarray
+    blocks: np.ndarray
+
+
+def coupled_by_all(response: np.ndarray) -> Coupled:
+    """Return the couplings of k contacts from the velocities (2 k, 2 k) by unit impulses, normal ones first."""
+    k = len(response) // 2
+    blocks = response.reshape(2, k, 2, k).transpose(1, 3, 0, 2).reshape(k * k, 4)
+    return Coupled(np.arange(k + 1) * k, np.tile(np.arange(k), k), np.ascontiguousarray(blocks))
+
+
+def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.ndarray) -> Coupled:
+    """Return the couplings of k contacts of bodies that nothing else couples.
+
+    Parameters
+    ----------
+    bodies
+        (k, 2) numbers of the bodies.
+    gradients
+        (2, k, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
+    lightness
+        (B + 1, 3) inverse masses and moments of inertia of the bodies, 0 of the ground.
+    """
+    k = len(bodies)
+    degree = np.bincount(bodies.ravel(), minlength=len(lightness))
+    begin = np.append(0, np.cumsum(degree))
+    members = np.argsort(bodies.ravel(), kind="stable")
+    most = int(np.sum(degree[:-1] ** 2))
+    start, other, blocks = np.zeros(k + 1, dtype=int), np.zeros(most, dtype=int), np.zeros((most, 4))
+    couple_contacts(begin, members, bodies, gradients, lightness, start, other, blocks)
+    return Coupled(start, other, blocks)
+
+
+SWEEPS = 500
+"""Largest number of sweeps."""
+PRECISION, ACCEPTED = 1e-8, 1e-2
+"""Change in a sweep, relative to the largest velocity without impulses, with which sweeps end, and up to which their
+result is accepted. Where more contacts are closed than are needed, forces move from one to another ever more slowly."""
+
+
+def swept(
+    coupled: Coupled,
+    normal: np.ndarray,
+    tangent: np.ndarray,
+    friction: np.ndarray,
+    guess: np.ndarray,
+    precision: float = PRECISION,
+) -> Pushed | None:
+    """Return impulses of contacts by sweeps; None if these do not converge.
+
+    Parameters
+    ----------
+    coupled
+        How the contacts affect each other.
+    normal, tangent, friction
+        See `coulomb`.
+    guess
+        (2, k) impulses with which the sweeps begin, normal ones first.
+    precision
+        Change in a sweep, relative to the largest velocity, with which sweeps end.
+    """
+    free, impulses = np.stack([normal, tangent], axis=1), np.ascontiguousarray(guess.T)
+    size = float(np.max(np.abs(free), initial=0.0))
+    changed = sweep_contacts(*coupled, free, np.ascontiguousarray(friction), precision * size, SWEEPS, impulses)
+    if changed > ACCEPTED * size:
+        return None
+    pushes, rubs = impulses.T
+    return Pushed(pushes, rubs, pushes > 0.0, np.abs(rubs) >= friction * pushes, changed / (size or 1.0))
 
 
 def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float) -> np.ndarray:

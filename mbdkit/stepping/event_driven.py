@@ -27,6 +27,7 @@ from mbdkit.stepping.rigid_contacts import (
     ContactState,
     Forced,
     HeldForces,
+    KnownContacts,
     RigidContacts,
 )
 
@@ -71,13 +72,14 @@ class EventDriven(StepMethod):
     def __init__(self, tableau: ButcherTableau, treatment: Treatment):
         self.treatment = treatment
         self.tableau: _Tableau = tuple(x.tolist() for x in tableau.floats())
+        self._contacts = KnownContacts()
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         """Take a step, or the part of it before the first event, which `after_event` then applies.
 
         The time that is reached is part of `StepState.memory`, a `ContactState`.
         """
-        step = _Step(self.treatment, self.tableau, equations, t, state)
+        step = _Step(self.treatment, self.tableau, self._contacts.on(equations), t, state)
         event = step.to(t + h)
         streak = 0 if event is None else step.state.streak + 1
         if streak > MOST_EVENTS:
@@ -86,7 +88,7 @@ class EventDriven(StepMethod):
 
     def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """Return the state after the event at which a step has ended."""
-        step = _Step(self.treatment, self.tableau, equations, t, state)
+        step = _Step(self.treatment, self.tableau, self._contacts.on(equations), t, state)
         assert step.state.event is not None
         step.happen(step.state.event)
         return step.reached(None, step.state.streak)
@@ -100,7 +102,8 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
         names = listed(others, "and")
         raise SpecError(f"runs with rigid contacts do not include other first-order states ({names})", key="model")
     p = EquationsOfMotion(workspace)
-    step = _Step(mechanism.contact_treatment, None, p, workspace.t0, StepState(p.q0, p.v0))
+    contacts = KnownContacts().on(p)
+    step = _Step(mechanism.contact_treatment, None, contacts, workspace.t0, StepState(p.q0, p.v0))
     parameters = top.law_parameters.copy()
     parameters[top.states[: held.count, 1]] = held.of(step.contact_state())
     started = replace(mechanism, topology=top._replace(law_parameters=parameters))
@@ -121,18 +124,19 @@ class _Step:
         self,
         treatment: Treatment,
         tableau: _Tableau | None,
-        p: EquationsOfMotion,
+        contacts: RigidContacts,
         t: float,
         state: StepState,
     ):
-        self.treatment, self.tableau, self.p = treatment, tableau, p
-        self.contacts = RigidContacts(p)
+        self.treatment, self.tableau, self.p = treatment, tableau, contacts.p
+        self.contacts = contacts
         self.now = _Point(t, state.q.copy(), state.v.copy(), 0.0, 0.0)
         memory = state.memory
         self.state = memory if memory is not None else self.contacts.all_open().after_stop()
-        self.length = p.length
+        self.length = contacts.p.length
         self._book_energy()
-        self.modes = self.state.modes if len(self.state.modes) == len(self.contacts.contacts) else self._modes_at_rest()
+        is_known = len(self.state.modes) == len(contacts.names)
+        self.modes = self.state.modes if is_known else self._modes_at_rest()
 
     @property
     def speed(self) -> float:

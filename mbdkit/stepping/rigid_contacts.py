@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +13,18 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.contact_forces import HELD, held_coordinates
+from mbdkit.engine.contact_forces import HELD, ActingContact, held_coordinates
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
-from mbdkit.stepping.complementarity import coulomb, stronge
+from mbdkit.stepping.complementarity import (
+    PRECISION,
+    Pushed,
+    coulomb,
+    coupled_by_all,
+    coupled_by_bodies,
+    stronge,
+    swept,
+)
 
 SINGULAR = 1e-11
 """Singular values of the equations of contact forces below this share of the largest are those of redundant rows."""
@@ -28,15 +38,60 @@ FEW = 8
 """Number of contacts of a kind that are evaluated one by one, which takes less time than arrays."""
 
 
-class Rows(NamedTuple):
-    """The rows of C contacts in a state: gap [m] and slip [m/s] (C,), gradients (C, n), right-hand sides (C,)."""
+@dataclass(frozen=True)
+class Rows:
+    """The rows of C contacts in a state.
+
+    Attributes
+    ----------
+    gap, slip
+        (C,) in m and m/s.
+    normal_right, tangent_right
+        (C,) right-hand sides; see `mbdkit.symbolic.contact_rows.row_function`.
+    bodies
+        (C, 2) numbers of the bodies.
+    gradients
+        (2, C, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
+    n
+        Number of coordinates.
+    """
 
     gap: np.ndarray
     slip: np.ndarray
-    normal: np.ndarray
-    tangent: np.ndarray
     normal_right: np.ndarray
     tangent_right: np.ndarray
+    bodies: np.ndarray
+    gradients: np.ndarray
+    n: int
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """(C, 6) coordinates of both bodies; those of the ground follow the others."""
+        return (3 * self.bodies[:, :, None] + np.arange(3)).reshape(len(self.bodies), 6)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """(C, n) derivatives of the rates of the gaps by the velocities."""
+        return self._whole(self.gradients[0])
+
+    @cached_property
+    def tangent(self) -> np.ndarray:
+        """(C, n) derivatives of the slips by the velocities."""
+        return self._whole(self.gradients[1])
+
+    def _whole(self, parts: np.ndarray) -> np.ndarray:
+        rows = np.zeros((len(parts), self.n + 3))
+        np.put_along_axis(rows, self.columns, parts, axis=1)
+        return rows[:, : self.n]
+
+    def rates(self, v: np.ndarray) -> np.ndarray:
+        """Return the rates of gaps and slips (2, C) at velocities (n,)."""
+        return np.asarray(np.sum(self.gradients * np.concatenate([v, np.zeros(3)])[self.columns], axis=2))
+
+    def force(self, forces: np.ndarray) -> np.ndarray:
+        """Return the generalized forces (n,) of normal and tangential forces (2, C)."""
+        parts = np.sum(forces[:, :, None] * self.gradients, axis=0)
+        return np.bincount(self.columns.ravel(), parts.ravel(), self.n + 3)[: self.n]
 
 
 class Forced(NamedTuple):
@@ -95,6 +150,8 @@ class ContactState:
         Whether the forces are those over the whole step, and not at its end.
     undecided
         First time at which several contacts that affect each other have closed at once, in an unknown order [s].
+    residual
+        Largest error of the velocities of contacts, relative to the largest one in its step.
     """
 
     modes: np.ndarray
@@ -110,6 +167,7 @@ class ContactState:
     streak: int = 0
     is_over_step: bool = False
     undecided: float = math.inf
+    residual: float = 0.0
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load, where modes are determined anew."""
@@ -130,8 +188,16 @@ class ContactState:
                 f"the law of impact would have created energy at {names}; Stronge's law was used there, for several "
                 "contacts at once that of the run or Poisson's with a smaller restitution"
             )
+        if self.residual > SOLVED:
+            found.append(
+                f"the laws of contact and friction are satisfied to {self.residual:.1g} of the largest velocity only, "
+                "in the worst step; a smaller `time.step` may help"
+            )
         return tuple(found)
 
+
+SOLVED = 1e-6
+"""Error of the velocities of contacts that is not worth a remark."""
 
 SMALL_RESTITUTION = 1e-3
 """Coefficient of restitution below which an impact of several contacts that would gain energy has none."""
@@ -146,6 +212,22 @@ class Struck(NamedTuple):
     is_as_asked: bool
 
 
+class _Alike(NamedTuple):
+    """Contacts of one kind of geometry: their places among all, bodies (2, K), and numbers of the geometry (N, K)."""
+
+    kind: tuple[str, int]
+    places: np.ndarray
+    bodies: np.ndarray
+    numbers: np.ndarray
+
+    @classmethod
+    def of(cls, contacts: Sequence[ActingContact], kind: tuple[str, int]) -> _Alike:
+        places = [i for i, one in enumerate(contacts) if one.pair.kind == kind]
+        some = [contacts[i] for i in places]
+        bodies, numbers = np.array([one.bodies for one in some]).T, np.array([one.pair.numbers for one in some]).T
+        return cls(kind, np.array(places), bodies, numbers)
+
+
 class RigidContacts:
     """Contacts of a mechanism in one run.
 
@@ -157,25 +239,33 @@ class RigidContacts:
 
     def __init__(self, equations: EquationsOfMotion):
         self.p, self.contacts = equations, equations.contacts
-        none = np.zeros(len(HELD) * len(self.contacts) + len(held_coordinates(self.contacts)))
-        equations.hold(none)  # their forces are computed here
+        self._held = np.zeros(len(HELD) * len(self.contacts) + len(held_coordinates(self.contacts)))
         self.names = [one.pair.name for one in self.contacts]
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = given.T
         self._bodies = np.array([one.bodies for one in self.contacts], dtype=int).reshape(-1, 2)
-        kinds = dict.fromkeys(one.pair.kind for one in self.contacts)
-        self._kinds = {kind: [i for i, one in enumerate(self.contacts) if one.pair.kind == kind] for kind in kinds}
-        self._numbers = {
-            kind: np.array([self.contacts[i].pair.numbers for i in places]).T for kind, places in self._kinds.items()
-        }
-        self._place = np.zeros(len(self.contacts), dtype=int)
-        for places in self._kinds.values():
-            self._place[places] = np.arange(len(places))
+        kinds = [one.pair.kind for one in self.contacts]
+        self._alike = [_Alike.of(self.contacts, kind) for kind in dict.fromkeys(kinds)]
+        #: Place of each contact among those of its kind, and number of the kind (C,).
+        self._place, self._kind = np.zeros((2, len(self.contacts)), dtype=int)
+        for number, alike in enumerate(self._alike):
+            self._place[alike.places], self._kind[alike.places] = np.arange(len(alike.places)), number
+        #: Inverse masses (B + 1, 3), and whether a body is not coupled to others but by contacts; the ground is last.
+        self._lightness = np.vstack([1.0 / equations.mass.reshape(-1, 3), np.zeros(3)])
+        self._is_free = np.zeros(len(self._lightness), dtype=bool)
+
+    def begin(self) -> None:
+        """Leave the forces of contacts, which are computed here, out of those of the equations of motion."""
+        self.p.hold(self._held)
+
+    def find_free(self) -> None:
+        """Find the bodies that only contacts couple to others, by the last tangents that were evaluated."""
+        self._is_free = np.append(self.p.free_now(), True)
 
     def all_open(self) -> ContactState:
         """Return the state of contacts without forces."""
-        none = np.zeros(len(self.contacts))
-        return ContactState(none.astype(int), none, none, np.zeros(self.p.n))
+        count = len(self.contacts)
+        return ContactState(np.zeros(count, dtype=int), np.zeros(count), np.zeros(count), np.zeros(self.p.n))
 
     def gaps(self, q: np.ndarray) -> np.ndarray:
         """Return the gaps (C,) of all contacts at a position [m]."""
@@ -183,47 +273,42 @@ class RigidContacts:
 
         if len(self.contacts) <= FEW:
             return self.rows(q, 0.0 * q).gap
-        gaps, bodies = np.empty(len(self.contacts)), self._states(q, 0.0 * q)
-        for kind, places in self._kinds.items():
-            state = bodies[self._bodies[places]].reshape(len(places), 14).T
-            gaps[places] = gap_function(kind)(*state, *self._numbers[kind])
+        gaps, states, none = np.empty(len(self.contacts)), self._states(q, 0.0 * q)[:4], (0.0,) * 3
+        for alike in self._alike:
+            first, second = (states[:, side] for side in alike.bodies)
+            gaps[alike.places] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers)
         return gaps
 
     def rows(self, q: np.ndarray, v: np.ndarray, some: np.ndarray | None = None) -> Rows:
         """Return the rows of all contacts in a state, or of some (C,), given by their numbers."""
         from mbdkit.symbolic.contact_rows import row_function  # loads SymPy
 
-        n, bodies = self.p.n, self._states(q, v)
+        states = self._states(q, v)
         chosen = np.arange(len(self.contacts)) if some is None else some
-        wanted = np.full(len(self.contacts), -1)
-        wanted[chosen] = np.arange(len(chosen))
-        values = np.empty((len(chosen), 16))
-        for kind, every in self._kinds.items():
-            places = np.array(every)[wanted[every] >= 0]
-            state = bodies[self._bodies[places]].reshape(len(places), 14)
-            numbers = self._numbers[kind][:, self._place[places]]
-            if len(places) <= FEW:
-                function = row_function(kind, is_of_arrays=False)
-                for place, one, own in zip(places, state.tolist(), numbers.T.tolist(), strict=True):
-                    values[wanted[place]] = function(*one, *own)
-            else:
-                given = row_function(kind, is_of_arrays=True)(*state.T, *numbers)
-                values[wanted[places]] = np.stack(np.broadcast_arrays(*given), axis=1)
-        columns = (3 * self._bodies[chosen][:, :, None] + np.arange(3)).reshape(len(chosen), 6)
-        normal, tangent = np.zeros((2, len(chosen), n + 3))
-        np.put_along_axis(normal, columns, values[:, 2:8], axis=1)
-        np.put_along_axis(tangent, columns, values[:, 8:14], axis=1)
-        gap, slip, normal_right, tangent_right = values[:, [0, 1, 14, 15]].T
-        return Rows(gap, slip, normal[:, :n], tangent[:, :n], normal_right, tangent_right)
+        values = np.empty((16, len(chosen)))
+        for number, alike in enumerate(self._alike):
+            which = np.flatnonzero(self._kind[chosen] == number)
+            places = self._place[chosen[which]]
+            given = np.concatenate([states[:, alike.bodies[0, places]], states[:, alike.bodies[1, places]]])
+            numbers = alike.numbers[:, places]
+            if len(which) <= FEW:
+                function = row_function(alike.kind, is_of_arrays=False)
+                for place, one, own in zip(which, given.T.tolist(), numbers.T.tolist(), strict=True):
+                    values[:, place] = function(*one, *own)
+                continue
+            for row, computed in enumerate(row_function(alike.kind, is_of_arrays=True)(*given, *numbers)):
+                values[row, which] = computed
+        gradients = np.ascontiguousarray(values[2:14].reshape(2, 6, len(chosen)).transpose(0, 2, 1))
+        return Rows(values[0], values[1], values[14], values[15], self._bodies[chosen], gradients, self.p.n)
 
     def _states(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return x, y, cosine and sine of the angle and the velocities of all bodies (B + 1, 7), the ground last."""
-        states = np.zeros((self.p.n // 3 + 1, 7))
-        states[-1, 2] = 1.0
-        at = q.reshape(-1, 3)
-        states[:-1, :2], states[:-1, 4:] = at[:, :2], v.reshape(-1, 3)
-        angles = at[:, 2].tolist()  # NumPy's functions depend on the number of items
-        states[:-1, 2], states[:-1, 3] = [math.cos(x) for x in angles], [math.sin(x) for x in angles]
+        """Return x, y, cosine and sine of the angle and the velocities of all bodies (7, B + 1), the ground last."""
+        states = np.zeros((7, self.p.n // 3 + 1))
+        states[2, -1] = 1.0
+        x, y, angle = q.reshape(-1, 3).T
+        states[0, :-1], states[1, :-1], states[4:, :-1] = x, y, v.reshape(-1, 3).T
+        angles = angle.tolist()  # NumPy's functions depend on the number of items
+        states[2, :-1], states[3, :-1] = [math.cos(x) for x in angles], [math.sin(x) for x in angles]
         return states
 
     def accelerations(self, t: float, q: np.ndarray, v: np.ndarray, modes: np.ndarray) -> Forced:
@@ -260,6 +345,58 @@ class RigidContacts:
         tangent[closed] = share[closed] * normal[closed]
         tangent[sticking] = forces[len(closed) :]
         return Forced(a + moved @ forces, multipliers + loaded @ forces, normal, tangent, rows)
+
+    def pushed(
+        self,
+        rows: Rows,
+        free: np.ndarray,
+        more: np.ndarray,
+        friction: np.ndarray,
+        solve: Callable[[np.ndarray], np.ndarray],
+        guess: np.ndarray | float = 0.0,
+        precision: float = PRECISION,
+    ) -> tuple[np.ndarray, Pushed]:
+        """Return the velocities (n,) after impulses of contacts, and the impulses.
+
+        Small problems are solved by Lemke's method, others by sweeps over the contacts.
+
+        Parameters
+        ----------
+        rows
+            Rows of the contacts.
+        free
+            (n,) velocities without these impulses.
+        more
+            (k,) numbers that are added to the normal velocities: those that an impact has to reverse.
+        friction
+            (k,) coefficients of friction.
+        solve
+            Returns the change of velocities (n,) by an impulse (n,).
+        guess
+            (2, k) impulses that may be close to the result, normal ones first.
+        precision
+            See `mbdkit.stepping.complementarity.swept`.
+        """
+        normal, tangent = rows.rates(free)
+        normal = normal + more
+        is_large, found = len(rows.gap) > FEW, None
+        begin = np.broadcast_to(guess, (2, len(normal)))
+        if is_large and np.all(self._is_free[rows.bodies]):
+            coupled = coupled_by_bodies(rows.bodies, rows.gradients, self._lightness)
+            found = swept(coupled, normal, tangent, friction, begin, precision)
+            if found is not None:
+                change = rows.force(np.stack([found.normal, found.tangent]))
+                return free + self._lightness[:-1].ravel() * change, found
+        both = np.vstack([rows.normal, rows.tangent])
+        moved = np.stack([solve(row) for row in both], axis=1)
+        response = both @ moved
+        if is_large:
+            found = swept(coupled_by_all(response), normal, tangent, friction, begin, precision)
+        if found is None:
+            found = coulomb(response, normal, tangent, friction)
+        if found is None:
+            raise StepError("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction")
+        return free + moved @ np.concatenate([found.normal, found.tangent]), found
 
     def answers(self, t: float, q: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return accelerations (n, k) and multipliers (m, k) by k forces (k, n) alone."""
@@ -402,6 +539,20 @@ class RigidContacts:
         return pressed + least + solved(before + response @ (pressed + least), least[:k])
 
 
+class KnownContacts:
+    """The contacts of the equations of motion that a method was last used with."""
+
+    def __init__(self) -> None:
+        self._known: RigidContacts | None = None
+
+    def on(self, equations: EquationsOfMotion) -> RigidContacts:
+        """Return the contacts on equations of motion, whose forces then do not include those of contacts."""
+        if self._known is None or self._known.p is not equations:
+            self._known = RigidContacts(equations)
+        self._known.begin()
+        return self._known
+
+
 class ClosedSystem:
     """Joints and closed contacts as one system of constraints; see `mbdkit.engine.nearest_state.ConstrainedSystem`."""
 
@@ -458,6 +609,7 @@ class HeldForces:
         """Return the states (Z,); zeros before the first step."""
         z = np.zeros(self.count)
         if self.count and memory is not None:
-            z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(memory.modes)], axis=1).ravel()
+            modes = memory.modes if len(memory.modes) else np.zeros(len(memory.normal))  # not known after a stop
+            z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(modes)], axis=1).ravel()
             z[self._contacts :] = memory.force[self._coordinates]
         return z

@@ -16,22 +16,26 @@ Systems, 2008, chapter 10.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.nearest_state import nearest_positions
+from mbdkit.engine.kernels.projection import MOST_ITERATIONS, STAGNANT
+from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.kinds import StepMethod, StepState
-from mbdkit.stepping.complementarity import Pushed, coulomb, stronge
-from mbdkit.stepping.rigid_contacts import SMALL_RESTITUTION, ClosedSystem, ContactState, RigidContacts
+from mbdkit.stepping.complementarity import PRECISION, Pushed, stronge
+from mbdkit.stepping.rigid_contacts import SMALL_RESTITUTION, ContactState, KnownContacts, RigidContacts, Rows
 
 MOST_HALVINGS = 4
 """How often a step may be halved."""
-MOST_PROJECTIONS = 5
-"""Projections of positions in one step, each of which may make other shapes overlap."""
+MANY, ROUGH = 40, 1e-4
+"""Number of overlaps from which on positions are projected once, to this share, which leaves the rest to the next
+steps."""
 SMALL = 1e-12
 """Overlap, in lengths of the mechanism, that is zero but for errors."""
 
@@ -47,6 +51,7 @@ class TimeStepping(StepMethod):
 
     def __init__(self, theta: float):
         self.theta = theta
+        self._contacts = KnownContacts()
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         """See `StepMethod.step`. A step whose positions cannot be projected is taken in halves."""
@@ -68,68 +73,35 @@ class TimeStepping(StepMethod):
 
     def _whole(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         p, theta, q, v = equations, self.theta, state.q, state.v
-        contacts = RigidContacts(p)
-        held = contacts.all_open().after_stop() if state.memory is None else state.memory
+        contacts = self._contacts.on(p)
         middle = q + 0.5 * h * v
         a, multipliers = p.accelerations(t, q, v)
         matrix = p.iteration_matrix(
             t + 0.5 * h, middle, v, a, multipliers, damping=theta * h, stiffness=(theta * h) ** 2
         )
+        contacts.find_free()
         force = theta * p.forces(t + h, q + h * v, v) + (1.0 - theta) * p.forces(t, q, v)
-        free = v + matrix.solve(h * force, -p.constraint_rates(t + 0.5 * h, middle, v))[0]
-        reached = q + h * (theta * free + (1.0 - theta) * v)
-        some = np.flatnonzero(contacts.gaps(reached) <= SMALL * p.length)
-        count = len(contacts.names)
-        modes, normal, tangent = np.zeros(count, dtype=int), np.zeros(count), np.zeros(count)
-        rows = contacts.rows(middle, v, some)
-        after, force, changed = free, np.zeros(p.n), frozenset[str]()
+        after = v + matrix.solve(h * force, -p.constraint_rates(t + 0.5 * h, middle, v))[0]
+        some = np.flatnonzero(contacts.gaps(q + h * (theta * after + (1.0 - theta) * v)) <= SMALL * p.length)
+        held = contacts.all_open().after_stop() if state.memory is None else state.memory
+        memory = replace(contacts.all_open(), residual=held.residual, changed=held.changed, is_over_step=True)
+        lost = 0.0
         if len(some):
-            both, k = np.vstack([rows.normal, rows.tangent]), len(some)
-            none = np.zeros(p.m)
-            moved = np.stack([matrix.solve(row, none)[0] for row in both], axis=1)
-            before = rows.normal @ v
-            rate, response = both @ free, both @ moved
-            friction = np.where(
-                self._sticks(held, rows.tangent @ v, v, some), contacts.static[some], contacts.kinetic[some]
-            )
-
-            def met(e: np.ndarray) -> Pushed:
-                back = e * np.minimum(before, 0.0)
-                found = coulomb(response, rate[:k] + back, rate[k:], friction)
-                if found is None:
-                    what = "no impulses of the contacts satisfy the laws of impact and friction"
-                    raise StepError("contact-solver", what)
-                return found
-
-            def gains(found: Pushed) -> bool:
-                impulses = np.concatenate([found.normal, found.tangent])
-                work = impulses * (both @ (v + free) + response @ impulses)
-                return bool(np.sum(work) > 1e-12 * np.sum(np.abs(work)))
-
-            e = contacts.restitution[some]
-            found = met(e)
-            if gains(found) and np.any(e * np.minimum(before, 0.0)):  # as in `RigidContacts.struck`
-                if k == 1 and rate[0] < 0.0:
-                    normal_, tangent_ = stronge(response, rate, float(friction[0]), float(e[0]))
-                    found = found._replace(normal=np.array([normal_]), tangent=np.array([tangent_]))
-                while gains(found) and np.any(e):
-                    e = np.where(e > SMALL_RESTITUTION, 0.9 * e, 0.0)
-                    found = met(e)
-                changed = frozenset(contacts.names[i] for i in some[found.normal > 0.0].tolist())
-            impulses = np.concatenate([found.normal, found.tangent])
-            after = free + moved @ impulses
-            force = impulses @ both / h
-            normal[some], tangent[some] = found.normal / h, found.tangent / h
-            slip = np.sign(rows.tangent @ after)
-            modes[some] = np.where(found.is_closed, np.where(found.is_slipping, SLIP * slip, STICK), OPEN)
+            rows, none = contacts.rows(middle, v, some), np.zeros(p.m)
+            guess = h * np.stack([held.normal, held.tangent])[:, some]
+            sticks = self._sticks(held, rows.rates(v)[1], v, some)
+            friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
+            impact = _Impact(contacts, rows, some, friction, v, after, lambda row: matrix.solve(row, none)[0], guess)
+            after, found, changed = impact.solved()
+            forces = np.stack([found.normal, found.tangent]) / h
+            slip = SLIP * np.sign(rows.rates(after)[1]).astype(int)
+            memory = replace(memory, residual=max(held.residual, found.residual), changed=held.changed.union(changed))
+            memory.normal[some], memory.tangent[some] = forces
+            memory.modes[some] = np.where(found.is_closed, np.where(found.is_slipping, slip, STICK), OPEN)
+            memory.force[:] = rows.force(forces)
+            lost = -0.5 * h * float(np.sum(forces * rows.rates(v + after)))
         reached = self._closed(contacts, t + h, q + h * (theta * after + (1.0 - theta) * v))
-        mean = 0.5 * (v + after)
-        lost = -h * float(normal[some] @ (rows.normal @ mean) + tangent[some] @ (rows.tangent @ mean))
-        work, dissipated = p.powers(t + 0.5 * h, middle, mean, multipliers)
-        changed = held.changed.union(changed)
-        memory = replace(
-            held, changed=changed, modes=modes, normal=normal, tangent=tangent, force=force, is_over_step=True
-        )
+        work, dissipated = p.powers(t + 0.5 * h, middle, 0.5 * (v + after), multipliers)
         return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
 
     @staticmethod
@@ -142,14 +114,91 @@ class TimeStepping(StepMethod):
     @staticmethod
     def _closed(contacts: RigidContacts, t: float, q: np.ndarray) -> np.ndarray:
         """Return the nearest positions with closed joints in which no shapes overlap."""
-        overlaps = contacts.gaps(q) < 0.0
-        for _ in range(MOST_PROJECTIONS):
-            system = ClosedSystem(contacts, np.where(overlaps, SLIP, OPEN))
-            if not system.m:
-                break
-            q = nearest_positions(system, t, q)
-            more = contacts.gaps(q) < -SMALL * contacts.p.length
-            if not np.any(more & ~overlaps):
-                break
-            overlaps |= more
-        return q
+        p, given, before, is_last = contacts.p, q, np.inf, False
+        is_closed = p.m == 0
+        touched = np.zeros(len(contacts.names), dtype=bool)
+        for _ in range(MOST_ITERATIONS):
+            gaps = contacts.gaps(q)
+            deepest = -float(np.min(gaps, initial=0.0))
+            is_apart = deepest <= SMALL * p.length
+            if is_closed and (is_last or is_apart):
+                return q
+            touched |= gaps < (0.0 if is_apart else 2.0 * deepest)  # others may be pushed into each other
+            some = np.flatnonzero(touched)
+            is_last = len(some) > MANY
+            precision = ROUGH if is_last else PRECISION
+            step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
+            if len(some):
+                rows = contacts.rows(q, 0.0 * q, some)
+                step, _ = contacts.pushed(
+                    rows, step, rows.gap, np.zeros(len(some)), partial(_answer, p, t, q), precision=precision
+                )
+            q, now = q + step, p.relative_change(q, step)
+            is_closed = p.m == 0 or now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT)
+            before = now
+        raise StepError("newton-failed", f"no positions without overlap were found in {MOST_ITERATIONS} iterations")
+
+
+def _answer(p: EquationsOfMotion, t: float, q: np.ndarray, impulse: np.ndarray) -> np.ndarray:
+    return p.solve(t, q, impulse, np.zeros(p.m))[0]
+
+
+@dataclass(frozen=True)
+class _Impact:
+    """Impulses of the contacts of a step.
+
+    Attributes
+    ----------
+    contacts, rows, some
+        All contacts, and the rows and numbers of those that would overlap.
+    friction
+        (k,) coefficients of friction.
+    v, free
+        (n,) velocities at the start, and at the end without impulses.
+    solve, guess
+        See `RigidContacts.pushed`.
+    """
+
+    contacts: RigidContacts
+    rows: Rows
+    some: np.ndarray
+    friction: np.ndarray
+    v: np.ndarray
+    free: np.ndarray
+    solve: Callable[[np.ndarray], np.ndarray]
+    guess: np.ndarray
+
+    def solved(self) -> tuple[np.ndarray, Pushed, list[str]]:
+        """Return velocities after the impulses, the impulses, and the names of contacts with another law of impact.
+
+        As in `RigidContacts.struck`, no impact gains energy.
+        """
+        contacts, some = self.contacts, self.some
+        e = contacts.restitution[some]
+        after, found = self._with(e)
+        if not self._gains(after, found) or not np.any(e * self._approach):
+            return after, found, []
+        normal, tangent = self.rows.rates(self.free)
+        if len(some) == 1 and normal[0] < 0.0:
+            both = np.vstack([self.rows.normal, self.rows.tangent])
+            moved = np.stack([self.solve(row) for row in both], axis=1)
+            before = np.concatenate([normal, tangent])
+            impulses = stronge(both @ moved, before, float(self.friction[0]), float(e[0]))
+            found = found._replace(normal=impulses[:1], tangent=impulses[1:])
+            after = self.free + moved @ impulses
+        while self._gains(after, found) and np.any(e):
+            e = np.where(e > SMALL_RESTITUTION, 0.9 * e, 0.0)
+            after, found = self._with(e)
+        return after, found, [contacts.names[i] for i in some[found.normal > 0.0].tolist()]
+
+    @property
+    def _approach(self) -> np.ndarray:
+        return np.minimum(self.rows.rates(self.v)[0], 0.0)
+
+    def _with(self, e: np.ndarray) -> tuple[np.ndarray, Pushed]:
+        return self.contacts.pushed(self.rows, self.free, e * self._approach, self.friction, self.solve, self.guess)
+
+    def _gains(self, after: np.ndarray, found: Pushed) -> bool:
+        """Return whether the impulses increase the kinetic energy by more than their own errors."""
+        work = np.stack([found.normal, found.tangent]) * self.rows.rates(self.v + after)
+        return bool(np.sum(work) > max(1e-12, found.residual) * np.sum(np.abs(work)))

@@ -9,7 +9,8 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.stepping.complementarity import coulomb, stronge
+from mbdkit.stepping.complementarity import coulomb, coupled_by_all, stronge, swept
+from tests.witness.pit import pit
 
 G = 9.81
 FLOOR = {"line": {"normal": [0.0, 1.0]}}
@@ -244,6 +245,31 @@ def test_forces_of_many_contacts_satisfy_the_laws() -> None:
         assert np.all(np.abs(found.tangent) <= mu * found.normal + 1e-9 * size)
         assert abs(found.normal @ after[:k]) < 1e-9 * size**2
         assert np.all(found.tangent * after[k:] <= -mu * found.normal * np.abs(after[k:]) + 1e-8 * size**2)
+
+
+def test_sweeps_over_contacts_agree_with_lemkes_method() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        k = int(rng.integers(2, 12))
+        rows = rng.normal(size=(2 * k, 3 * k + 3))
+        response = rows @ rows.T
+        free, friction = rng.normal(size=2 * k), rng.uniform(0.0, 0.3, k)
+        wanted = coulomb(response, free[:k], free[k:], friction)
+        found = swept(coupled_by_all(response), free[:k], free[k:], friction, np.zeros((2, k)))
+        assert wanted is not None
+        assert found is not None
+        assert found.residual <= 1e-8
+        assert found.normal == pytest.approx(wanted.normal, abs=1e-6)
+        assert found.tangent == pytest.approx(wanted.tangent, abs=1e-6)
+
+
+def test_many_circles_settle_in_a_pit_without_overlap() -> None:
+    found = mbdkit.run(pit(4, 3), time={"end": 1.0, "step": 0.002}, output={"every": 50})
+    assert found.status == "complete"
+    assert np.min(found.array("contacts/gap")) > -1e-6
+    energy = found.energy.kinetic + found.energy.potential
+    assert np.all(np.diff(energy) < 1e-4 * energy[0])  # positions are projected
+    assert found.energy.kinetic[-1] < 0.1 * (energy[0] - energy[-1])
 
 
 def test_stronges_impact_never_gains_energy() -> None:
