@@ -213,6 +213,7 @@ class JointHistory(View, of="joints"):
     reaction_force_second: np.ndarray
     angle: np.ndarray
     driver_power: np.ndarray
+    friction: np.ndarray
 
     bodies: tuple[str, str]
     angle_units: str

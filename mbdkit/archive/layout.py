@@ -34,6 +34,7 @@ REASONS = (
     "zeno",
     "painleve",
     "contact-solver",
+    "self-locking",
     "event",
     "plugin-error",
 )
@@ -116,6 +117,9 @@ MUSCLES = tuple(
 
 #: Paths of the arrays of contacts; all of them are present if the mechanism has contacts.
 CONTACTS = tuple(array.path for array in LAYOUT if array.group == "contacts")
+
+#: Paths of the arrays of friction in joints; all of them are present if a joint has friction.
+FRICTION = ("joints/value_row_units", "joints/friction")
 
 #: Paths of those that inverse dynamics does not have.
 MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))

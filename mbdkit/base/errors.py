@@ -158,7 +158,9 @@ class RunError(MbdkitError):
     """A run did not complete; raised by `Run.check`."""
 
 
-StepCode = Literal["newton-failed", "singular", "not-finite", "step-too-small", "zeno", "painleve", "contact-solver"]
+StepCode = Literal[
+    "newton-failed", "singular", "not-finite", "step-too-small", "zeno", "painleve", "contact-solver", "self-locking"
+]
 """Codes of steps that fail, which are among those of archives."""
 
 
@@ -178,9 +180,7 @@ class StepError(Exception):
 
     def __init__(
         self,
-        code: Literal[
-            "newton-failed", "singular", "not-finite", "step-too-small", "zeno", "painleve", "contact-solver"
-        ],
+        code: StepCode,
         sentence: str,
     ):
         super().__init__(code, sentence)

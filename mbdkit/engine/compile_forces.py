@@ -22,6 +22,7 @@ from mbdkit.engine.contact_forces import (
     held_law,
 )
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
+from mbdkit.engine.friction_forces import FrictionForce, friction_forces
 from mbdkit.engine.kernels.applied_forces import (
     BODY_FORCE,
     PATHWAYS,
@@ -71,11 +72,16 @@ class CompiledForces:
         self.load_places: list[int] = []
         self.loads: list[Numbers] = []
         self.load_points: list[Numbers] = []
+        self.frictions: list[int] = []
+        self.reactions: list[tuple[int, int, int, int]] = []
         for name, force in mechanism.forces.items():
             self._add(name, force)
         for name, muscle in acting_muscles(mechanism).items():
             self.muscles.append(ActingMuscle(muscle, len(self.states)))
             self._add_law(name, muscle, "muscles")
+        self.friction = friction_forces(mechanism)
+        for number_of_friction, friction in enumerate(self.friction):
+            self._add_friction(number_of_friction, friction)
         self.contacts = acting_contacts(mechanism, number)
         if mechanism.contact_treatment.is_rigid:
             self.contacts = self._add_held(self.contacts, list(mechanism.bodies))
@@ -97,6 +103,7 @@ class CompiledForces:
             "load_values": np.array(self.load_values, dtype=np.int64).reshape(-1, 2),
             "slopes": np.array(self.slopes, dtype=np.int64).reshape(-1, 5),
             "law_parameters": np.array(self.law_parameters, dtype=float),
+            "frictions": np.array(self.frictions, dtype=np.int64),
             "loads": np.array(self.loads, dtype=np.int64).reshape(-1, 5),
             "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
             "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
@@ -115,7 +122,7 @@ class CompiledForces:
         self,
         name: str,
         key: str,
-        pathway: Pathway | SpringDamper | TorsionSpring | MuscleForce,
+        pathway: Pathway | SpringDamper | TorsionSpring | MuscleForce | FrictionForce,
         linear: Numbers,
         law: int = -1,
     ) -> None:
@@ -131,7 +138,7 @@ class CompiledForces:
         self.couplings += [(k, other) for k in rows for other in rows if k != other]
         self.elements.append(ForceElement(name, path_ends(segments), pathway.length_unit))
 
-    def _add_law(self, name: str, force: Law | MuscleForce, kind: str = "forces") -> None:
+    def _add_law(self, name: str, force: Law | MuscleForce | FrictionForce, kind: str = "forces") -> None:
         law, segment, begin = force.force_law, len(self.springs), len(self.law_parameters)
         try:
             compiled, block = bind_law(law, force, force.law_id)
@@ -148,6 +155,15 @@ class CompiledForces:
         for one in (compiled, *rates):
             self._add_law_row(name, one, begin)
         self.law_parameters += block
+
+    def _add_friction(self, number: int, friction: FrictionForce) -> None:
+        """Add the friction of a joint, and for each multiplier in its law the joint, its row and its place."""
+        begin, law = len(self.law_parameters), len(self.laws)
+        self.frictions.append(len(self.springs))
+        self._add_law(friction.name, friction, "joints")
+        names = [parameter for parameter, _ in self.laws[law][1].parameters]
+        for row, name in enumerate(friction.reactions):
+            self.reactions.append((friction.number, row, begin + 1 + names.index(name), number))
 
     def _add_load(self, name: str, load: AppliedLoad) -> None:
         self.load_places.append(len(self.elements))

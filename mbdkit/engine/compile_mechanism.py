@@ -22,6 +22,7 @@ from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.system import Topology
 from mbdkit.mechanism.angle_function import Center
+from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.contacts import COMPLIANT
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -60,12 +61,13 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
 
     joint_pairs: list[list[int]] = [[] for _ in mechanism.joints]
     joints = list(mechanism.joints.items())
-    rows = []
+    rows, place_of_row = [], {}
     for written, pair in enumerate(pairs):
         joint_pairs[pair.joint].append(place[written])
         name, joint = joints[pair.joint]
         for r in range(pair.rows):
             row = pair.first_row + r
+            place_of_row[pair.joint, row] = place[written], r
             rows.append(Row(place[written], r, f"{name}.{joint.rows[row]}", joint.units[row]))
 
     length = characteristic_length(mechanism)
@@ -73,6 +75,9 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         **_of_bodies(mechanism),
         **_of_pairs([pairs[k] for k in order], rows, min(1.0, length)),
         **forces.arrays(),
+        reactions=np.array(
+            [(*place_of_row[joint, row], *one) for joint, row, *one in forces.reactions], dtype=np.int64
+        ).reshape(-1, 4),
         sections=np.array(beams.sections, dtype=np.int64).reshape(-1, 2 + NODES),
         section_parameters=np.array(beams.parameters, dtype=float).reshape(-1, PARAMETERS),
         **_of_joints_and_markers(mechanism, number),
@@ -101,6 +106,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         states=tuple(forces.states),
         controllers=tuple(forces.controllers),
         muscles=tuple(forces.muscles),
+        friction=tuple(one.number for one in forces.friction),
         contacts=tuple(forces.contacts),
         members=_members(mechanism, forces.contacts),
         contact_treatment=mechanism.contact_treatment if mechanism.contacts else COMPLIANT,
@@ -175,7 +181,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         for name, body in mechanism.bodies.items()
     ]
     elements = [
-        (name, type(one).__name__, one.__dict__)
+        (name, type(one).__name__, _content(one))
         for kind, named in mechanism.elements.items()
         for name, one in named.items()
         if kind not in ("muscles", "contacts")
@@ -197,6 +203,12 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
         return marshal.dumps((bodies, data, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2)
     except ValueError:  # hashing fails for a table of a motion, or for the options of a force law
         return None
+
+
+def _content(element: Element) -> dict[str, object]:
+    """Return the data of an element; those of friction as plain data."""
+    friction = getattr(element, "friction", None)
+    return element.__dict__ if friction is None else {**element.__dict__, "friction": plain(friction)}
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.force_laws import CompiledLaw
@@ -155,6 +156,8 @@ class CompiledMechanism:
         Force elements and loads, in the order of the mechanism.
     muscles
         Muscles that act in runs; kernels have them after the force elements and loads.
+    friction
+        Numbers of the joints with friction; kernels have it after the muscles.
     beams
         Name and number of elements of each beam.
     markers
@@ -208,6 +211,7 @@ class CompiledMechanism:
     states: tuple[ElementState, ...] = ()
     controllers: tuple[SampledController, ...] = ()
     muscles: tuple[ActingMuscle, ...] = ()
+    friction: tuple[int, ...] = ()
     contacts: tuple[ActingContact, ...] = ()
     contact_treatment: Treatment = COMPLIANT
     members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
@@ -253,6 +257,21 @@ class CompiledMechanism:
             names = listed([state.name for state in self.states], "and")
             raise SpecError(f"{what} does not include first-order states ({names}){hint and '; ' + hint}", key="model")
 
+    def refuse_friction(self, sentence: str) -> None:
+        """Raise SpecError with this sentence if a joint has friction, for something that does not include it."""
+        if self.friction:
+            raise SpecError(sentence, key=f"model.joints.{quoted(self.joints[self.friction[0]])}.friction")
+
+    def refuse_friction_of_shared_reactions(self) -> None:
+        """Raise SpecError if a joint has friction whose reaction is not unique."""
+        for name in (self.joints[number] for number in self.friction):
+            if name in self.redundancy.not_unique:
+                raise SpecError(
+                    f"the reaction of joint '{name}' is not unique, because joints are redundant, so that its friction "
+                    "is not known; remove the redundant joints, or the friction",
+                    key=f"model.joints.{quoted(name)}.friction",
+                )
+
     def beam_elements(self, name: str) -> slice:
         """Return the numbers of the elements of a beam among those of all beams."""
         names, counts = zip(*self.beams, strict=True)
@@ -279,6 +298,7 @@ class CompiledMechanism:
             self.markers,
             self.states,
             tuple(one.force.name for one in self.muscles),
+            self.friction,
             *self.members.items(),
         )
 

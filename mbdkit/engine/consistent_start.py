@@ -180,6 +180,7 @@ class Starts:
             if found.has_loops:
                 q, v = start.q.ravel(), start.v.ravel()
                 compiled = without_redundancy(compiled, t0, q, v, t0 if end is None else end)
+                compiled.refuse_friction_of_shared_reactions()
         return MechanismAtStart(compiled, with_ground(start.q), with_ground(start.v), start)
 
     def _found(self, mechanism: Mechanism, t0: float) -> _Compiled:

@@ -412,4 +412,4 @@ class EquationsOfMotion:
         return StepError("singular", f"the system of equations is singular at {name}")
 
     def _not_finite(self) -> StepError:
-        return StepError("not-finite", self._workspace.unusable() or "numbers overflowed")
+        return StepError(self._workspace.cause, self._workspace.unusable() or "numbers overflowed")

@@ -354,5 +354,7 @@ def require_unique_start(workspace: Workspace) -> None:
 
 def refuse_law(workspace: Workspace) -> None:
     """Raise SpecError if a force law does not return a finite number at the start."""
+    if workspace.locks:
+        raise SpecError(f"{workspace.unusable()} at the start", key="model.joints")
     if force := workspace.unusable_law():
         raise SpecError("its law gives no finite number at the start", key=f"model.forces.{quoted(force)}")

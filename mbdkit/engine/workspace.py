@@ -6,6 +6,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -208,11 +209,27 @@ class Workspace:
         """
         if self.scratch.faulty[0] in self.mechanism.topology.load_values[:, 0]:
             return f"the value of load '{self.unusable_law()}' is not finite"
+        if self.locks:
+            return (
+                f"the friction and the reaction of joint '{self.unusable_law()}' have no solution: the joint locks "
+                "itself,"
+            )
         if not self.motions_are_finite():
             return "the value of a driver, a load or a moving center is not finite"
         if force := self.unusable_law():
             return f"the law of force '{force}' does not give a finite number"
         return ""
+
+    @property
+    def locks(self) -> bool:
+        """Whether the last evaluation failed because the friction in joints has no solution."""
+        top = self.mechanism.topology
+        return bool(self.scratch.faulty[0] in top.springs[top.frictions, 3])
+
+    @property
+    def cause(self) -> Literal["self-locking", "not-finite"]:
+        """Code of the failure that `unusable` describes."""
+        return "self-locking" if self.locks else "not-finite"
 
     def unusable_law(self) -> str | None:
         """Return the name of the last force whose law did not return a finite number, if any."""
@@ -316,7 +333,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     views = {name: source[offsets[name] : offsets[name] + r * c].reshape(r, c) for name, (r, c) in shapes.items()}
     cs = np.zeros((len(mechanism.bodies) + 1, 2))
     cs[:, 0] = 1.0
-    unknowns = mechanism.unknowns
+    unknowns, changing = mechanism.unknowns, len(top.states) + len(top.inputs) + len(top.reactions) > 0
     scratch = Scratch(
         time=np.zeros(1),
         sides=np.array([-np.inf, np.inf]),
@@ -338,7 +355,9 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
         section_energy=np.zeros((sections, 2)),
         section_stiff=np.zeros((sections, 16)),
         section_damp=np.zeros((sections, 16)),
-        law_values=top.law_parameters.copy() if len(top.states) + len(top.inputs) else top.law_parameters,
+        law_values=top.law_parameters.copy() if changing else top.law_parameters,
+        friction=np.zeros((len(top.frictions), len(top.frictions) + 3)),
+        response=np.zeros((len(top.reactions), len(top.frictions) + 1)),
         faulty=np.array([-1]),
         source=source,
         loose=np.zeros((len(top.spare), 6)),

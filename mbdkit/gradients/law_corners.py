@@ -161,11 +161,18 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that no law has
         places[place - 1 : place + 1] = len(values), len(values) + 1
         values += top.law_parameters[place - 1 : place + 1].tolist()
-    inputs, states, state_places = (x.copy() for x in (top.inputs, top.states, top.state_places))
-    for indices, column in ((inputs, 2), (states, 1), (state_places, 1)):
+    inputs, states, state_places, reactions = (
+        x.copy() for x in (top.inputs, top.states, top.state_places, top.reactions)
+    )
+    for indices, column in ((inputs, 2), (states, 1), (state_places, 1), (reactions, 2)):
         indices[:, column] = places[indices[:, column]]
     own_top = top._replace(
-        laws=rows, law_parameters=np.array(values), inputs=inputs, states=states, state_places=state_places
+        laws=rows,
+        law_parameters=np.array(values),
+        inputs=inputs,
+        states=states,
+        state_places=state_places,
+        reactions=reactions,
     )
     return SidedMechanism(replace(mechanism, topology=own_top, laws=tuple(laws)), tuple(conditions), places)
 

@@ -136,6 +136,8 @@ class TracedLaw:
         First-order states of an element with this law, whose rates have the same parameters.
     has_derivatives
         Whether its derivatives by length and rate are needed: those of a rate are not.
+    passive
+        Whether all power is dissipated.
     valid_range
         Where the law holds, as in `ExpressionLaw`.
     """
@@ -144,9 +146,9 @@ class TracedLaw:
     parameters: Callable[[Any], Mapping[str, float]]
     states: tuple[LawState, ...] = ()
     has_derivatives: bool = True
+    passive: bool = False
     valid_range: Ranges | Callable[[Any], Ranges] = field(default_factory=dict)
     potential: ClassVar[None] = None
-    passive: ClassVar[bool] = False
 
 
 ForceLaw = ExpressionLaw | FunctionLaw | TracedLaw

@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import At, Attachment, Between, BetweenPoints, Body, FromTo
+from mbdkit.mechanism.joint_friction import JointFriction, PinFriction, SlideFriction
 from mbdkit.mechanism.values import Motion, Number, Point, Points, Positive
 
 if TYPE_CHECKING:
@@ -131,12 +132,14 @@ class Revolute(PointJoint, At):
     recorded as reaction torque.
     """
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "center")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "center", "friction")
 
     type: Literal["revolute"] = "revolute"
     center: Center | None = None
     """Displacement ``c = {x, y}`` of the first body's point from its position in `points`, in the frame of that body,
     as a function of ``angle_b - angle_a``; by default, the point is fixed."""
+    friction: PinFriction | None = None
+    """Dry friction of the pin, ``{coefficient: number, radius: length}``; by default, there is none."""
     rows: ClassVar[tuple[str, ...]] = ("x", "y")
     units: ClassVar[tuple[str, ...]] = ("m", "m")
 
@@ -163,7 +166,7 @@ class Revolute(PointJoint, At):
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
-        return [] if self.center is None else self.places()
+        return [] if self.center is None and self.friction is None else self.places()
 
     def constraints(self, initial_angle: float) -> list[Constraint]:
         """Return the constraints of the joint."""
@@ -300,7 +303,11 @@ class SlidingJoint(PointJoint, At):
 class PointOnLine(SlidingJoint):
     """A pin in a slot, or a roller: b's point stays on the line through a's point along `axis`, and b may turn."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "friction")
+
     type: Literal["point-on-line"] = "point-on-line"
+    friction: JointFriction | None = None
+    """Dry friction along the line, ``{coefficient: number}``; by default, there is none."""
     rows: ClassVar[tuple[str, ...]] = ("normal",)
     units: ClassVar[tuple[str, ...]] = ("m",)
 
@@ -316,9 +323,13 @@ class PointOnLine(SlidingJoint):
 class Prismatic(SlidingJoint):
     """A slide: b's point stays on the line through a's point along `axis`, and b does not rotate relative to a."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "friction")
+
     type: Literal["prismatic"] = "prismatic"
     angle: Number | None = None
     """``angle_b - angle_a`` [rad]; by default, the difference of the initial angles as given."""
+    friction: SlideFriction | None = None
+    """Dry friction of the slide, ``{coefficient: number, length: length}``; by default, there is none."""
     rows: ClassVar[tuple[str, ...]] = ("normal", "angle")
     units: ClassVar[tuple[str, ...]] = ("m", "rad")
 
@@ -382,6 +393,16 @@ class Driver(JointBase):
         """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
         return True
 
+    @model_validator(mode="before")
+    @classmethod
+    def _no_friction(cls, data: Any) -> Any:
+        if isinstance(data, Mapping) and "friction" in data:
+            raise SpecError(
+                "a driver has no bearing; give friction to the revolute or prismatic joint that carries the motion",
+                key="friction",
+            )
+        return data
+
     @model_validator(mode="after")
     def _points_fit_the_coordinate(self) -> Driver:
         if self.points is not None and self.coordinate == "angle":
@@ -438,3 +459,8 @@ class Driver(JointBase):
 
 Joint = Annotated[Revolute | Prismatic | PointOnLine | Weld | Distance | Driver, Field(discriminator="type")]
 """A joint or driver; `type` selects its class."""
+
+
+def joint_with_friction(joints: Mapping[str, Joint]) -> str:
+    """Return the name of the first joint with friction; empty if there is none."""
+    return next((name for name, joint in joints.items() if getattr(joint, "friction", None) is not None), "")

@@ -19,6 +19,7 @@ from mbdkit.mechanism.bodies import GROUND, Body, Element, Marker
 from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
 from mbdkit.mechanism.contacts import Contact, Treatment, check_contacts
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joint_friction import JointFriction
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
@@ -221,6 +222,7 @@ class Mechanism(HtmlView):
         at: Pair | None = None,
         points: Sequence[Pair] | None = None,
         center: Mapping[str, Any] | Center | None = None,
+        friction: Mapping[str, Any] | JointFriction | None = None,
     ) -> None:
         """Connect bodies `a` and `b` by a revolute joint.
 
@@ -236,6 +238,8 @@ class Mechanism(HtmlView):
             Displacement of a's point in a's frame as a function of angle_b - angle_a, ``{"x": ..., "y": ...}`` [m]:
             numbers, expressions of `angle`, or tables ``{"table": [[angle, ...], [value, ...]]}``. With `at`, the
             displaced point is there at the initial positions.
+        friction
+            Dry friction of the pin, such as ``{"coefficient": 0.1, "radius": 0.01}``.
 
         Examples
         --------
@@ -248,7 +252,7 @@ class Mechanism(HtmlView):
         >>> wheel = m.body("wheel", mass=1.0, inertia=0.045, position=(0.0, 0.3))
         >>> m.revolute("rolls", m.ground, wheel, at=(0.0, 0.3), center={"x": "-0.3*angle"})
         """
-        self._add("joints", Revolute, name, bodies=(a, b), points=points, at=at, center=center)
+        self._add("joints", Revolute, name, bodies=(a, b), points=points, at=at, center=center, friction=friction)
 
     def prismatic(
         self,
@@ -260,6 +264,7 @@ class Mechanism(HtmlView):
         points: Sequence[Pair] | None = None,
         axis: Pair,
         angle: float | None = None,
+        friction: Mapping[str, Any] | JointFriction | None = None,
     ) -> None:
         """Connect bodies `a` and `b` by a prismatic joint: `b` slides along a line of `a` without relative rotation.
 
@@ -276,6 +281,8 @@ class Mechanism(HtmlView):
             Direction of the line (x, y) in a's frame; any length.
         angle
             angle_b - angle_a [rad]; by default, the difference of the initial angles as given.
+        friction
+            Dry friction of the slide, such as ``{"coefficient": 0.1, "length": 0.05}``.
 
         Examples
         --------
@@ -283,11 +290,19 @@ class Mechanism(HtmlView):
         >>> slider = m.body("slider", mass=1.0, inertia=0.1, position=(2.0, 0.0))
         >>> m.prismatic("guide", m.ground, slider, at=(2.0, 0.0), axis=(1, 0))
         """
-        values = {"bodies": (a, b), "points": points, "at": at, "axis": axis, "angle": angle}
+        values = {"bodies": (a, b), "points": points, "at": at, "axis": axis, "angle": angle, "friction": friction}
         self._add("joints", Prismatic, name, **values)
 
     def point_on_line(
-        self, name: str, a: str, b: str, *, at: Pair | None = None, points: Sequence[Pair] | None = None, axis: Pair
+        self,
+        name: str,
+        a: str,
+        b: str,
+        *,
+        at: Pair | None = None,
+        points: Sequence[Pair] | None = None,
+        axis: Pair,
+        friction: Mapping[str, Any] | JointFriction | None = None,
     ) -> None:
         """Hold a point of `b` on a line of `a`, as a pin in a slot or a roller does; `b` may turn.
 
@@ -301,8 +316,10 @@ class Mechanism(HtmlView):
             Alternative to `at`: a point of the line in a's frame and the point of b in b's, ((x, y), (x, y)) [m].
         axis
             Direction of the line (x, y) in a's frame; any length.
+        friction
+            Dry friction along the line, such as ``{"coefficient": 0.1}``.
         """
-        self._add("joints", PointOnLine, name, bodies=(a, b), points=points, at=at, axis=axis)
+        self._add("joints", PointOnLine, name, bodies=(a, b), points=points, at=at, axis=axis, friction=friction)
 
     def weld(
         self,

@@ -11,6 +11,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.bodies import Body, Marker
 from mbdkit.mechanism.coordinate_function import CoordinateTable
+from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.mechanism_data import NamedCoordinate
 from mbdkit.mechanism.muscles import Muscle, PathItem
@@ -75,7 +76,15 @@ def pinned_leg(person: Person, pose: LegPose, hip: Hip) -> LegParts:
     return parts._replace(joints=joints)
 
 
-def four_bar_leg(person: Person, pose: LegPose, hip: Hip, *, linkage: CrossedFourBar, rod_mass: float) -> LegParts:
+def four_bar_leg(
+    person: Person,
+    pose: LegPose,
+    hip: Hip,
+    *,
+    linkage: CrossedFourBar,
+    rod_mass: float,
+    friction: PinFriction | None = None,
+) -> LegParts:
     """Return a leg with a four-bar knee.
 
     Raises
@@ -93,11 +102,14 @@ def four_bar_leg(person: Person, pose: LegPose, hip: Hip, *, linkage: CrossedFou
     acl, pcl = knee.ends["acl"], knee.ends["pcl"]
     on_shank = {name: xy(point - person.shank.centre) for name, point in knee.tibial.items()}
     on_thigh = {name: xy(point - person.thigh.centre + down) for name, point in knee.femoral.items()}
+    ends = {
+        "A": (("pcl", "shank"), ((pcl, 0.0), on_shank["A"])),
+        "B": (("acl", "shank"), ((acl, 0.0), on_shank["B"])),
+        "C": (("thigh", "acl"), (on_thigh["C"], (-acl, 0.0))),
+        "D": (("thigh", "pcl"), (on_thigh["D"], (-pcl, 0.0))),
+    }
     joints = {
-        "A": Revolute(bodies=("pcl", "shank"), points=((pcl, 0.0), on_shank["A"])),
-        "B": Revolute(bodies=("acl", "shank"), points=((acl, 0.0), on_shank["B"])),
-        "C": Revolute(bodies=("thigh", "acl"), points=(on_thigh["C"], (-acl, 0.0))),
-        "D": Revolute(bodies=("thigh", "pcl"), points=(on_thigh["D"], (-pcl, 0.0))),
+        name: Revolute(bodies=bodies, points=points, friction=friction) for name, (bodies, points) in ends.items()
     }
     flexion = NamedCoordinate(of="shank.angle", relative_to="thigh", scale=-1.0)
     return LegParts(

@@ -40,11 +40,13 @@ Masses
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 from pydantic import Field
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
 from mbdkit.models._crossed_four_bar import CrossedFourBar
@@ -105,6 +107,8 @@ class KneeSpring(StrictModel):
 class FourBarKneeOptions(StrictModel):
     """Parameters of `four-bar-knee`."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("pin_friction",)
+
     height: Positive = 1.78
     """Body height [m]; scales the linkage and the segments."""
     body_mass: Positive = 75.0
@@ -123,6 +127,8 @@ class FourBarKneeOptions(StrictModel):
     """Mass of each of the two rods [kg]."""
     damping: NotNegative = 0.0
     """Rotational damping between thigh and shank [N m s/rad]."""
+    pin_friction: PinFriction | None = None
+    """Dry friction in each pin of the linkage, ``{coefficient: number, radius: length}``; by default, there is none."""
     springs: dict[str, KneeSpring] = Field(default_factory=dict)
     """Springs and dampers between thigh and shank, by name."""
     gravity: Point = (0.0, -9.81)
@@ -154,10 +160,14 @@ def build(options: FourBarKneeOptions) -> Mechanism:
     mechanism = Mechanism(options.gravity, name="four-bar-knee")
     mechanism.bodies = {**knee.rods, "shank": knee.shank.carry(leg)}
     acl, pcl = knee.ends["acl"], knee.ends["pcl"]
-    mechanism.revolute("A", "pcl", "shank", points=((pcl, 0.0), xy(knee.tibial["A"] - leg.centre)))
-    mechanism.revolute("B", "acl", "shank", points=((acl, 0.0), xy(knee.tibial["B"] - leg.centre)))
-    mechanism.revolute("C", mechanism.ground, "acl", points=(xy(thigh.to_global(knee.femoral["C"])), (-acl, 0.0)))
-    mechanism.revolute("D", mechanism.ground, "pcl", points=(xy(thigh.to_global(knee.femoral["D"])), (-pcl, 0.0)))
+    ends = {
+        "A": ("pcl", "shank", (pcl, 0.0), xy(knee.tibial["A"] - leg.centre)),
+        "B": ("acl", "shank", (acl, 0.0), xy(knee.tibial["B"] - leg.centre)),
+        "C": (mechanism.ground, "acl", xy(thigh.to_global(knee.femoral["C"])), (-acl, 0.0)),
+        "D": (mechanism.ground, "pcl", xy(thigh.to_global(knee.femoral["D"])), (-pcl, 0.0)),
+    }
+    for name, (first, second, *points) in ends.items():
+        mechanism.revolute(name, first, second, points=points, friction=options.pin_friction)
 
     if options.damping > 0:
         mechanism.torsion_spring(DAMPER, mechanism.ground, "shank", damping=options.damping)

@@ -55,6 +55,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
 from mbdkit.mechanism.forces import Force
+from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
@@ -116,12 +117,16 @@ class LegOptions(LegPose):
 class LegFourBarOptions(LegOptions):
     """Parameters of `leg-four-bar`."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*LegOptions.ABSENT_BY_DEFAULT, "pin_friction")
+
     links: KneeLinks = KneeLinks()
     """Lengths of the links of the knee [m]; the default lengths scale with `height`."""
     pitches: KneePitches = KneePitches()
     """Pitches of the links of the knee when the leg is straight [rad]."""
     rod_mass: Positive = 0.05
     """Mass of each of the two rods of the knee [kg]."""
+    pin_friction: PinFriction | None = None
+    """Dry friction in each pin of the knee, ``{coefficient: number, radius: length}``; by default, there is none."""
 
 
 def build(options: LegOptions) -> Mechanism:
@@ -145,7 +150,8 @@ def build_four_bar(options: LegFourBarOptions) -> Mechanism:
         As for `build`; also if the linkage cannot be assembled at the flexion of the knee.
     """
     four_bar = linkage(options.height, options.links, options.pitches)
-    return _mechanism("leg-four-bar", options, partial(four_bar_leg, linkage=four_bar, rod_mass=options.rod_mass))
+    leg = partial(four_bar_leg, linkage=four_bar, rod_mass=options.rod_mass, friction=options.pin_friction)
+    return _mechanism("leg-four-bar", options, leg)
 
 
 def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], LegParts]) -> Mechanism:

@@ -148,6 +148,18 @@ class States:
         """(T, F, 5) length, rate, value, power and potential of each force element and load."""
         return self.observed.forces[:, : len(self.mechanism.forces)]
 
+    @property
+    def friction(self) -> np.ndarray:
+        """(T, J) friction torque [N m] or force [N] of each joint on its second body, along the joint's coordinate."""
+        known = self.mechanism
+        first = len(known.forces) + len(known.muscles)
+        found = np.zeros_like(self.coordinate)
+        for place, joint in enumerate(known.friction, first):
+            # a torque is that on the second body; a tension pulls it back
+            sign = 1.0 if known.joint_units[joint] == "rad" else -1.0
+            found[:, joint] = sign * self.observed.forces[:, place, 2]
+        return found
+
     @cached_property
     def _contacts(self) -> dict[str, np.ndarray]:
         """Quantities (T, C) of the contacts by name."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CONTACTS, CORRECTIONS, EVENTS, IMPACTS, MUSCLES, STATES, recorded_by
+from mbdkit.archive.layout import CONTACTS, CORRECTIONS, EVENTS, FRICTION, IMPACTS, MUSCLES, STATES, recorded_by
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -161,6 +161,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         *(["constraints/method_multiplier"] if carries_multipliers else []),
         *(STATES if mechanism.states else ()),
         *(MUSCLES if mechanism.muscles else ()),
+        *(FRICTION if mechanism.friction else ()),
         *(CONTACTS if mechanism.contacts else ()),
         *(IMPACTS if mechanism.contact_treatment.is_rigid else ()),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),

@@ -13,6 +13,7 @@ from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.joints import joint_with_friction
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
@@ -76,6 +77,12 @@ class InverseSpec(ModelSpec):
             raise SpecError(
                 "contacts have no place in inverse dynamics: leave them out, and give forces of the ground as `loads`",
                 key=f"model.contacts.{quoted(next(iter(mechanism.contacts)))}",
+            )
+        if name := joint_with_friction(mechanism.joints):
+            raise SpecError(
+                "friction in joints is not part of inverse dynamics, whose actuators would have to overcome it; leave "
+                "it out",
+                key=f"model.joints.{quoted(name)}.friction",
             )
 
     @property

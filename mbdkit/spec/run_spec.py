@@ -14,6 +14,7 @@ from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, FormulationName
 from mbdkit.engine.stabilization import Stabilization
+from mbdkit.mechanism.joints import joint_with_friction
 from mbdkit.muscles.acting_muscles import check_acting
 from mbdkit.registry.catalogue import Kind, Registered, Registry, item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
@@ -351,6 +352,12 @@ class RunSpec(ModelSpec):
             mechanism.muscles_act = True
         if mechanism.contacts:
             mechanism.contact_treatment = self.contact.of_mechanism
+            if mechanism.contact_treatment.is_rigid and (name := joint_with_friction(mechanism.joints)):
+                raise SpecError(
+                    "runs with rigid contacts have no friction in joints; leave it out, or use "
+                    "`contact: {treatment: compliant}`",
+                    key=f"model.joints.{quoted(name)}.friction",
+                )
         self._watched = self._parsed(mechanism)
         self._settings = self._parsed_settings(mechanism)
 

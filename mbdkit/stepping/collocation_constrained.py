@@ -34,7 +34,7 @@ import numpy as np
 
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
-from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_states
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_multipliers, take_states
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
 from mbdkit.engine.kernels.projection import STAGNANT, position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
@@ -109,6 +109,7 @@ def evaluate_residual(c, m, t, h):
             lack[3 * b + 2] = top.mass[b, 2] * m.acc[i, 3 * b + 2]
         if has_forces:
             take_states(top, w, m.states.z[i])
+            take_multipliers(top, w, m.lam[i])
             applied_forces(top, w, q, v)
             for d in range(n3):
                 lack[d] -= w.force[d]
@@ -278,6 +279,7 @@ def stage_powers(c, m, t, h):
     for i in range(len(m.rk.c)):
         unfold(c, t + m.rk.c[i] * h, m.q_stage[i], m.lam[i], m.pairs)
         take_states(c.top, c.w, m.states.z[i])
+        take_multipliers(c.top, c.w, m.pairs)
         applied_forces(c.top, c.w, m.q_stage[i], m.v_stage[i])
         m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage[i], m.v_stage[i], m.pairs)
     c.counts[RHS] += len(m.rk.c)

@@ -435,7 +435,7 @@ class CompiledStepper:
         where = f"in step {done + 1} from t = {self.time:.6g} s"
         if unusable := self.workspace.unusable():
             if not (self.controlled and status != step_loop.TOO_SMALL and self._shrink()):
-                self.failure = Failure("not-finite", f"{unusable} {where}{self._stiffness()}.")
+                self.failure = Failure(self.workspace.cause, f"{unusable} {where}{self._stiffness()}.")
             return
         if status in (REPIVOT, REPIVOT_STAGES) and not self.workspace.is_finite():
             status = DIVERGED if self.method.carries_stages else NOT_FINITE

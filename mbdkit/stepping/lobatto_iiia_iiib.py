@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
+from mbdkit.engine.kernels.applied_forces import applied_forces, take_multipliers
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE
 from mbdkit.engine.kernels.projection import position_rows, rate_rows
 from mbdkit.engine.kernels.system import (
@@ -30,7 +30,7 @@ from mbdkit.engine.kernels.system import (
     OK,
     evaluate_powers,
     prepare,
-    solve_system,
+    solve_loaded,
     solved_rows,
     unfold_multipliers,
 )
@@ -180,15 +180,12 @@ def _changes(c, m, t, h, before):
     """Write the change of the accelerations of the stages before the last by one iteration; return a status."""
     top, w = c.top, c.w
     s = len(m.rk.c)
-    has_forces = any_forces(top)
     for i in range(1, s):
         position_rows(top, w, t + m.rk.c[i] * h, m.q_stage[i])
         for k in range(len(top.pairs)):
             m.gap[i - 1, k, 0], m.gap[i - 1, k, 1] = w.phi[k, 0], w.phi[k, 1]
     for j in range(s - 1):
         prepare(top, w, t + m.rk.c[j] * h, m.q_stage[j])
-        if has_forces:
-            applied_forces(top, w, m.q_stage[j], m.v_stage[j])
         solved_rows(top, w, m.q_stage[j], m.v_stage[j])
         w.gamma[:, :] = 0.0
         rate_rows(top, w.jac, w.gamma, m.acc[j], m.pairs)
@@ -199,7 +196,8 @@ def _changes(c, m, t, h, before):
                     total -= m.rk.inverse[j, i] / (h * h) * m.gap[i, k, r]
                 w.gamma[k, r] = total
         is_refined = before < np.inf
-        status = solve_system(top, w, c.solver, has_forces, m.change[j], m.lam[j], is_refined)
+        q, v = m.q_stage[j], m.v_stage[j]
+        status = solve_loaded(top, w, c.solver, q, v, m.change[j], m.lam[j], is_refined)
         if status != OK:
             return status
         for d in range(len(c.q) - 3):
@@ -252,15 +250,12 @@ def _finish(c, m, t, h):
     """Solve for the last stage, whose multiplier makes the velocities satisfy their constraints; return a status."""
     top, w = c.top, c.w
     s = len(m.rk.c)
-    has_forces = any_forces(top)
     end, known = m.q_stage[s - 1], m.spread[0]
     copy(c.from_v, known)
     for j in range(s - 1):
         for d in range(len(c.q) - 3):
             known[d] += h * m.rk.b[j] * m.acc[j, d]
     position_rows(top, w, t + h, end)
-    if has_forces:
-        applied_forces(top, w, end, m.v_stage[s - 1])
     solved_rows(top, w, end, m.v_stage[s - 1])
     rate_rows(top, w.jac, w.phi_t, known, w.gamma)
     for k in range(len(top.pairs)):
@@ -268,7 +263,7 @@ def _finish(c, m, t, h):
             w.gamma[k, r] = -w.gamma[k, r] / (h * m.rk.b[s - 1])
     c.counts[RHS] += 1
     c.counts[FACTORIZATIONS] += 1
-    return solve_system(top, w, c.solver, has_forces, m.acc[s - 1], m.lam[s - 1], True)
+    return solve_loaded(top, w, c.solver, end, m.v_stage[s - 1], m.acc[s - 1], m.lam[s - 1], True)
 
 
 @entry
@@ -301,6 +296,7 @@ def attempt(run, method, t, h, want_error):
                 c.own_lam[k, 0], c.own_lam[k, 1] = m.lam[j, k, 0], m.lam[j, k, 1]
             unfold_multipliers(top, w.cs, c.own_lam)
         if c.has_power[0] != 0:
+            take_multipliers(top, w, c.own_lam)
             applied_forces(top, w, m.q_stage[j], m.v_stage[j])
             m.power[j, 0], m.power[j, 1] = evaluate_powers(top, w, m.q_stage[j], m.v_stage[j], c.own_lam)
             c.gain[0] += w1 * m.power[j, 0]

@@ -429,7 +429,7 @@ class SciPyStepper:
 
     def _overflow(self, t: float) -> Failure:
         if unusable := self.workspace.unusable():
-            return Failure("not-finite", f"{unusable} after t = {t:.6g} s.")
+            return Failure(self.workspace.cause, f"{unusable} after t = {t:.6g} s.")
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
     def _effort(self, t: float) -> tuple[int, int]:

@@ -25,7 +25,7 @@ from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.force_law import ExpressionLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.joints import Constraint
+from mbdkit.mechanism.joints import Constraint, joint_with_friction
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
@@ -68,6 +68,8 @@ def build_system(mechanism: Mechanism, *, numbers: bool) -> SymbolicSystem:
         raise SpecError("muscles have no symbolic form", key="model.muscles")
     if mechanism.contacts:
         raise SpecError("contacts have no symbolic form", key="model.contacts")
+    if name := joint_with_friction(mechanism.joints):
+        raise SpecError("friction in joints has no symbolic form", key=f"model.joints.{quoted(name)}.friction")
     return _Builder(mechanism, numbers).system()
 
 

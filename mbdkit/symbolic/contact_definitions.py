@@ -19,6 +19,8 @@ import numpy as np
 import sympy as sp
 from sympy.printing.numpy import NumPyPrinter
 
+from mbdkit.mechanism.joint_friction import regularised_friction
+
 FIRST = sp.symbols("x1 y1 th1 vx1 vy1 w1", real=True)
 SECOND = sp.symbols("x2 y2 th2 vx2 vy2 w2", real=True)
 """Position, angle, velocity and angular velocity of the two bodies."""
@@ -159,19 +161,17 @@ def normal_force(law: str, depth: sp.Expr, rate: sp.Expr) -> sp.Expr:
 
 
 def friction_force(law: str, normal: sp.Expr, slip: sp.Expr) -> sp.Expr:
-    """Return Coulomb's friction force, regularised as in Simbody: it is largest, `static` times the normal force, at
-    the slip `transition`, and approaches `kinetic` times the normal force beyond.
+    """Return Coulomb's friction force; see `mbdkit.mechanism.joint_friction.regularised_friction`.
 
     The slip of the smooth law is ``sqrt(slip^2 + CF)``, as in SmoothSphereHalfSpaceForce.
     """
+    if law != "smooth":
+        return regularised_friction(normal, slip, LAW[4:], choose)
     static, kinetic, transition = LAW[4:]
-    square = slip**2 + (CF if law == "smooth" else 0)
+    square = slip**2 + CF
     ratio = square / transition**2
     size = kinetic + 2 * (static - kinetic) / (1 + ratio)
-    if law == "smooth":
-        share = slip / sp.sqrt(square) * choose(1 - ratio, sp.sqrt(ratio), 1)
-    else:
-        share = choose(1 - ratio, slip / transition, choose(slip, 1, -1))
+    share = slip / sp.sqrt(square) * choose(1 - ratio, sp.sqrt(ratio), 1)
     return -normal * size * share
 
 

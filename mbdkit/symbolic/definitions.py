@@ -193,6 +193,12 @@ PATHWAYS = (
         (("r", "r"), ("L", "L")),
     ),
     PathwayKind("lifted", sp.sqrt(length**2 + PARAMETERS[4] ** 2), "s = sqrt(|p_b - p_a|^2 + h^2) [m]", (("h", "h"),)),
+    PathwayKind(
+        "travel",
+        PARAMETERS[4] * _IN_A[0] + PARAMETERS[5] * _IN_A[1],
+        "s = coordinate of b's point in a's frame, along a direction [m]",
+        (("e_x", "e^{x}"), ("e_y", "e^{y}")),
+    ),
     # What is differentiated is the length of the tangent plus r times its direction. A string around a circle consists
     # of two such lengths with opposite r, up to multiples of 2 pi r. Each of them depends on two bodies only.
     PathwayKind(

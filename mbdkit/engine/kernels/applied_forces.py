@@ -17,7 +17,7 @@ from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.native.functions import inlined, subkernel
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
-_TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TANGENT = range(len(PATHWAYS))
+_TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TRAVEL, _TANGENT = range(len(PATHWAYS))
 BEHIND = np.pi / 6
 """The angle that a string sweeps about the center of its circle is counted from minus this value on; see
 `mbdkit.muscles.muscle_path`."""
@@ -32,6 +32,7 @@ TORQUE, POINT_FORCE, BODY_FORCE = range(3)
 two_points_gradient, relative_angle_gradient = e.two_points_gradient, e.relative_angle_gradient
 coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordinate_y_gradient
 pulley_gradient, lifted_gradient, tangent_gradient = e.pulley_gradient, e.lifted_gradient, e.tangent_gradient
+travel_gradient, travel_hessian = e.travel_gradient, e.travel_hessian
 two_points_hessian, lifted_hessian, tangent_hessian = e.two_points_hessian, e.lifted_hessian, e.tangent_hessian
 coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinate_y_hessian
 
@@ -69,6 +70,8 @@ def pathway_lengths(top, w, q):
             lifted_gradient(k, a, b, q, cs, points, s, grad)
             if springs[k - 1, 0] == _TANGENT:
                 choose_side_of_circle(k, points, s, grad)
+        elif springs[k, 0] == _TRAVEL:
+            travel_gradient(k, a, b, q, cs, points, s, grad)
         else:
             tangent_gradient(k, a, b, q, cs, points, s, grad)
     for k in range(len(springs)):
@@ -148,6 +151,13 @@ def take_states(top, w, z):
     """Use the values `z` (Z,) of first-order states in the forces and rates that are evaluated next."""
     for i in range(len(top.state_places)):
         put_in_place(w.law_values, top.state_places[i, 1], z[top.state_places[i, 0]])
+
+
+@subkernel
+def take_multipliers(top, w, lam):
+    """Use the multipliers `lam` (P, 2) in the friction of joints that is evaluated next."""
+    for i in range(len(top.reactions)):
+        put_in_place(w.law_values, top.reactions[i, 2], lam[top.reactions[i, 0], top.reactions[i, 1]])
 
 
 @subkernel
@@ -244,7 +254,7 @@ def rate_slope(top, w, v, k, column):
     """Return the derivative ``(s_q v)_q`` of the rate of segment `k` by a coordinate of its two bodies."""
     a, b = top.springs[k, 1], top.springs[k, 2]
     bend = 0.0 * w.cs[0, 0]
-    if top.springs[k, 0] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y, _LIFTED, _TANGENT):
+    if top.springs[k, 0] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y, _LIFTED, _TRAVEL, _TANGENT):
         for i in range(3):
             bend += w.hess[k, 6 * i + column] * v[3 * a + i] + w.hess[k, 6 * (3 + i) + column] * v[3 * b + i]
     return where(w.s[k, 0] != 0.0, bend, 0.0)
@@ -353,6 +363,8 @@ def force_tangents(top, w, q, v):
             coordinate_x_hessian(k, a, b, q, cs, points, hess)
         elif springs[k, 0] == _COORDINATE_Y:
             coordinate_y_hessian(k, a, b, q, cs, points, hess)
+        elif springs[k, 0] == _TRAVEL:
+            travel_hessian(k, a, b, q, cs, points, hess)
         elif springs[k, 0] == _LIFTED or springs[k, 0] == _TANGENT:
             if springs[k, 0] == _LIFTED:
                 lifted_hessian(k, a, b, q, cs, points, hess)

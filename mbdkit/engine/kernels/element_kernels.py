@@ -30,7 +30,7 @@ from mbdkit.engine.native.functions import subkernel
 CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle', 'moving_center')
 
 
-PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y', 'pulley', 'lifted', 'tangent')
+PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y', 'pulley', 'lifted', 'travel', 'tangent')
 
 
 JACOBIAN_ENTRIES = {
@@ -88,6 +88,7 @@ GRADIENT_ENTRIES = {
     "coordinate_y": (0, 1, 2, 3, 4, 5),
     "pulley": (2, 5),
     "lifted": (0, 1, 2, 3, 4, 5),
+    "travel": (0, 1, 2, 3, 4, 5),
     "tangent": (0, 1, 2, 3, 4, 5),
 }
 
@@ -99,6 +100,7 @@ HESSIAN_ENTRIES = {
     "coordinate_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "pulley": (),
     "lifted": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
+    "travel": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "tangent": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
 }
 
@@ -1552,6 +1554,74 @@ def lifted_hessian(k, a, b, q, cs, p, hess):
     hess[k, 33] = t23
     hess[k, 34] = t24
     hess[k, 35] = t1*((bx*bx) - bx*gx + (by*by) - by*gy - (t12*t12)*t2)
+
+
+@subkernel
+def travel_gradient(k, a, b, q, cs, p, s, grad):
+    """Length s = coordinate of b's point in a's frame, along a direction [m] and its gradient."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = bx - xa + xb
+    t1 = by - ya + yb
+    t2 = ca*p4 - p5*sa
+    t3 = ca*p5 + p4*sa
+    s[k, 0] = p4*(ca*t0 + sa*t1) + p5*(ca*t1 - sa*t0)
+    grad[k, 0] = -t2
+    grad[k, 1] = -t3
+    grad[k, 2] = ca*(p4*t1 - p5*t0) - sa*(p4*t0 + p5*t1)
+    grad[k, 3] = t2
+    grad[k, 4] = t3
+    grad[k, 5] = bx*t3 - by*t2
+
+
+@subkernel
+def travel_hessian(k, a, b, q, cs, p, hess):
+    """Second derivatives of the length s = coordinate of b's point in a's frame, along a direction [m]."""
+    xa = q[3*a+0]
+    ya = q[3*a+1]
+    xb = q[3*b+0]
+    yb = q[3*b+1]
+    ca = cs[a, 0]
+    sa = cs[a, 1]
+    cb = cs[b, 0]
+    sb = cs[b, 1]
+    p2 = p[k, 2]
+    p3 = p[k, 3]
+    p4 = p[k, 4]
+    p5 = p[k, 5]
+    bx = cb*p2 - p3*sb
+    by = cb*p3 + p2*sb
+    t0 = ca*p5 + p4*sa
+    t1 = ca*p4 - p5*sa
+    t2 = -t1
+    t3 = bx - xa + xb
+    t4 = by - ya + yb
+    t5 = -t0
+    t6 = bx*t1 + by*t0
+    hess[k, 2] = t0
+    hess[k, 8] = t2
+    hess[k, 12] = t0
+    hess[k, 13] = t2
+    hess[k, 14] = -ca*(p4*t3 + p5*t4) - sa*(p4*t4 - p5*t3)
+    hess[k, 15] = t5
+    hess[k, 16] = t1
+    hess[k, 17] = t6
+    hess[k, 20] = t5
+    hess[k, 26] = t1
+    hess[k, 32] = ca*(bx*p4 + by*p5) - sa*(bx*p5 - by*p4)
+    hess[k, 35] = -t6
 
 
 @subkernel

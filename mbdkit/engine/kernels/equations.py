@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_multipliers
 from mbdkit.engine.kernels.bundle_types import (
     ComplexVector,
     IntMatrix,
@@ -34,6 +34,7 @@ from mbdkit.engine.kernels.system import (
     evaluate_tangents,
     fold_values,
     prepare,
+    solve_loaded,
     solve_system,
     solved_rows,
     unfold_multipliers,
@@ -156,15 +157,14 @@ def solution_of(
     eq = load_equations(address)
     top, w = eq.top, eq.w
     _evaluate_rows(eq, t, q, v)
-    has_forces = given or any_forces(top)
     top.gravity[0] = 0.0 if given else eq.gravity[0]
     top.gravity[1] = 0.0 if given else eq.gravity[1]
     if given:
         _put(w.force, force)
         _put_rows(eq, w.gamma, rows)
-    elif has_forces:
-        applied_forces(top, w, eq.q, eq.v)
-    status = solve_system(top, w, eq.solver, has_forces, eq.a, eq.lam, True)
+        status = solve_system(top, w, eq.solver, True, eq.a, eq.lam, True)
+    else:
+        status = solve_loaded(top, w, eq.solver, eq.q, eq.v, eq.a, eq.lam, True)
     if status == OK:
         finite = _take(eq.a, x)
         if not (_take_rows(eq, eq.lam, mu) and finite):
@@ -190,6 +190,7 @@ def residual_of(
         eq.a[d] = 0.0
     if with_forces:
         if any_forces(top):
+            take_multipliers(top, w, eq.lam)
             applied_forces(top, w, eq.q, eq.v)
             for d in range(len(q)):
                 eq.a[d] -= w.force[d]
@@ -263,6 +264,7 @@ def powers_of(address: int, t: float, q: RealVector, v: RealVector, lam: RealVec
     _put_rows(eq, eq.lam, lam)
     prepare(eq.top, eq.w, t, eq.q)
     unfold_multipliers(eq.top, eq.w.cs, eq.lam)
+    take_multipliers(eq.top, eq.w, eq.lam)
     applied_forces(eq.top, eq.w, eq.q, eq.v)
     return evaluate_powers(eq.top, eq.w, eq.q, eq.v, eq.lam)
 

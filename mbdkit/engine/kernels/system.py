@@ -18,13 +18,29 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, force_tangents, powers
+import numpy as np
+
+from mbdkit.engine.kernels.applied_forces import (
+    any_forces,
+    applied_forces,
+    force_tangents,
+    powers,
+    take_multipliers,
+)
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.constraints import (
     constraint_accelerations,
     constraint_positions,
     constraint_tangents,
     turn_bodies,
+)
+from mbdkit.engine.kernels.friction_kernels import (
+    add_unit,
+    begin_frictions,
+    change_frictions,
+    newton_step,
+    note_response,
+    take_reactions,
 )
 from mbdkit.engine.kernels.lu import Factors, Pattern, factorize, solve_refined
 from mbdkit.engine.kernels.motions import OF_CENTER, centers, motions
@@ -39,6 +55,12 @@ from mbdkit.engine.native.functions import inlined, overload, subkernel
 OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
 """Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
 
+SETTLED = 4.0 * np.finfo(float).eps
+"""Difference between the friction in a joint and its law, relative to the friction, that counts as zero."""
+NEARLY_SETTLED = 1e-11
+"""Relative difference that counts as round-off if it does not decrease any more."""
+MOST_PASSES = 30
+"""Largest number of Newton steps for the friction in joints; three are usual."""
 KKT_TOLERANCE = 1e-9
 """Largest accepted residual of the pivoted system, relative to the largest row sum; above it, new pivots are chosen."""
 
@@ -99,6 +121,10 @@ class Topology(NamedTuple):
     """(V, 2) components of loads that are expressions of the state: row of `laws`, motion whose value they replace."""
     slopes: IntMatrix
     """(D, 5) derivatives of these components by their inputs: load, component, row of `laws`, input, segment."""
+    frictions: IntVector
+    """(F,) segment of the force element of each joint with friction."""
+    reactions: IntMatrix
+    """(N, 4) multipliers on which these frictions depend: pair, row, place among `law_parameters`, friction."""
     loads: IntMatrix
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: RealMatrix
@@ -182,6 +208,11 @@ class Scratch(NamedTuple):
     law_values: RealVector
     """(N,) parameters of laws as in `Topology.law_parameters`, with the present values of states and inputs in their
     places. It is the same array if there are none."""
+    friction: RealMatrix
+    """(F, F + 3) matrix and right side of Newton's method for the friction in joints, the frictions, and their
+    scales."""
+    response: RealMatrix
+    """(N, F + 1) change of each of ``Topology.reactions`` by a unit of each friction, and its value."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector
@@ -503,11 +534,21 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     Returns REPIVOT if no pivots have been chosen yet, a pivot has become too small, or the residual is above
     `KKT_TOLERANCE`; `acc` and `lam` are then unchanged.
     """
-    n3 = 3 * (len(top.mass) - 1)
-    pattern, factors, row_index = solver.pattern, solver.factors, solver.row_index
-    right, solution, correction = w.right, w.solution, w.correction
-    if len(pattern.row_of) != len(right):  # the pattern is still empty: no pivots have been chosen yet
+    pattern, factors = solver.pattern, solver.factors
+    if len(pattern.row_of) != len(w.right):  # the pattern is still empty: no pivots have been chosen yet
         return REPIVOT
+    gather_values(w.source, solver.scatter, 0.0, 0.0, pattern.weight, factors.a)
+    solver.failed[0] = factorize(pattern, factors)
+    if solver.failed[0] >= 0:
+        return REPIVOT
+    return substitute_by_pivots(top, w, solver, has_forces, acc, lam)
+
+
+@subkernel
+def substitute_by_pivots(top, w, solver, has_forces, acc, lam):
+    """Solve the index-1 system with the factors of the pivoted system; return a status as `pivoted_accelerations`."""
+    n3 = 3 * (len(top.mass) - 1)
+    row_index, right, solution = solver.row_index, w.right, w.solution
     for b in range(len(top.mass) - 1):
         right[3 * b] = top.mass[b, 0] * top.gravity[0]
         right[3 * b + 1] = top.mass[b, 1] * top.gravity[1]
@@ -518,11 +559,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
     for k in range(len(top.pairs)):
         for r in range(top.rows[k]):
             right[row_index[k, r]] = w.gamma[k, r]
-    gather_values(w.source, solver.scatter, 0.0, 0.0, pattern.weight, factors.a)
-    solver.failed[0] = factorize(pattern, factors)
-    if solver.failed[0] >= 0:
-        return REPIVOT
-    if not solve_refined(pattern, factors, right, solution, correction) < KKT_TOLERANCE:
+    if not solve_refined(solver.pattern, solver.factors, right, solution, w.correction) < KKT_TOLERANCE:
         return REPIVOT
     for i in range(n3):
         acc[i] = solution[i]
@@ -539,13 +576,90 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
     With `refine`, one step of iterative refinement reduces the residual of ``Phi_q a = gamma`` to rounding errors; in
     lanes, `refine` may be a mask.
     """
+    solved_rows(top, w, q, v)
+    status = solve_loaded(top, w, solver, q, v, acc, lam, refine)
+    unfold_multipliers(top, w.cs, lam)
+    return status
+
+
+@inlined
+def solve_loaded(top, w, solver, q, v, acc, lam, refine):
+    """Solve the index-1 system with the applied forces, and ``w.jac`` and ``w.gamma`` of the independent rows.
+
+    The multipliers `lam` remain those of the rows that are solved for. Returns a status.
+    """
+    if len(top.frictions) > 0:  # the first pass is without friction, so that the result depends on the state only
+        fill_rows(lam, 0.0)
+        take_multipliers(top, w, lam)
     has_forces = any_forces(top)
     if has_forces:
         applied_forces(top, w, q, v)
-    solved_rows(top, w, q, v)
     status = solve_system(top, w, solver, has_forces, acc, lam, refine)
-    unfold_multipliers(top, w.cs, lam)
+    if len(top.frictions) > 0 and status == OK:
+        status = settle_friction(top, w, solver, v, acc, lam, refine)
     return status
+
+
+@inlined
+def _substitute(top, w, solver, acc, lam, refine):
+    """Solve the index-1 system for the present forces with the factors of the last solution; return a status."""
+    if solver.pivoted[0] != 0:
+        return substitute_by_pivots(top, w, solver, True, acc, lam)
+    substitute_by_schur(top, w, solver.schur, True, acc, lam, refine)
+    return OK
+
+
+@inlined
+def settle_by_newton(top, w, solver, v, acc, lam, refine):
+    """Change accelerations and multipliers until they agree with the friction in joints that they cause.
+
+    With frictions T in the joints, the multipliers are an affine function of T, and the law of each joint requires
+    ``T = F(lam(T))``. Newton's method begins without friction and uses the same factors in all solutions. If there is
+    no solution that continues the one without friction, the law is stored in ``w.faulty``, and NOT_FINITE is returned:
+    the joint locks itself.
+    """
+    count = len(top.frictions)
+    if not begin_frictions(top, w, v, lam):
+        return OK
+    for f in range(count):
+        scale = add_unit(top, w, f, 1.0)
+        status = _substitute(top, w, solver, acc, lam, refine)
+        if status != OK:
+            return status
+        note_response(top, w, f, lam, scale)
+        add_unit(top, w, f, -1.0)
+    before, worst = np.inf, 0
+    for _ in range(MOST_PASSES):
+        rest, worst = newton_step(top, w, v)
+        if rest <= SETTLED or (rest >= before and rest <= NEARLY_SETTLED):
+            return OK
+        if not rest < np.inf:
+            break
+        before = rest
+        change_frictions(top, w)
+        status = _substitute(top, w, solver, acc, lam, refine)
+        if status != OK:
+            return status
+        take_reactions(top, w, lam)
+    w.faulty[0] = top.springs[top.frictions[worst], 3]
+    return NOT_FINITE
+
+
+@inlined
+def _not_settled(top, w, solver, v, acc, lam, refine):
+    """Return OK: runs with friction in joints are neither vectorized nor differentiated by parameters."""
+    return OK
+
+
+def settle_friction(top, w, solver, v, acc, lam, refine):
+    """Solve for accelerations and multipliers together with the friction in joints; see `settle_by_newton`."""
+    return settle_by_newton(top, w, solver, v, acc, lam, refine)
+
+
+@overload(settle_friction)
+def _settle_friction(top, w, solver, v, acc, lam, refine):
+    settle = settle_by_newton if "pivoted" in solver.bundle.fields else _not_settled
+    return lambda top, w, solver, v, acc, lam, refine: settle(top, w, solver, v, acc, lam, refine)
 
 
 @inlined
@@ -554,15 +668,21 @@ def schur_accelerations(top, w, schur, has_forces, acc, lam, refine):
 
     ``a = a_free - M^-1 Phi_q^T lambda``, and so ``S lambda = Phi_q a_free - gamma``.
     """
-    free_accelerations(top, has_forces, w.force, acc)
-    joint_right_side(top, w, acc, lam)
     failed = schur_factor(top, w.jac, schur)
     if failed < 0:
-        schur_solve(schur, lam)
-        apply_multipliers(top, w, lam, acc, True)
-        if any_of(refine):
-            refine_multipliers(top, w, schur, acc, lam, refine)
+        substitute_by_schur(top, w, schur, has_forces, acc, lam, refine)
     return failed
+
+
+@inlined
+def substitute_by_schur(top, w, schur, has_forces, acc, lam, refine):
+    """Solve the index-1 system with the factors of the Schur complement."""
+    free_accelerations(top, has_forces, w.force, acc)
+    joint_right_side(top, w, acc, lam)
+    schur_solve(schur, lam)
+    apply_multipliers(top, w, lam, acc, True)
+    if any_of(refine):
+        refine_multipliers(top, w, schur, acc, lam, refine)
 
 
 @inlined
@@ -663,6 +783,7 @@ def evaluate_tangents(top, w, t, q, v, acc, lam):
     directions carry no force and contribute nothing.
     """
     prepare(top, w, t, q)
+    take_multipliers(top, w, lam)
     solved_rows(top, w, q, v)
     stabilized = top.baumgarte[0] != 0.0 or top.baumgarte[1] != 0.0
     if stabilized:  # `stabilize_tangents` fills entries that element kernels never write

@@ -1,0 +1,137 @@
+"""Friction in joints, whose laws depend on the reactions that the friction changes: the parts of Newton's method.
+
+The solution itself is `mbdkit.engine.kernels.system.settle_by_newton`. The columns of ``w.friction`` are the matrix
+(F), the right side, which becomes the step, the frictions, and their scales; those of ``w.response`` the responses of
+the reactions to the frictions (F), and the reactions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, take_multipliers
+from mbdkit.engine.native.functions import inlined, subkernel
+
+LOCKED = 1e-3
+"""Smallest pivot of the matrix of Newton's method for friction. It is 1 where friction does not change the reactions of
+its own joint, and 0 where the joint locks itself."""
+NUDGE = 1e-6
+"""Relative change of a friction by which the laws are differentiated."""
+
+
+@inlined
+def friction_law(top, w, v, f):
+    """Return the friction `f` by its law, with the multipliers taken last; requires `applied_forces`."""
+    k = top.frictions[f]
+    evaluate_tension(top, w, k, path_rate(k, top.springs, v, w.grad))
+    return w.tension[k, 0]
+
+
+@subkernel
+def add_friction(top, w, f, change):
+    """Add a change of the friction `f` to ``w.force``."""
+    k = top.frictions[f]
+    a, b = 3 * top.springs[k, 1], 3 * top.springs[k, 2]
+    for d in range(3):
+        w.force[a + d] -= change * w.grad[k, d]
+        w.force[b + d] -= change * w.grad[k, 3 + d]
+
+
+@subkernel
+def take_reactions(top, w, lam):
+    """Use the multipliers `lam` in the friction that is evaluated next, and keep them in ``w.response``."""
+    take_multipliers(top, w, lam)
+    for i in range(len(top.reactions)):
+        w.response[i, len(top.frictions)] = lam[top.reactions[i, 0], top.reactions[i, 1]]
+
+
+@subkernel
+def begin_frictions(top, w, v, lam):
+    """Begin with the multipliers `lam` of the solution without friction; return whether it needs to be changed.
+
+    The scale of each friction is what its law demands there. No joint has friction if none moves or bears a force, and
+    nothing is changed if numbers have overflowed.
+    """
+    count, room = len(top.frictions), w.friction
+    take_reactions(top, w, lam)
+    total = 0.0
+    for f in range(count):
+        room[f, count + 1] = 0.0
+        room[f, count + 2] = abs(friction_law(top, w, v, f))
+        total += room[f, count + 2]
+    for f in range(count):
+        room[f, count + 2] = max(room[f, count + 2], NUDGE * total)
+    return total > 0.0 and total < np.inf
+
+
+@subkernel
+def add_unit(top, w, f, sign):
+    """Add the scale of the friction `f`, times `sign`, to ``w.force``; return the scale."""
+    scale = w.friction[f, len(top.frictions) + 2]
+    add_friction(top, w, f, sign * scale)
+    return scale
+
+
+@subkernel
+def note_response(top, w, f, lam, change):
+    """Write the responses to the friction `f` from the multipliers `lam` after its `change`."""
+    reactions, response, count = top.reactions, w.response, len(top.frictions)
+    for i in range(len(reactions)):
+        response[i, f] = (lam[reactions[i, 0], reactions[i, 1]] - response[i, count]) / change
+
+
+@subkernel
+def change_frictions(top, w):
+    """Change all frictions by the step of Newton's method."""
+    count, room = len(top.frictions), w.friction
+    for f in range(count):
+        room[f, count + 1] += room[f, count]
+        add_friction(top, w, f, room[f, count])
+
+
+@subkernel
+def _law_slope(top, w, v, f, j):
+    """Return the derivative of the law of friction `f` by friction `j`, which changes the reactions."""
+    reactions, response, count = top.reactions, w.response, len(top.frictions)
+    k, nudge = top.frictions[f], NUDGE * w.friction[j, count + 2]
+    now = w.tension[k, 0]
+    for i in range(len(reactions)):
+        if reactions[i, 3] == f:
+            w.law_values[reactions[i, 2]] = response[i, count] + nudge * response[i, j]
+    slope = (friction_law(top, w, v, f) - now) / nudge
+    for i in range(len(reactions)):
+        if reactions[i, 3] == f:
+            w.law_values[reactions[i, 2]] = response[i, count]
+    w.tension[k, 0] = now
+    return slope
+
+
+@subkernel
+def newton_step(top, w, v):
+    """Write a step of Newton's method for all frictions into column F of ``w.friction``.
+
+    Returns the largest difference between a friction and its law, relative to the friction, and the number of the
+    friction with this difference. The difference is infinite if the joint locks itself.
+    """
+    count, room = len(top.frictions), w.friction
+    rest, worst = 0.0, 0
+    for f in range(count):
+        now = friction_law(top, w, v, f)
+        room[f, count] = now - room[f, count + 1]
+        lack = abs(room[f, count]) / (abs(now) + room[f, count + 2])
+        if lack > rest:
+            rest, worst = lack, f
+        for j in range(count):
+            room[f, j] = (1.0 if f == j else 0.0) - _law_slope(top, w, v, f, j)
+    for f in range(count):  # positive pivots without exchanges: the solution continues the one without friction
+        if not room[f, f] > LOCKED:
+            return np.inf, f
+        for other in range(f + 1, count):
+            share = room[other, f] / room[f, f]
+            for j in range(f, count + 1):
+                room[other, j] -= share * room[f, j]
+    for f in range(count - 1, -1, -1):
+        for j in range(f + 1, count):
+            room[f, count] -= room[f, j] * room[j, count]
+        room[f, count] /= room[f, f]
+    return rest, worst
