@@ -89,7 +89,7 @@ def test_the_page_on_the_paper_agrees_with_the_study_on_the_published_misalignme
 @pytest.mark.slow
 def test_the_page_on_the_paper_agrees_with_the_study(tmp_path: Path) -> None:
     # otherwise run: mbdkit study paper -o FOLDER, and python -m tests.benchmarks.paper_page FOLDER
-    told = ("published", "one-metre", "joints", "knee", "steps", "precision", "long")
+    told = ("published", "one-metre", "joints", "knee", "steps", "precision", "long", "coordinates")
     verdict = judge(paper_study(told, tmp_path / "paper", workers=2))
     assert TITLE in verdict.notes[0]
     decided = [claim for claim in verdict.claims if claim.answer is not Answer.OPEN and claim.name not in OF_A_MACHINE]

@@ -152,6 +152,8 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         validate_inverse(document, spec, assignments or [])
         return
     checked = load_spec(document, assignments or ())
+    from mbdkit.engine.formulation import FORMULATIONS
+    from mbdkit.engine.spanning_tree import cut_joints
     from mbdkit.runs.corners import check_jumps
     from mbdkit.runs.preparation import build, caution, make_method
     from mbdkit.runs.warnings import start_warnings
@@ -173,6 +175,8 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         show(f"accuracy     {checked.accuracy:g} of the mechanism's size: the run chooses {chosen}")
     if checked.choose != "method":
         show(f"integrator   {checked.integrator_item.id}, {checked.formulation}")
+    if FORMULATIONS[checked.formulation].coordinates == "joint":
+        show(f"cut joints   {listed(cut_joints(problem.mechanism)) or 'none'}")
     if checked.stabilized.kind != "none":
         show(f"stabilized   {checked.stabilized.describe()}")
     if checked.events:

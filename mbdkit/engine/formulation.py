@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-FormulationName = Literal["index-1", "index-2", "index-3", "ggl"]
+FormulationName = Literal["index-1", "index-2", "index-3", "ggl", "joint-coordinates"]
 """Names of `FORMULATIONS`, as specs write them."""
 
 
@@ -19,10 +19,14 @@ class Formulation:
         Its name in specs.
     holds
         Levels at which the stepped equations impose the constraints.
+    coordinates
+        Coordinates that are integrated: those of all bodies, or those of the joints of a spanning tree
+        (`mbdkit.engine.spanning_tree`), whose constraints then hold in any state.
     """
 
     name: FormulationName
     holds: tuple[Literal["position", "velocity", "acceleration"], ...]
+    coordinates: Literal["absolute", "joint"] = "absolute"
 
     @property
     def solves_multipliers(self) -> bool:
@@ -43,6 +47,7 @@ FORMULATIONS: dict[str, Formulation] = {
         Formulation("index-2", ("velocity",)),
         Formulation("index-3", ("position",)),
         Formulation("ggl", ("position", "velocity")),
+        Formulation("joint-coordinates", ("acceleration",), "joint"),
     )
 }
 """All formulations by name. The stage equations of each are those of `mbdkit.stepping.collocation`."""

@@ -22,6 +22,11 @@ ORDER_DRIFT = "constraints hold at acceleration level only: drift of the method'
 TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
 """Drift of methods in adaptive steps on the index-1 equations."""
 
+EXPLICIT_FORMULATIONS = ("index-1", "joint-coordinates")
+"""Formulations whose equations are ordinary differential equations."""
+OF_TREES = "; with joint-coordinates, joints of the spanning tree hold to round-off"
+"""Continuation of the drift of explicit methods."""
+
 HAIRER_NORSETT_WANNER = """@book{hairer1993,
   author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
   title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
@@ -99,7 +104,13 @@ class ImplicitOptions(ControlledOptions):
 
 def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Claims]:
     """Return the claims of an explicit method in fixed steps."""
-    return lambda options: Claims(order=order, stages=stages, drift=ORDER_DRIFT, needs=("accelerations",))
+    return lambda options: Claims(
+        order=order,
+        stages=stages,
+        drift=ORDER_DRIFT + OF_TREES,
+        needs=("accelerations",),
+        formulations=EXPLICIT_FORMULATIONS,
+    )
 
 
 def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Claims]:
@@ -110,8 +121,9 @@ def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Cl
             order=None if options.adaptive else order,
             stages=stages,
             adaptive=options.adaptive,
-            drift=TOLERANCE_DRIFT if options.adaptive else ORDER_DRIFT,
+            drift=(TOLERANCE_DRIFT if options.adaptive else ORDER_DRIFT) + OF_TREES,
             needs=("accelerations",),
+            formulations=EXPLICIT_FORMULATIONS,
         )
 
     return claims

@@ -323,7 +323,7 @@ class _Group:
     def __init__(self, first: LaneMember):
         mechanism, spec = first.start.mechanism, first.spec
         start = first.start
-        workspace = Workspace(mechanism, first.table.start, start.q0, start.v0)
+        workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulation)
         self.stepper = _stepper(first, workspace)
         self.mechanism, self.joints = mechanism, joint_sums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)

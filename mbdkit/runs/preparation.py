@@ -146,6 +146,9 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
     if treatment == "event-driven" and not (traits.is_explicit and traits.tableau and traits.tolerances is None):
         message = "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853"
         raise spec.placed(SpecError(message, key="integrator"))
+    if FORMULATIONS[spec.formulation].coordinates == "joint":
+        message = "rigid contacts need the coordinates of the bodies; use index-1, or compliant contacts"
+        raise spec.placed(SpecError(message, key="formulation"))
     if spec.stabilized.kind != "none":
         message = "rigid contacts are projected with the joints in every step; leave it out"
         raise spec.placed(SpecError(message, key="stabilization"))

@@ -46,7 +46,7 @@ FIRST_EXPLICIT: Mapping[str, Any] = {"name": "dop853", "adaptive": True}
 """First method to try for `accuracy` if a spec names none; for stiff mechanisms another one is chosen."""
 
 FIRST_IMPLICIT: Mapping[str, Any] = {"name": "radau-iia", "stages": 5, "adaptive": True}
-"""The same for formulations other than index-1, which explicit methods do not support."""
+"""The same for formulations that solve for multipliers, which explicit methods do not support."""
 
 FIRST_SYMMETRIC: Mapping[str, Any] = {"name": "gauss", "stages": 3}
 """The same for symmetric projection, which needs fixed steps."""
@@ -113,7 +113,8 @@ class RunSpec(ModelSpec):
 
     formulation: FormulationName = "index-1"
     """Equations of motion with constraints on accelerations (index-1), velocities (index-2), positions (index-3), or on
-    positions and velocities (ggl)."""
+    positions and velocities (ggl), all in the coordinates of the bodies; or index-1 in the coordinates of the joints of
+    a spanning tree (joint-coordinates)."""
     stabilization: StabilizationChoice = UNSTABILIZED
     """Method against constraint drift: a name, or a name and its options."""
     integrator: Annotated[BaseModel, Choice("integrator")]
@@ -202,6 +203,12 @@ class RunSpec(ModelSpec):
                 f"Baumgarte stabilization modifies the acceleration constraints, which the formulation "
                 f"'{self.formulation}' does not have; use index-1, or another stabilization",
                 key="stabilization",
+            )
+        if chosen.symmetric and FORMULATIONS[self.formulation].coordinates == "joint":
+            raise SpecError(
+                "symmetric projection moves bodies off their joints within a step, which joint coordinates cannot "
+                "express; omit `symmetric`",
+                key="stabilization.symmetric",
             )
         if chosen.name not in claims.stabilizations:
             served = listed((f"'{name}'" for name in claims.stabilizations), "and")

@@ -48,6 +48,7 @@ class DualRun(NamedTuple):
     """Base state of the step."""
     from_v: np.ndarray
     from_z: np.ndarray
+    q_low: np.ndarray
     v_low: np.ndarray
     """Zeros; numbers."""
     base_state: State
@@ -185,7 +186,7 @@ def new_dual_run(workspace: Workspace, seeds: Seeds, laws: np.ndarray, rows: int
         solver=new_dual_solver(numbers, mechanism.row_index), has_power=np.array([int(mechanism.has_power)]),
         q=constants(workspace.q0, seeds.get("q")), v=constants(workspace.v0, seeds.get("v")), z=z, energy=new_duals(2),
         from_q=vector[0], from_v=vector[1], from_z=new_duals(len(places)),
-        v_low=np.zeros(size), base_state=np.array([MODIFIED]),
+        q_low=np.zeros(size), v_low=np.zeros(size), base_state=np.array([MODIFIED]),
         dq=vector[2], dv=vector[3], dz=new_duals(len(places)), gain=new_duals(2),
         projected=np.zeros(1, dtype=np.int64), unit=unit,
         rest=vector[4], end_q=vector[5], push=vector[6], mu=new_duals(pairs, 2), miss=new_duals(pairs, 2),

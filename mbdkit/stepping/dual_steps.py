@@ -49,7 +49,9 @@ def dual_explicit(method: Explicit) -> Explicit:
     """Return the bundle of an explicit method with stages of dual numbers; its coefficients are numbers."""
     stages = ("rates", "accelerations", "z_rates", "q_stage", "z_stage", "lam", "power")
     return method._replace(
-        **{name: new_duals(*getattr(method, name).shape) for name in stages}, status=method.status.copy()
+        **{name: new_duals(*getattr(method, name).shape) for name in stages},
+        status=method.status.copy(),
+        relative=with_derivatives(method.relative),
     )
 
 
@@ -82,7 +84,7 @@ def explicit_step(dual: int, run: int, method: int, t: float, h: float, row: int
     if status != OK:
         return status
     m.status[1] = stages
-    explicit.add_up_stages(c, m, h)
+    explicit.add_up_stages(c, m, t, h)
     if c.nodes[0] != 0:
         explicit.keep_stages(c, m, t, h)
     return advance(c, n, row)

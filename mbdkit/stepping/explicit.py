@@ -9,13 +9,26 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.applied_forces import state_rates, take_states
+from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, state_rates, take_states
+from mbdkit.engine.kernels.articulated import ARTICULATED, articulated_accelerations
 from mbdkit.engine.kernels.bundle_types import State
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
+from mbdkit.engine.kernels.tree import (
+    BODY,
+    COLUMNS,
+    PLACE,
+    TURN,
+    accelerate_coordinates,
+    coordinates_of,
+    place_bodies,
+    turn_tree,
+)
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.engine.native.arithmetic import any_of
 from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
-from mbdkit.engine.native.functions import entry, subkernel
+from mbdkit.engine.native.functions import entry, inlined, subkernel
+from mbdkit.engine.spanning_tree import is_tree_of_pins, spanning_tree
 from mbdkit.stepping.compiled_method import CompiledMethod
 from mbdkit.stepping.run_state import AT_END_OF_LAST, FACTORIZATIONS, MODIFIED, RHS, keep_node, load_run_state
 from mbdkit.stepping.stage_polynomials import dense_gains, weights_at
@@ -23,6 +36,34 @@ from mbdkit.stepping.stage_polynomials import dense_gains, weights_at
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.kinds import ExplicitRungeKutta
+
+
+BASE, BASE_RATES, Y, Y_RATES, V_STAGE, END_Q, END_V, VECTORS = range(8)
+"""Rows of `Relative.vectors`: coordinates at the base state, and their rates; coordinates of a stage, or at the end of
+the step, and the rates of the latter; velocities of the bodies in a stage; state of the bodies at the end."""
+
+
+class Relative(NamedTuple):
+    """Arrays of the formulation ``joint-coordinates``; empty in other formulations.
+
+    The rates and accelerations of stages are then those of the coordinates of a spanning tree
+    (`mbdkit.engine.kernels.tree`), and the state of the bodies follows from them. The state of the run remains that of
+    the bodies: coordinates are taken from it at the beginning of each step.
+    """
+
+    tree: np.ndarray
+    """(B, 5) the spanning tree; no rows in other formulations."""
+    vectors: State
+    """(7, 3 (B + 1)) one array of all vectors, because each array makes the calls of kernels slower."""
+    bodies: np.ndarray
+    """(B + 1, 13) work array of `mbdkit.engine.kernels.articulated`; no rows if the accelerations follow from the
+    equations with multipliers."""
+
+
+def new_relative(size: int, tree: np.ndarray | None = None, *, of_pins: bool = False) -> Relative:
+    """Return the arrays for a spanning tree, which may consist of fixed pins only; empty ones without."""
+    rows, size = (np.zeros((0, COLUMNS), dtype=np.int64), 0) if tree is None else (tree, size)
+    return Relative(rows, np.zeros((VECTORS, size)), np.zeros((size // 3 if of_pins else 0, ARTICULATED)))
 
 
 class Explicit(NamedTuple):
@@ -52,9 +93,12 @@ class Explicit(NamedTuple):
     """(E,) work array: weights of dense output."""
     status: State
     """(2,) whether the last stage of a step is the first one of the next; number of stages evaluated so far."""
+    relative: Relative
 
 
-def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int, states: int = 0) -> Explicit:
+def new_explicit(
+    method: ExplicitRungeKutta, size: int, pairs: int, states: int = 0, relative: Relative | None = None
+) -> Explicit:
     """Return the bundle of a method; `size` is that of vectors, `pairs` and `states` are numbers of the mechanism."""
     a, b, c = method.tableau.floats()
     error, dense = np.zeros((0, len(b))), np.zeros((0, 1))
@@ -78,7 +122,17 @@ def new_explicit(method: ExplicitRungeKutta, size: int, pairs: int, states: int 
         power=np.zeros((stages, 2)),
         weights=np.zeros(stages),
         status=np.array([int(method.tableau.is_first_same_as_last), 0]),
+        relative=new_relative(size) if relative is None else relative,
     )
+
+
+def explicit_on(method: ExplicitRungeKutta, workspace: Workspace) -> Explicit:
+    """Return the bundle of a method for the mechanism and the formulation of a workspace."""
+    top, size, relative = workspace.mechanism.topology, workspace.mechanism.size, None
+    if FORMULATIONS[workspace.formulation].coordinates == "joint":
+        tree = spanning_tree(top)
+        relative = new_relative(size, tree, of_pins=is_tree_of_pins(top, tree))
+    return new_explicit(method, size, len(top.pairs), len(top.states), relative)
 
 
 def _example() -> Explicit:
@@ -116,39 +170,101 @@ def _increment(h, weights, slopes, out):
                 out[d] += w * k[d]
 
 
+@inlined
+def is_relative(m):
+    """Return whether the stages of a method are those of joint coordinates."""
+    return len(m.relative.tree) > 0
+
+
+@inlined
+def _solve_stage(c, m, i, v):
+    """Evaluate the accelerations of the bodies, the rates of first-order states and the power in stage `i`, with the
+    velocities `v` of the bodies; return a status.
+    """
+    if len(c.from_z) > 0:
+        take_states(c.top, c.w, m.z_stage)
+    c.counts[RHS] += 1
+    c.counts[FACTORIZATIONS] += 1
+    status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, v, m.accelerations[i], m.lam, False)
+    if status == OK:
+        if len(c.from_z) > 0:
+            state_rates(c.top, c.w, v, m.z_rates[i])
+        if c.has_power[0] != 0:
+            m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, v, m.lam)
+    return status
+
+
+@subkernel
+def _solve_tree_of_pins(c, m, t, i):
+    """Evaluate the accelerations of the coordinates of a tree of pins in stage `i` by articulated bodies.
+
+    The bodies are placed only if forces or states depend on where they are.
+    """
+    r = m.relative
+    c.counts[RHS] += 1
+    if any_forces(c.top) or len(c.from_z) > 0:
+        place_bodies(c.top, c.w, r.tree, t, r.vectors[Y], m.rates[i], m.q_stage, r.vectors[V_STAGE])
+        if len(c.from_z) > 0:
+            take_states(c.top, c.w, m.z_stage)
+        applied_forces(c.top, c.w, m.q_stage, r.vectors[V_STAGE])
+        has_forces = True
+    else:
+        turn_tree(c.top, c.w, r.tree, t, r.vectors[Y], m.rates[i], m.q_stage, r.vectors[V_STAGE])
+        has_forces = False
+    articulated_accelerations(
+        c.top, c.w.cs, r.tree, has_forces, c.w.force, r.vectors[V_STAGE], r.bodies, m.accelerations[i]
+    )
+    if len(c.from_z) > 0:
+        state_rates(c.top, c.w, r.vectors[V_STAGE], m.z_rates[i])
+    if c.has_power[0] != 0:
+        m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, r.vectors[V_STAGE], m.lam)
+
+
 @subkernel
 def evaluate_stages(c, m, t, h, first, last):
     """Evaluate stages `first` to `last - 1` of the method `m` from the base state of the run `c`; return a status."""
+    r, joint = m.relative, is_relative(m)
+    if joint:
+        coordinates_of(c.top, r.tree, c.from_q, c.from_v, r.vectors[BASE], r.vectors[BASE_RATES])
+    base, base_rates, place = c.from_q, c.from_v, m.q_stage
+    if joint:
+        base, base_rates, place = r.vectors[BASE], r.vectors[BASE_RATES], r.vectors[Y]
     for i in range(first, last):
         if i == 0:
-            copy(c.from_v, m.rates[0])
-            copy(c.from_q, m.q_stage)
+            copy(base_rates, m.rates[0])
+            copy(base, place)
             copy(c.from_z, m.z_stage)
         else:
-            stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
-            stage_state(c.from_v, h, m.a, m.accelerations, i, m.rates[i])
+            stage_state(base, h, m.a, m.rates, i, place)
+            stage_state(base_rates, h, m.a, m.accelerations, i, m.rates[i])
             if len(c.from_z) > 0:
                 stage_state(c.from_z, h, m.a, m.z_rates, i, m.z_stage)
-        prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
-        if len(c.from_z) > 0:
-            take_states(c.top, c.w, m.z_stage)
-        c.counts[RHS] += 1
-        c.counts[FACTORIZATIONS] += 1
-        status = solve_accelerations(c.top, c.w, c.solver, m.q_stage, m.rates[i], m.accelerations[i], m.lam, False)
+        if len(r.bodies) > 0:
+            _solve_tree_of_pins(c, m, t + m.c[i] * h, i)
+            continue
+        v = m.rates[i]
+        if joint:
+            place_bodies(c.top, c.w, r.tree, t + m.c[i] * h, r.vectors[Y], m.rates[i], m.q_stage, r.vectors[V_STAGE])
+            v = r.vectors[V_STAGE]
+        else:
+            prepare(c.top, c.w, t + m.c[i] * h, m.q_stage)
+        status = _solve_stage(c, m, i, v)
         if status != OK:
             return status
-        if len(c.from_z) > 0:
-            state_rates(c.top, c.w, m.rates[i], m.z_rates[i])
-        if c.has_power[0] != 0:
-            m.power[i, 0], m.power[i, 1] = evaluate_powers(c.top, c.w, m.q_stage, m.rates[i], m.lam)
+        if joint:
+            accelerate_coordinates(c.top, c.w, r.tree, r.vectors[Y], r.vectors[V_STAGE], m.accelerations[i])
     return OK
 
 
 @subkernel
-def add_up_stages(c, m, h):
-    """Write the increments of the state by a step into ``c.dq``, ``c.dv`` and ``c.dz``, and those of the energies."""
+def add_up_stages(c, m, t, h):
+    """Write the increments of the state by a step from `t` into ``c.dq``, ``c.dv`` and ``c.dz``, and those of the
+    energies.
+    """
     _increment(h, m.b, m.rates, c.dq)
     _increment(h, m.b, m.accelerations, c.dv)
+    if is_relative(m):
+        _end_of_step(c, m.relative, t + h)
     if len(c.dz) > 0:
         _increment(h, m.b, m.z_rates, c.dz)
     if c.has_power[0] != 0:
@@ -159,13 +275,57 @@ def add_up_stages(c, m, h):
 
 
 @subkernel
-def estimate_errors(m, h, out):
-    """Write the estimates of the local error of a step, one or two, into arrays of `out`."""
+def _end_of_step(c, r, t):
+    """Place the bodies at the end `t` of the step; replace the increments of coordinates by those of the bodies.
+
+    The step loop adds the increments by compensated sums. Coordinates that are part of the state are therefore added up
+    in the same way, so that the bodies are placed by the angles of the new state, to the last bit; and the low parts of
+    the sums of the other components are subtracted from their increments, because these components do not accumulate.
+    """
+    vectors, tree = r.vectors, r.tree
+    for d in range(len(c.dq)):
+        vectors[Y, d] = vectors[BASE, d] + c.dq[d]
+        vectors[Y_RATES, d] = vectors[BASE_RATES, d] + c.dv[d]
+    for n in range(len(tree)):
+        for i in range(3):
+            if tree[n, PLACE if i < 2 else TURN] < 0:
+                d = 3 * tree[n, BODY] + i
+                vectors[Y, d] = c.from_q[d] + (c.dq[d] + c.q_low[d])
+                vectors[Y_RATES, d] = c.from_v[d] + (c.dv[d] + c.v_low[d])
+    place_bodies(c.top, c.w, tree, t, vectors[Y], vectors[Y_RATES], vectors[END_Q], vectors[END_V])
+    for n in range(len(tree)):
+        for i in range(3):
+            if tree[n, PLACE if i < 2 else TURN] >= 0:
+                d = 3 * tree[n, BODY] + i
+                c.dq[d] = (vectors[END_Q, d] - c.from_q[d]) - c.q_low[d]
+                c.dv[d] = (vectors[END_V, d] - c.from_v[d]) - c.v_low[d]
+
+
+@subkernel
+def _errors_of_bodies(c, m, t, error_q, error_v):
+    """Replace the errors of the coordinates at the end `t` of the step by those of the state of the bodies."""
+    vectors = m.relative.vectors
+    for d in range(len(error_q)):
+        error_q[d] += vectors[Y, d]
+        error_v[d] += vectors[Y_RATES, d]
+    place_bodies(c.top, c.w, m.relative.tree, t, error_q, error_v, m.q_stage, vectors[V_STAGE])
+    for d in range(len(error_q)):
+        error_q[d] = m.q_stage[d] - vectors[END_Q, d]
+        error_v[d] = vectors[V_STAGE, d] - vectors[END_V, d]
+
+
+@subkernel
+def estimate_errors(c, m, t, h, out):
+    """Write the estimates of the local error of a step from `t`, one or two, into arrays of `out`."""
     _increment(h, m.error[0], m.rates, out.est_q)
     _increment(h, m.error[0], m.accelerations, out.est_v)
+    if is_relative(m):
+        _errors_of_bodies(c, m, t + h, out.est_q, out.est_v)
     if len(m.error) > 1:
         _increment(h, m.error[1], m.rates, out.second_q)
         _increment(h, m.error[1], m.accelerations, out.second_v)
+        if is_relative(m):
+            _errors_of_bodies(c, m, t + h, out.second_q, out.second_v)
     if len(out.est_z) > 0:
         _increment(h, m.error[0], m.z_rates, out.est_z)
         if len(m.error) > 1:
@@ -173,15 +333,24 @@ def estimate_errors(m, h, out):
 
 
 @subkernel
-def evaluate_point(c, m, h, theta, out):
-    """Write the state of the run `c` at the share `theta` of a step into arrays of `out`; needs all stages."""
+def evaluate_point(c, m, t, h, theta, out):
+    """Write the state of the run `c` at the share `theta` of a step from `t` into arrays of `out`; needs all stages."""
+    r = m.relative
     weights_at(m.dense, theta, m.weights)
     _increment(h, m.weights, m.rates, out.point_q)
     _increment(h, m.weights, m.accelerations, out.point_v)
     _increment(h, m.weights, m.z_rates, out.point_z)
-    for d in range(len(out.point_q)):
-        out.point_q[d] += c.from_q[d]
-        out.point_v[d] += c.from_v[d]
+    if is_relative(m):
+        for d in range(len(out.point_q)):
+            out.point_q[d] += r.vectors[BASE, d]
+            out.point_v[d] += r.vectors[BASE_RATES, d]
+        place_bodies(c.top, c.w, r.tree, t + theta * h, out.point_q, out.point_v, m.q_stage, r.vectors[V_STAGE])
+        copy(m.q_stage, out.point_q)
+        copy(r.vectors[V_STAGE], out.point_v)
+    else:
+        for d in range(len(out.point_q)):
+            out.point_q[d] += c.from_q[d]
+            out.point_v[d] += c.from_v[d]
     for d in range(len(out.point_z)):
         out.point_z[d] += c.from_z[d]
     dense_gains(h, m.weights, m.power, out.point_gain)
@@ -209,12 +378,20 @@ def reuse_first_stage(c, m):
 @subkernel
 def keep_stages(c, m, t, h):
     """Keep the stages of a step of the method `m` from the base state of the run `c` as nodes of integrals."""
+    r, joint = m.relative, is_relative(m)
+    base, place = c.from_q, m.q_stage
+    if joint:
+        base, place = r.vectors[BASE], r.vectors[Y]
     for i in range(len(m.b)):
         if i == 0:
-            copy(c.from_q, m.q_stage)
+            copy(base, place)
         else:
-            stage_state(c.from_q, h, m.a, m.rates, i, m.q_stage)
-        keep_node(c, t + m.c[i] * h, h * m.b[i], m.q_stage, m.rates[i])
+            stage_state(base, h, m.a, m.rates, i, place)
+        v = m.rates[i]
+        if joint:
+            place_bodies(c.top, c.w, r.tree, t + m.c[i] * h, r.vectors[Y], m.rates[i], m.q_stage, r.vectors[V_STAGE])
+            v = r.vectors[V_STAGE]
+        keep_node(c, t + m.c[i] * h, h * m.b[i], m.q_stage, v)
 
 
 @entry
@@ -234,11 +411,11 @@ def attempt(run, method, t, h, want_error):
     if status != OK:
         return status
     m.status[1] = stages
-    add_up_stages(c, m, h)
+    add_up_stages(c, m, t, h)
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv) and stays_finite(c.from_z, c.dz)):
         return NOT_FINITE
     if want_error != 0.0:
-        estimate_errors(m, h, c)
+        estimate_errors(c, m, t, h, c)
     return OK
 
 
@@ -252,7 +429,7 @@ def dense(run, method, t, h, theta):
         if status != OK:
             return status
         m.status[1] = stages
-    evaluate_point(c, m, h, theta, c)
+    evaluate_point(c, m, t, h, theta, c)
     return OK
 
 
@@ -264,9 +441,7 @@ class CompiledExplicit(CompiledMethod):
 
     def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
         super().__init__(workspace)
-        mechanism = workspace.mechanism
-        pairs, states = len(mechanism.topology.pairs), len(mechanism.states)
-        self.bundle = new_explicit(method, mechanism.size, pairs, states)
+        self.bundle = explicit_on(method, workspace)
         self.pinned = PinnedBundle(self.bundle)
         self.has_dense_output = len(self.bundle.dense) > 0
         self.stages = len(self.bundle.b)

@@ -150,9 +150,10 @@ def _evaluate(s, t, h, running):
         first, known = 1, 0.0 * known
     evaluate_stages(c, m, t, h, first, stages)
     c.counts[RHS] = where(running, c.counts[RHS] - known, right_sides)
-    c.counts[FACTORIZATIONS] = where(running, c.counts[FACTORIZATIONS] - known, factorizations)
-    add_up_stages(c, m, h)
-    estimate_errors(m, h, s)
+    factorized = 0.0 * known if len(m.relative.bodies) > 0 else known  # trees of pins factorize nothing
+    c.counts[FACTORIZATIONS] = where(running, c.counts[FACTORIZATIONS] - factorized, factorizations)
+    add_up_stages(c, m, t, h)
+    estimate_errors(c, m, t, h, s)
 
 
 @subkernel
@@ -216,7 +217,7 @@ def _write_inner_rows(s, t, h, reached, accepted):
     if any_of(due):
         _evaluate_further(s, t, h, due)
     while any_of(due):
-        evaluate_point(c, m, h, min(1.0, (at - t) / h), s)
+        evaluate_point(c, m, t, h, min(1.0, (at - t) / h), s)
         _write_rows(s, where(due, 1.0, 0.0), at, s.point_q, s.point_v, s.point_z, s.point_gain)
         progress.next_row[0] += where(due, 1.0, 0.0)
         at = start + progress.next_row[0] * interval

@@ -157,7 +157,7 @@ def _take_explicit_step(c, m, t, h, n):
         m.power[0, 0], m.power[0, 1] = m.power[stages - 1, 0], m.power[stages - 1, 1]
         first = 1
     evaluate_stages(c, m, t, h, first, stages)
-    add_up_stages(c, m, h)
+    add_up_stages(c, m, t, h)
     if c.watch.has_loops[0] != 0:
         c.watch.distance[0] = distance_by_pivots(c.solver.schur)
 

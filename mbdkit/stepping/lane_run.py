@@ -15,7 +15,7 @@ from mbdkit.engine.native.number_arrays import new_complex_lanes, new_lanes
 from mbdkit.engine.workspace import Workspace, example_workspace, scratch_of
 from mbdkit.expressions.program import MAX_DEPTH
 from mbdkit.methods.kinds import ExplicitRungeKutta
-from mbdkit.stepping.explicit import Explicit, new_explicit
+from mbdkit.stepping.explicit import Explicit, explicit_on
 from mbdkit.stepping.step_guards import new_guard_state
 
 BY_LANE = ("motion_values", "law_parameters")
@@ -129,10 +129,9 @@ def _widened_scratch(workspace: Workspace, motions: int) -> Scratch:
 
 def explicit_in_lanes(method: ExplicitRungeKutta, workspace: Workspace) -> Explicit:
     """Return the bundle of an explicit method for lanes."""
-    top = workspace.mechanism.topology
-    tableau = new_explicit(method, workspace.mechanism.size, len(top.pairs), len(top.states))
+    tableau = explicit_on(method, workspace)
     wide: Explicit = widened(tableau)
-    in_lanes = ("rates", "accelerations", "z_rates", "q_stage", "z_stage", "lam", "power", "weights")
+    in_lanes = ("rates", "accelerations", "z_rates", "q_stage", "z_stage", "lam", "power", "weights", "relative")
     return tableau._replace(**{name: getattr(wide, name) for name in in_lanes})
 
 

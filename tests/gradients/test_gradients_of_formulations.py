@@ -26,6 +26,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "index-2": {"formulation": "index-2", "integrator": RADAU, **FIXED},
     "index-3": {"formulation": "index-3", "integrator": RADAU, **FIXED},
     "ggl": {"formulation": "ggl", "integrator": RADAU, **FIXED},
+    "joint-coordinates": {"formulation": "joint-coordinates", "integrator": {"name": "rk4"}, **FIXED},
     "gauss": {"integrator": {"name": "gauss", "stages": 3}, **FIXED},
     "baumgarte": {"integrator": {"name": "rk4"}, "stabilization": {"name": "baumgarte"}, **FIXED},
     "projection": {"integrator": {"name": "rk4"}, "stabilization": "projection", **FIXED},

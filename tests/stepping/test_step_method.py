@@ -226,7 +226,8 @@ def test_a_method_of_another_formulation_is_refused_by_name() -> None:
     spec: dict[str, Any] = {"mbdkit": 1, "model": DOUBLE, "time": {"steps": 3, "step": 0.01}}
     with pytest.raises(
         mbdkit.SpecError,
-        match="'rk4' does not support the formulation 'ggl', only index-1; integrators that support it: radau-iia",
+        match="'rk4' does not support the formulation 'ggl', only index-1 and joint-coordinates; integrators that "
+        "support it: radau-iia",
     ):
         mbdkit.run(spec | {"integrator": {"name": "rk4"}, "formulation": "ggl"})
     wanted = (

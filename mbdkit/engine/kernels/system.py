@@ -308,10 +308,22 @@ load_engine = bundle_loader(lambda: example_of(Engine))
 @inlined
 def prepare(top, w, t, q):
     """Evaluate the quantities that all elements share at a time and position: motions, centers, cosines and sines."""
+    prepare_motions(top, w, t)
+    prepare_angles(top, w, q)
+
+
+@inlined
+def prepare_motions(top, w, t):
+    """Evaluate the part of `prepare` that depends on the time only."""
     w.time[0] = t
     at = min(max(t, w.sides[0]), w.sides[1])
     count = len(top.motion_start) - 1 - OF_CENTER * len(top.centers)
     motions(at, count, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
+
+
+@inlined
+def prepare_angles(top, w, q):
+    """Evaluate the part of `prepare` that depends on the angles of the bodies only."""
     if len(top.centers) > 0:
         centers(q, top.centers, top.motion_start, top.motion_ops, top.motion_values, w.stack, w.u)
     turn_bodies(q, w.cs)

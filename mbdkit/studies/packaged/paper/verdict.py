@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbdkit.analysis.verdict import UNDECIDED, Answer, Verdict, told
+from mbdkit.studies.packaged.paper.choice_of_coordinates import coordinates
 from mbdkit.studies.packaged.paper.computation_time import substitution, times
 from mbdkit.studies.packaged.paper.method_comparison import growth, orders, work
 from mbdkit.studies.packaged.paper.paper_predictions import joints, knee
@@ -46,8 +47,9 @@ def verdict(study: Study) -> Verdict:
     joint, joint_table, joint_figure = joints(study)
     order, order_table = orders(study)
     law, law_table = growth(study)
+    choice, choice_table = coordinates(study)
     work_claims, work_table, work_figures = work(study)
-    claims = told((size, gill, gauss, path, law, order, time, speed, *knee_claims, joint, *work_claims))
+    claims = told((size, gill, gauss, path, law, order, time, speed, *knee_claims, joint, choice, *work_claims))
     tables = (
         size_table,
         rank_table,
@@ -55,6 +57,7 @@ def verdict(study: Study) -> Verdict:
         joint_table,
         order_table,
         law_table,
+        choice_table,
         work_table,
         time_table,
         speed_table,

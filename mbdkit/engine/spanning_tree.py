@@ -1,0 +1,90 @@
+"""The spanning tree of a mechanism, whose joints give the coordinates of the formulation ``joint-coordinates``.
+
+Pins, slots, slides, welds, moving centers and drivers of angles can be part of the tree. All other constraints, and
+those that close loops, are cut: they are imposed on the accelerations, as in index-1.
+"""
+
+from __future__ import annotations
+
+from heapq import heappop, heappush
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.constraints import KINDS
+from mbdkit.engine.kernels.system import Topology
+from mbdkit.engine.kernels.tree import COLUMNS, PLACE, TURN
+
+_PLACING = {KINDS["revolute"]: 0, KINDS["moving_center"]: 0, KINDS["point_on_line"]: 1}
+"""Kinds of constraints that place a body, and the number of coordinates of its position that they leave free."""
+_TURNING = (KINDS["fixed_angle"], KINDS["driver_angle"])
+_ROWS = {KINDS["point_on_line"]: 1, KINDS["fixed_angle"]: 1, KINDS["driver_angle"]: 1}
+"""Number of rows of these constraints, if it is not 2."""
+
+
+def spanning_tree(top: Topology) -> np.ndarray:
+    """Return a spanning tree with as few coordinates as possible, as the kernels read it.
+
+    It grows from ground by the joint that leaves the fewest coordinates free, at equal numbers by the one that is
+    closest to ground (Prim's algorithm). Bodies that no joint can place are free. Redundant constraints, which are not
+    solved for, are not part of the tree.
+
+    Returns
+    -------
+    (B, 5) array of int
+        See `mbdkit.engine.kernels.tree`.
+    """
+    ground = len(top.mass) - 1
+    placing: list[list[tuple[int, int]]] = [[] for _ in range(ground + 1)]
+    turning: list[list[tuple[int, int]]] = [[] for _ in range(ground + 1)]
+    for k, (kind, a, b, _) in enumerate(top.pairs.tolist()):
+        if a == b or top.rows[k] < _ROWS.get(kind, 2) or not (kind in _PLACING or kind in _TURNING):
+            continue
+        listed = placing if kind in _PLACING else turning
+        listed[a].append((k, 0))
+        listed[b].append((k, 1))
+    depth = [-1] * (ground + 1)
+    tree: list[tuple[int, int, int, int, int]] = []
+    reached: list[tuple[int, int, int, int, int]] = []
+
+    def turned(body: int) -> tuple[int, int]:
+        """Return the pair that determines the angle of a body by those of placed bodies, -1 for none, and its side."""
+        known = (one for one in turning[body] if depth[int(top.pairs[one[0], 2 - one[1]])] >= 0)
+        return next(known, (-1, 0))
+
+    def put(body: int, place: int, side: int, level: int) -> None:
+        tree.append((body, place, side, *turned(body)))
+        leave(body, level)
+
+    def leave(body: int, level: int) -> None:
+        depth[body] = level
+        for k, side in placing[body]:
+            other = int(top.pairs[k, 2 - side])
+            if depth[other] < 0:
+                free = _PLACING[int(top.pairs[k, 0])] + (turned(other)[0] < 0)
+                heappush(reached, (free, level + 1, k, other, 1 - side))
+
+    leave(ground, 0)
+    for root in range(ground + 1):
+        while reached:
+            _, level, k, body, side = heappop(reached)
+            if depth[body] < 0:
+                put(body, k, side, level)
+        if depth[root] < 0:
+            put(root, -1, 0, 1)
+    return np.array(tree, dtype=np.int64).reshape(-1, COLUMNS)
+
+
+def is_tree_of_pins(top: Topology, tree: np.ndarray) -> bool:
+    """Return whether all constraints are fixed pins of the tree, so that articulated bodies give the accelerations."""
+    pins = tree[:, PLACE][tree[:, PLACE] >= 0]
+    return bool(len(pins) == len(top.pairs) and np.all(top.pairs[:, 0] == KINDS["revolute"]))
+
+
+def cut_joints(mechanism: CompiledMechanism) -> tuple[str, ...]:
+    """Return the names of the joints that are not, or only in part, in the spanning tree."""
+    tree = spanning_tree(mechanism.topology)
+    kept = {*tree[:, PLACE].tolist(), *tree[:, TURN].tolist()}
+    return tuple(
+        name for name, pairs in zip(mechanism.joints, mechanism.joint_pairs, strict=True) if not kept.issuperset(pairs)
+    )

@@ -1,0 +1,214 @@
+"""The formulation joint-coordinates: spanning trees, motion and reactions, orders, drift, lanes, refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mbdkit
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.kernels.constraints import KINDS as CONSTRAINTS
+from mbdkit.engine.kernels.tree import PLACE, TURN
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.spanning_tree import cut_joints, is_tree_of_pins, spanning_tree
+from mbdkit.mechanism.mechanism import Mechanism
+from tests.engine.random_mechanisms import add_rod, chain, driven_frame, loop, slides, tree
+
+from . import test_lanes
+from .running import driven_chain
+
+TIGHT = {"name": "dop853", "adaptive": True, "rtol": 1e-12, "atol": 1e-12}
+JOINT = "joint-coordinates"
+EPS = float(np.finfo(float).eps)
+
+
+def floating(rng: np.random.Generator) -> Mechanism:
+    """Return a tree of pins on a free body beside one on the ground, without any force but gravity."""
+    m = tree(rng, 5)
+    end = add_rod(m, rng, "root", np.array([3.0, 1.0]), 0.3)
+    for name, angle in (("a", 1.0), ("b", -1.0)):
+        add_rod(m, rng, name, end, angle)
+        m.revolute(name, name, "root", at=end)
+    return m
+
+
+def by_driver(rng: np.random.Generator) -> Mechanism:
+    """Return a chain with a spring and a torque that is driven at its root."""
+    return driven_chain()
+
+
+KINDS: dict[str, tuple[Callable[[np.random.Generator], Mechanism], set[str], int]] = {
+    "chain": (chain, set(), 6),
+    "tree": (tree, set(), 9),
+    "floating": (floating, set(), 10),
+    "driven": (by_driver, set(), 3),
+    "slides": (slides, set(), 5),
+    "rolling": (test_lanes.rolling, {"lift"}, 5),
+    "laws": (test_lanes.with_laws, set(), 3),
+    "blade": (test_lanes.blade, set(), 13),
+    "frame": (driven_frame, {"x", "y"}, 6),
+    "loop": (loop, {"J3", "rod"}, 4),
+}
+"""Mechanisms, the joints that their spanning trees cut, and the number of coordinates counted by hand."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_spanning_tree_has_the_coordinates_counted_by_hand(kind: str) -> None:
+    make, cut, count = KINDS[kind]
+    compiled = compile_mechanism(make(np.random.default_rng(1)))
+    found = spanning_tree(compiled.topology)
+    line = (compiled.topology.pairs[found[:, PLACE], 0] == CONSTRAINTS["point_on_line"]) & (found[:, PLACE] >= 0)
+    free = 2 * np.sum(found[:, PLACE] < 0) + np.sum(line) + np.sum(found[:, TURN] < 0)
+    assert (set(cut_joints(compiled)), int(free)) == (cut, count)
+    assert is_tree_of_pins(compiled.topology, found) == (kind in ("chain", "tree", "floating", "laws"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_motion_and_every_reaction_are_those_in_the_coordinates_of_the_bodies(kind: str) -> None:
+    # expected: index-1 in absolute coordinates, which solves for the multipliers of all joints; pins fall to round-off
+    make, cut, _ = KINDS[kind]
+    settings: dict[str, Any] = {"integrator": TIGHT, "time": {"end": 0.2}}
+    ours, theirs = (
+        mbdkit.run(make(np.random.default_rng(1)), formulation=one, **settings) for one in (JOINT, "index-1")
+    )
+    ours.check()
+    size = max(1.0, max(float(np.max(np.abs(body.position))) for body in ours.bodies.values()))
+    for name, body in theirs.bodies.items():
+        for part in ("position", "angle", "velocity", "angular_velocity"):
+            expected = getattr(body, part)[-1]
+            np.testing.assert_allclose(getattr(ours.bodies[name], part)[-1], expected, rtol=1e-9, atol=1e-9)
+    largest = max(float(np.max(np.abs(joint.reaction_force))) for joint in theirs.joints.values())
+    for name, joint in theirs.joints.items():
+        mine = ours.joints[name]
+        np.testing.assert_allclose(mine.reaction_force[-1], joint.reaction_force[-1], rtol=0, atol=1e-9 * largest)
+        np.testing.assert_allclose(mine.reaction_torque[-1], joint.reaction_torque[-1], rtol=0, atol=1e-9 * largest)
+        if name not in cut:
+            assert np.max(mine.misalignment[1:]) <= 4 * EPS * size, name
+            assert np.max(np.abs(mine.velocity_misalignment[1:])) <= 1e-13 * size
+
+
+def forced_pendulum() -> Mechanism:
+    """Return two rods of 1 m and 1 kg, the first driven by a torque of 2 cos(3 t), the second on a spring."""
+    m = Mechanism()
+    end = np.zeros(2)
+    for i, angle in enumerate((-1.0, -0.4)):
+        along = np.array([np.cos(angle), np.sin(angle)])
+        m.body(f"r{i}", mass=1.0, inertia=1 / 12, position=end + along / 2, angle=angle)
+        end = end + along
+    m.revolute("A", m.ground, "r0", points=((0, 0), (-0.5, 0)))
+    m.revolute("B", "r0", "r1", points=((0.5, 0), (-0.5, 0)))
+    m.torque("drive", "r0", value="2*cos(3*t)")
+    m.torsion_spring("spring", "r0", "r1", stiffness=4.0, damping=0.3)
+    return m
+
+
+def lagrange(t: float, y: np.ndarray) -> np.ndarray:
+    """Return the rates of the two angles and of their rates by Lagrange's equations of the forced pendulum."""
+    a, b, u, w = y
+    g, c, s = 9.81, np.cos(a - b), np.sin(a - b)
+    couple = -4.0 * (b - a) - 0.3 * (w - u)
+    mass = np.array([[1 / 12 + 0.25 + 1.0, 0.5 * c], [0.5 * c, 1 / 12 + 0.25]])
+    right = [
+        -0.5 * s * w * w - 1.5 * g * np.cos(a) + 2 * np.cos(3 * t) - couple,
+        0.5 * s * u * u - 0.5 * g * np.cos(b) + couple,
+    ]
+    return np.array([u, w, *np.linalg.solve(mass, right)])
+
+
+@pytest.mark.parametrize(("method", "order", "steps"), [("rk4", 4, 100), ("rk-gill", 4, 100), ("dopri5", 5, 200)])
+def test_methods_keep_their_order(method: str, order: int, steps: int) -> None:
+    # expected: Lagrange's equations by DOP853 at 1e-13
+    expected = solve_ivp(lagrange, (0.0, 2.0), [-1.0, -0.4, 0.0, 0.0], "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+    errors = []
+    for n in (steps, 2 * steps):
+        run = mbdkit.run(
+            forced_pendulum(), formulation=JOINT, integrator={"name": method}, time={"end": 2.0, "step": 2.0 / n}
+        )
+        rods = run.bodies["r0"], run.bodies["r1"]
+        found = [*(one.angle[-1] for one in rods), *(one.angular_velocity[-1] for one in rods)]
+        errors.append(np.max(np.abs(np.array(found) - expected)))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
+
+
+@pytest.mark.parametrize("method", ["rk4", "dopri5"])
+def test_pins_stay_closed_to_the_last_bits_over_many_turns(method: str) -> None:
+    run = mbdkit.run(
+        {
+            "mbdkit": 1,
+            "model": {"name": "double-pendulum", "rates": [20.0, 30.0]},
+            "formulation": JOINT,
+            "integrator": {"name": method},
+            "time": {"end": 40.0, "step": 0.02},
+            "output": {"every": 500},
+        }
+    )
+    assert run.bodies["rod2"].angle[-1] > 200.0
+    assert max(joint.misalignment_max for joint in run.joints.values()) <= 4 * EPS * 2.0
+
+
+def test_dense_output_and_events_are_on_the_joints() -> None:
+    # expected: recorded states between steps that the tree places, and an event at the root of its expression
+    run = mbdkit.run(
+        forced_pendulum(),
+        formulation=JOINT,
+        integrator={**TIGHT, "rtol": 1e-8, "atol": 1e-8},
+        time={"end": 2.0},
+        output={"interval": 0.013},
+        events={"down": {"when": "bodies.r0.angle + pi/2"}},
+    )
+    assert max(float(np.max(joint.misalignment)) for joint in run.joints.values()) <= 4 * EPS * 2.0
+    found = solve_ivp(
+        lagrange, (0.0, 2.0), [-1.0, -0.4, 0.0, 0.0], "DOP853", rtol=1e-12, atol=1e-12,
+        events=lambda t, y: y[0] + np.pi / 2,
+    )  # fmt: skip
+    np.testing.assert_allclose(run.events.of_name("down").time, found.t_events[0], atol=1e-7)
+
+
+def test_cut_joints_drift_until_they_are_projected() -> None:
+    make, cut, _ = KINDS["loop"]
+    settings: dict[str, Any] = {
+        "formulation": JOINT,
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.5, "step": 0.005},
+    }
+    drift = {}
+    for kind in ("none", "baumgarte", "projection"):
+        run = mbdkit.run(make(np.random.default_rng(1)), stabilization=kind, **settings)
+        drift[kind] = max(run.joints[name].misalignment_max for name in cut)
+        kept = [joint.misalignment_max for name, joint in run.joints.items() if name not in cut]
+        assert max(kept) <= (1e-13 if kind == "projection" else 16 * EPS)
+    assert drift["projection"] < 1e-13 < drift["none"]
+
+
+@pytest.mark.parametrize("kind", ["chain", "slides", "rolling", "springs", "laws"])
+def test_lanes_have_the_bits_of_single_runs(kind: str) -> None:
+    # expected: the driver of single runs, compiled from the same source for numbers
+    planned = test_lanes.tables(WIDTH)
+    workspaces = [replace(one, formulation=JOINT) for one in test_lanes.workspaces_of(kind, planned)]
+    results = test_lanes.advanced("dopri5", workspaces, planned)
+    spanned = test_lanes.spans(WIDTH, test_lanes.RECORDED["adaptive dop853"])
+    others = [replace(one, formulation=JOINT) for one in test_lanes.workspaces_of(kind, spanned)]
+    controlled = test_lanes.controlled("adaptive dop853", others, spanned)
+    for lane in range(WIDTH):
+        test_lanes.assert_same_bits(results, lane, "dopri5", workspaces[lane], planned[lane])
+        test_lanes.assert_same_bits(controlled, lane, "adaptive dop853", others[lane], spanned[lane])
+
+
+REFUSED = {
+    "stabilization.symmetric": {"stabilization": {"name": "projection", "symmetric": True}},
+    "formulation": {"integrator": {"name": "gauss"}},
+}
+
+
+@pytest.mark.parametrize("key", REFUSED)
+def test_what_joint_coordinates_cannot_do_is_refused_in_a_sentence(key: str) -> None:
+    settings: dict[str, Any] = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}, **REFUSED[key]}
+    with pytest.raises(SpecError, match=r"joint.coordinates") as error:
+        mbdkit.run(forced_pendulum(), formulation=JOINT, **settings)
+    assert error.value.key == key
