@@ -76,7 +76,11 @@ def spanning_tree(top: Topology) -> np.ndarray:
 
 
 def is_tree_of_pins(top: Topology, tree: np.ndarray) -> bool:
-    """Return whether all constraints are fixed pins of the tree, so that articulated bodies give the accelerations."""
+    """Return whether all constraints are fixed pins of the tree without friction, so that articulated bodies give the
+    accelerations.
+    """
+    if len(top.frictions):
+        return False
     pins = tree[:, PLACE][tree[:, PLACE] >= 0]
     return bool(len(pins) == len(top.pairs) and np.all(top.pairs[:, 0] == KINDS["revolute"]))
 

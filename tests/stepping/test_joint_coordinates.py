@@ -212,3 +212,16 @@ def test_what_joint_coordinates_cannot_do_is_refused_in_a_sentence(key: str) -> 
     with pytest.raises(SpecError, match=r"joint.coordinates") as error:
         mbdkit.run(forced_pendulum(), formulation=JOINT, **settings)
     assert error.value.key == key
+
+
+def test_friction_in_joints_acts_in_joint_coordinates() -> None:
+    m = Mechanism()
+    m.body("rod", mass=2.0, inertia=0.1, position=(0.5, 0.0))
+    m.revolute("pin", m.ground, "rod", at=(0.0, 0.0), friction={"coefficient": 0.3, "radius": 0.05})
+    last = []
+    for formulation in ("index-1", "joint-coordinates"):
+        spec = {"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "dop853"}, "formulation": formulation}
+        with mbdkit.run(spec, time={"end": 1.0, "step": 0.01}) as done:
+            last.append([*done["rod"].velocity[-1], done.joints["pin"].friction[-1], done.energy.dissipated[-1]])
+    assert last[1] == pytest.approx(last[0], rel=1e-7)
+    assert last[0][-1] > 0.1
