@@ -234,6 +234,18 @@ def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit
     return float(Decimal(number) * Decimal(repr(unit.factor))), unit
 
 
+def number_in(value: float | str, unit: str) -> float:
+    """Return a number, or the value in SI units of a number with a unit; raise SpecError if it does not fit `unit`."""
+    quantity = read_quantity(value)
+    if quantity is None:
+        if isinstance(value, str):
+            raise SpecError(f"should be a number, or a number with a unit such as '1 {unit}', not '{_short(value)}'")
+        return float(value)
+    if not quantity[1].fits(read_unit(unit)):
+        raise SpecError(f"'{_short(str(value))}' has the unit {quantity[1]}, but this is a number in {unit}")
+    return quantity[0]
+
+
 @cache
 def described_units(description: str) -> tuple[str, ...]:
     """Return the units in a description such as ``Stiffness [N/m]``: several in ``[N/m or N m/rad]`` and ``[m, rad]``,

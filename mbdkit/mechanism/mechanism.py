@@ -1082,8 +1082,35 @@ class Mechanism(HtmlView):
 def _make(cls: type[AnyElement], key: str, /, **values: Any) -> AnyElement:
     try:
         return cls.model_validate(values)
-    except ValidationError as error:
-        raise spec_error(error, cls, prefix=key) from None
+    except ValidationError:
+        opened = _opened(values)
+    try:  # numbers with units, such as "2 N/mm"
+        made, _ = with_expressions(lambda data: cls.model_validate(_closed(data)), opened, cls, {}, prefix=key)
+    except SpecError as error:
+        raise error if error.key.startswith(key) else error.located(prefix=key) from None
+    return made
+
+
+class _Tuple(list[Any]):
+    """A tuple whose items can be replaced."""
+
+
+def _opened(value: Any) -> Any:
+    """Return data whose items can be replaced."""
+    if isinstance(value, Mapping):
+        return {name: _opened(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return (list if isinstance(value, list) else _Tuple)(map(_opened, value))
+    return value
+
+
+def _closed(value: Any) -> Any:
+    """Return what `_opened` was called with, up to replaced items."""
+    if isinstance(value, dict):
+        return {name: _closed(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return (tuple if isinstance(value, _Tuple) else list)(map(_closed, value))
+    return value
 
 
 def _point(value: Any, key: str) -> tuple[float, float]:

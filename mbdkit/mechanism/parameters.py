@@ -31,12 +31,23 @@ from mbdkit.mechanism.angle_function import AngleCompiler, AngleExpressionError
 from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.coordinate_function import CoordinateCompiler, CoordinateExpressionError
 from mbdkit.mechanism.law_element import PluginLookup
+from mbdkit.mechanism.parameter_units import unit_of_expression
 from mbdkit.mechanism.state_values import StateExpressionError, StateSyntax
 from mbdkit.mechanism.validation_errors import spec_error, value_path, walk
 from mbdkit.mechanism.values import TextForNumberError
 
 Validated = TypeVar("Validated")
 Values = Mapping[str, float]
+
+
+class ParameterValues(dict[str, float]):
+    """Values of named parameters in SI units, and the units of those that have one."""
+
+    def __init__(self, values: Mapping[str, float] = {}, units: Mapping[str, Unit] = {}) -> None:
+        super().__init__(values)
+        self.units = dict(units)
+
+
 Written = dict[Path, str]
 """Expressions by key path."""
 Kind = Literal[
@@ -64,7 +75,7 @@ _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[
 """A name that is no part of a quantity; quoted names are matched as well, and left as they are."""
 
 
-def parameter_values(given: Any) -> dict[str, float]:
+def parameter_values(given: Any) -> ParameterValues:
     """Return the values of named parameters.
 
     Parameters
@@ -79,9 +90,10 @@ def parameter_values(given: Any) -> dict[str, float]:
         parameter that depends on itself.
     """
     if given is None:
-        return {}
+        return ParameterValues()
     if not isinstance(given, Mapping):
         raise SpecError(f"should be a mapping of names and numbers, not {value_text(given)}", key="parameters")
+    units = {name: quantity[1] for name, quantity in _quantities(given).items()}
     given = without_units(given)
     for name, value in given.items():
         _check(name, value)
@@ -90,9 +102,12 @@ def parameter_values(given: Any) -> dict[str, float]:
         value = given[name]
         try:
             values[name] = evaluate(value, values, [*given]) if isinstance(value, str) else float(value)
+            unit = unit_of_expression(value, units) if units and isinstance(value, str) else None
         except SpecError as error:
             raise error.located(prefix=f"parameters.{name}") from None
-    return {name: values[name] for name in given}
+        if unit is not None:
+            units[name] = unit
+    return ParameterValues({name: values[name] for name in given}, units)
 
 
 def without_units(parameters: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -103,14 +118,20 @@ def without_units(parameters: Mapping[Any, Any]) -> dict[Any, Any]:
     SpecError
         With the key path of a unit that is not known.
     """
-    numbers = {}
+    return dict(parameters) | {name: quantity[0] for name, quantity in _quantities(parameters).items()}
+
+
+def _quantities(parameters: Mapping[Any, Any]) -> dict[Any, tuple[float, Unit]]:
+    """Return value and unit of the parameters that are numbers with a unit."""
+    found = {}
     for name, value in parameters.items():
         try:
             quantity = read_quantity(value, {"pi", *parameters})
         except SpecError as error:
             raise error.located(prefix=f"parameters.{name}") from None
-        numbers[name] = value if quantity is None else quantity[0]
-    return numbers
+        if quantity is not None:
+            found[name] = quantity
+    return found
 
 
 def evaluate(text: str, values: Values, known: list[str] | None = None) -> float:
@@ -280,8 +301,10 @@ def _replacements(
             if read_quantity(text := _at(data, path), known):
                 message = f"should be a number without a unit, since tables are in SI units, not '{text}'"
                 raise SpecError(message, key=path_text(path))
-            items = enumerate(_at(data, path[:-1]))
-            yield from (((*path[:-1], i), text, "number") for i, text in items if _is_expression(text, values))
+            for i, text in enumerate(_at(data, path[:-1])):
+                if _is_expression(text, values):
+                    _check_unit(text, values, (*details["loc"], i), (*path[:-1], i), data, root, plugins)
+                    yield (*path[:-1], i), text, "number"
             continue
         if isinstance(inner, CoordinateExpressionError):  # raised for the whole model, which knows its coordinates
             path = value_path(path, parse_path(inner.key))
@@ -301,6 +324,7 @@ def _replacements(
         if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
             yield path, text, next(kind for error, kind in _KINDS if isinstance(inner, error))
         elif details["type"] == "float_type" and _is_expression(text, values):
+            _check_unit(text, values, details["loc"], path, data, root, plugins)
             yield path, text, "number"
         elif details["type"] == "int_type" and _is_expression(text, values):
             yield path, text, "whole number"
@@ -312,13 +336,21 @@ def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any
         raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
     if not abs(value) <= sys.float_info.max:
         raise SpecError(f"should be a finite number, not '{details['input']}'")
-    location = details["loc"]
+    units = _units_of(details["loc"], data, root, plugins)
+    if units is not None and not any(unit.fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
+        takes = f"in {listed(units, 'or')}" if units else "without a unit"
+        raise SpecError(f"'{details['input']}' has the unit {unit}, but this is a number {takes}")
+    return value
+
+
+def _units_of(location: Path, data: Any, root: Any, plugins: PluginLookup) -> tuple[str, ...] | None:
+    """Return the units of the number at a location, by the description of its key; None if the key is not known."""
     for length in range(len(location), 0, -1):  # the numbers of lists and mappings have the unit of their field
         path, owner = walk(location[:length], root, plugins)
         if owner is not None and (name := _field(owner, path[-1])):
             break
     else:
-        return value
+        return None
     units = described_units(description(owner, name))
     parts, _ = walk(location, root, plugins)
     if len(units) == 2 and issubclass(owner, Element):
@@ -326,11 +358,27 @@ def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any
         units = units[along == "rad" :][:1] if along else units
     elif len(units) > 2 and isinstance(parts[-1], int):
         units = units[parts[-1] :][:1]
-    wanted = [read_unit(text) for text in units] or [PLAIN]
-    if not any(unit.fits(one if one.text != "1" else PLAIN) for one in wanted):
+    return units
+
+
+def _check_unit(
+    text: str, values: Values, location: Path, path: Path, data: Any, root: Any, plugins: PluginLookup
+) -> None:
+    """Raise SpecError for an expression whose parameters have units that do not fit its place."""
+    known = values.units if isinstance(values, ParameterValues) else {}
+    try:
+        unit = unit_of_expression(text, known) if known else None
+    except SpecError as error:
+        raise error.located(prefix=path_text(path)) from None
+    units = None if unit is None else _units_of(location, data, root, plugins)
+    if unit is None or units is None:
+        return
+    alone = text.strip() in known  # in products and quotients, angles are numbers
+    fits = unit.fits if alone else unit.is_like
+    if not any(fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
         takes = f"in {listed(units, 'or')}" if units else "without a unit"
-        raise SpecError(f"'{details['input']}' has the unit {unit}, but this is a number {takes}")
-    return value
+        hint = "; a factor with a unit should be a parameter" if re.search(r"(?<![\w.])\d", text) else ""
+        raise SpecError(f"'{text}' has the unit {unit}, but this is a number {takes}{hint}", key=path_text(path))
 
 
 def _field(owner: type[BaseModel], key: str | int) -> str:

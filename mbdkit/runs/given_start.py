@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.units import number_in
 from mbdkit.engine.assembly import search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.consistent_start import Starts
@@ -26,7 +28,7 @@ MET = 1e-12
 """Largest residual of given values and joints [m, rad, m/s, rad/s], relative to the largest number."""
 
 
-def spec_started_at(spec: RunSpec, values: Mapping[str, float], starts: Starts) -> RunSpec:
+def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: Starts) -> RunSpec:
     """Return a spec with the mechanism written out at a start in which some quantities have given values.
 
     Of all states that satisfy the joints, it is the one nearest to the start of the spec in the mass metric, found
@@ -35,7 +37,8 @@ def spec_started_at(spec: RunSpec, values: Mapping[str, float], starts: Starts) 
     Parameters
     ----------
     values
-        Values by name of a quantity, such as ``crank.angle``, ``J1.angle``, ``crank.angular_velocity`` or ``tip.vx``.
+        Values by name of a quantity, such as ``crank.angle``, ``J1.angle``, ``crank.angular_velocity`` or ``tip.vx``;
+        numbers, or texts with a unit.
     starts
         Cache of compiled mechanisms.
 
@@ -79,16 +82,21 @@ class _GivenStart:
         free[self.search.free] = 1.0
         self.light = free / np.sqrt(self.search.mass)
 
-    def state(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    def state(self, values: Mapping[str, float | str]) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities (n,)."""
         held: dict[str, tuple[Quantity, float]] = {}
         moving: dict[str, tuple[Quantity, float]] = {}
-        for name, value in values.items():
-            if not math.isfinite(value):
-                raise SpecError(f"the value of '{name}' should be a finite number, not {value!r}", key="initial")
+        for name, given in values.items():
             element, _, axis = name.rpartition(".")
             kind, of = (moving, f"{element}.{RATES[axis]}") if axis in RATES else (held, name)
-            kind[name] = self.names.find(of, "initial"), float(value)
+            quantity = self.names.find(of, "initial")
+            try:
+                value = number_in(given, f"{quantity.unit}/s" if axis in RATES else quantity.unit)
+            except SpecError as error:
+                raise error.located(prefix=f"initial.{quoted(name)}") from None
+            if not math.isfinite(value):
+                raise SpecError(f"the value of '{name}' should be a finite number, not {value!r}", key="initial")
+            kind[name] = quantity, value
         q, v = self.start.q0[: self.n].copy(), self.start.v0[: self.n].copy()
         if held:
             q = self._positions(q, held)

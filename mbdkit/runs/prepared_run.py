@@ -26,6 +26,9 @@ LONG = 15_000
 lanes but one are empty, but their preparation takes 1 to 2 ms less."""
 
 
+Numbers = Mapping[str, float | str]
+
+
 class PreparedRun:
     """A spec that is run again with other numbers.
 
@@ -49,14 +52,12 @@ class PreparedRun:
         self._lanes = LaneRuns(Starts(), ())
         self._is_long = False
 
-    def spec_with(
-        self, parameters: Mapping[str, float] | None = None, initial: Mapping[str, float] | None = None
-    ) -> RunSpec:
+    def spec_with(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> RunSpec:
         """Return the spec with other numbers; see `run`."""
         spec = self._varied.spec([(self._path_of(name), value) for name, value in (parameters or {}).items()])
         return spec_started_at(spec, initial, self._lanes.starts) if initial else spec
 
-    def run(self, parameters: Mapping[str, float] | None = None, initial: Mapping[str, float] | None = None) -> Run:
+    def run(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> Run:
         """Run the spec with other numbers; the results are those of `mbdkit.run` for `spec_with`, to the bit.
 
         Ctrl-C raises KeyboardInterrupt. Warnings are not printed; `Run.warnings` contains them.
@@ -65,7 +66,7 @@ class PreparedRun:
         ----------
         parameters
             Values by name of a parameter, or by key, such as ``model.springs.support.stiffness`` or
-            ``model.angles.0``.
+            ``model.angles.0``: numbers, or texts with a unit such as ``"2 N/mm"``.
         initial
             Initial values of kinematic quantities, such as ``crank.angle``, ``knee.angle`` (of a joint), ``foot.vx`` or
             ``crank.angular_velocity``. Among all states that satisfy the joints, the start is the nearest one to that

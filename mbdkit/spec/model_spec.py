@@ -55,9 +55,9 @@ class StrictSpec(Section):
 
         try:
             values = plain(data)
+            numbers = parameter_values(values.get("parameters")) if self.EXPRESSIONS_IN else {}
             if self.EXPRESSIONS_IN and isinstance(values.get("parameters"), Mapping):
                 values["parameters"] = without_units(values["parameters"])
-            numbers = parameter_values(values.get("parameters")) if self.EXPRESSIONS_IN else {}
             section = (self.EXPRESSIONS_IN,)
             _, written = with_expressions(validate, values, type(self), numbers, section=section, plugins=plugins)
         except RecursionError:

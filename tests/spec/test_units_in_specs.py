@@ -111,6 +111,11 @@ def test_specs_and_mechanisms_keep_si_values_only() -> None:
         ("model.forces.motor.value", {"table": [["0 s", "1 s"], [0, 1]]}, r"without a unit, since tables are in SI"),
         ("integrator.atol", "3 N", r"unit N, but this is a number in m, rad, m/s or rad/s"),
         ("limits.energy_jump", "3 N", r"has the unit N, but this is a number without a unit"),
+        ("parameters.k", "2 N", r"forces\.spring\.stiffness: 'k' has the unit N, but this is a number in N/m"),
+        ("parameters.half", "2 s", r"joints\.A\.points\[1\]\[0\]: '-half' has the unit s, but this is a number in m"),
+        ("model.forces.wire.stiffness", "0.1*k*half", r"'0\.1\*k\*half' has the unit N, .* a factor with a unit"),
+        ("model.forces.wire.stiffness", "k + half", r"'k \+ half' adds numbers in N/mm and in cm"),
+        ("parameters.sum", "k + half", r"parameters\.sum: 'k \+ half' adds numbers in N/mm and in cm"),
         ("parameters.k", "2 kp", r"parameters\.k: '2 kp' is not a number with a unit: 'kp' is not a known unit"),
         ("model.forces.wire.stiffness", "1e999 N/m", r"should be a finite number, not '1e999 N/m'"),
     ],
@@ -118,6 +123,32 @@ def test_specs_and_mechanisms_keep_si_values_only() -> None:
 def test_wrong_units_are_refused_with_key_and_both_units(key: str, value: Any, message: str) -> None:
     with pytest.raises(SpecError, match=message):
         load_spec(changed(key, value))
+
+
+@pytest.mark.parametrize("text", ["2*k", "k*half/half", "k + 100", "load/half", "k*free", "sqrt(k**2)"])
+def test_expressions_of_parameters_with_units_that_fit(text: str) -> None:
+    parameters = SPEC["parameters"] | {"load": "3 N", "free": 2}
+    spec = load_spec(changed("model.forces.wire.stiffness", text) | {"parameters": parameters})
+    assert spec.mechanism().forces["wire"].stiffness > 0
+
+
+def test_calls_in_python_take_numbers_with_units() -> None:
+    m = mbdkit.Mechanism(name="swing")
+    m.body("rod", mass="500 g", inertia="0.02 kg m^2", position=("100 mm", 0))
+    m.revolute("A", m.ground, "rod", at=(0, "0 cm"))
+    assert (m.bodies["rod"].mass, m.bodies["rod"].position) == (0.5, (0.1, 0.0))
+    with pytest.raises(
+        SpecError, match=r"model\.bodies\.other\.mass: '2 N' has the unit N, but this is a number in kg"
+    ):
+        m.body("other", mass="2 N")
+    prepared = mbdkit.prepare(m, integrator={"name": "rk4"}, time={"end": "10 ms", "step": "5 ms"})
+    with prepared.run(initial={"rod.angle": "30 deg", "rod.angular_velocity": "60 rev/min"}) as run:
+        assert run.bodies["rod"].angle[0] == pytest.approx(math.pi / 6, rel=1e-15)
+        assert run.bodies["rod"].angular_velocity[0] == pytest.approx(2 * math.pi, rel=1e-14)
+    with pytest.raises(
+        SpecError, match=r'initial\."rod\.angle": \'3 mm\' has the unit mm, but this is a number in rad'
+    ):
+        prepared.run(initial={"rod.angle": "3 mm"})
 
 
 def test_the_schema_accepts_units_where_specs_do() -> None:
