@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import path_text
 from mbdkit.expressions.program import Program
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.spec import InverseSpec, RunSpec
@@ -44,7 +45,13 @@ def definitions_of(spec: RunSpec | InverseSpec, measures: Measures) -> Definitio
 
 def expressions_of(spec: ModelSpec, definitions: Definitions) -> dict[str, MeasureExpression]:
     """Return the expressions of measures with the named parameters of a spec; raise SpecError if one is not valid."""
-    return {name: MeasureExpression.parse(text, spec, unit) for name, (text, unit) in definitions.items()}
+    found = {}
+    for name, (text, unit) in definitions.items():
+        try:
+            found[name] = MeasureExpression.parse(text, spec, unit)
+        except SpecError as error:
+            raise error if name == text else error.located(prefix=path_text(("measures", name))) from None
+    return found
 
 
 def numbers_of(spec: ModelSpec, definitions: Definitions) -> dict[str, np.ndarray]:

@@ -178,8 +178,7 @@ def gradient(
     spec = load_spec(source, (), **sections)
     chosen = resolved(spec, [parameters] if isinstance(parameters, str) else list(parameters))
     definitions = definitions_of(spec, measures)
-    for expression in expressions_of(spec, definitions).values():
-        require_derivatives(expression)
+    require_derivatives(expressions_of(spec, definitions))
     with one_thread_of_linear_algebra():
         return gradient_of_run_spec(spec, definitions, chosen, check=check)
 
@@ -195,20 +194,20 @@ def check_gradients(spec: RunSpec, method: Method) -> None:
             except SpecError as error:
                 raise SpecError(error.message, key=path_text(("gradients", index))) from None
         resolved(spec, spec.gradients)
-        for name, one in expressions_of(spec, definitions_of(spec, list(spec.measures))).items():
-            try:
-                require_derivatives(one)
-            except SpecError as error:
-                raise SpecError(error.message, key=path_text(("measures", name))) from None
+        require_derivatives(expressions_of(spec, definitions_of(spec, list(spec.measures))))
         refuse(spec, method)
     except SpecError as error:
         raise spec.placed(error) from None
 
 
-def require_derivatives(expression: MeasureExpression) -> None:
-    """Raise SpecError if a quantity in an expression has no derivative for any mechanism."""
-    for quantity in expression.quantities:
-        require_derivative(quantity)
+def require_derivatives(expressions: Mapping[str, MeasureExpression]) -> None:
+    """Raise SpecError, with the name of the measure, if a quantity in it has no derivative for any mechanism."""
+    for name, expression in expressions.items():
+        for quantity in expression.quantities:
+            try:
+                require_derivative(quantity)
+            except SpecError as error:
+                raise SpecError(error.message, key=path_text(("measures", name))) from None
 
 
 def gradients_json(spec: RunSpec) -> str:

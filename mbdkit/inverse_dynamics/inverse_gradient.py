@@ -122,8 +122,7 @@ def gradient_of_inverse(
     if problem.recruiter is not None:
         require_derivatives_of(problem.recruiter)
     expressions = expressions_of(spec, definitions)
-    for expression in expressions.values():
-        require_derivatives(expression)
+    require_derivatives(expressions)
     result = compute(problem)
     prepared = InversePreparation(result, definitions).derivatives(parameters)
     _require_unique_forces(result, parameters, prepared)

@@ -145,7 +145,7 @@ class Recruiter:
         ------
         RunError
             If a path is not possible, or muscles and reserves cannot produce the motion; the message has the smallest
-            reserves with which they can.
+            reserves that suffice.
         """
         if balance.effect.shape[1] != balance.effect.shape[2] or dynamics.surplus:
             raise SpecError(
@@ -337,6 +337,5 @@ class Recruiter:
         about = "about " if self.is_elastic else ""  # at the tensions to which tendons were stretched last
         return RunError(
             f"the muscles cannot produce the motion{fast} in {len(rows)} of {counted(len(time), 'frame')}, at t = "
-            f"{times}{more} s; the smallest reserves with which they can are {about}{listed(told, 'and')}: state "
-            "`recruitment.reserves`"
+            f"{times}{more} s; `recruitment.reserves` should be at least {about}{listed(told, 'and')}"
         )

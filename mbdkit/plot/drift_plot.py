@@ -69,7 +69,7 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
         There is no such joint.
     """
     if gap not in _READ:
-        raise SpecError(f"there is no misalignment {gap!r}; there are {listed(_READ)}")
+        raise SpecError(f"the misalignment should be {listed(_READ, 'or')}, not {gap!r}")
     quantity = _READ[gap](run)
     if not quantity.elements:
         raise SpecError("the mechanism of this run has no joints, so that there is no misalignment to draw")

@@ -98,7 +98,9 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     names = [terms] if isinstance(terms, str) else list(terms or ())
     for name in names:
         if name not in COLORS:
-            raise SpecError(f"there is no energy {name!r}{did_you_mean(name, COLORS)}; there are {listed(COLORS)}")
+            raise SpecError(
+                f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{did_you_mean(name, COLORS)}"
+            )
     values = _read(run, *COLORS)
     relative, base = _relative(values)
     if terms is None:

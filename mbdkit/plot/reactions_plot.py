@@ -83,7 +83,7 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
     """
     if components not in COMPONENTS:
         hint = did_you_mean(components, COMPONENTS)
-        raise SpecError(f"there are no components {components!r}{hint}; there are {listed(COMPONENTS)}")
+        raise SpecError(f"components should be {listed(COMPONENTS, 'or')}, not {components!r}{hint}")
     force = reaction_force(run)
     if not force.elements:
         raise SpecError("the mechanism of this run has no joints, so that there are no joint forces to draw")

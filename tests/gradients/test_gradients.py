@@ -264,6 +264,9 @@ def test_knots_of_tables_are_refused_at_the_start_and_end_too(knot: int) -> None
 def test_a_measure_without_derivative_is_refused() -> None:
     with pytest.raises(SpecError, match=r"joints\.B\.misalignment has no derivative"):
         mbdkit.gradient(SLIDER_CRANK, "max(joints.B.misalignment)", "k", **PENDULUM)
+    for text, message in (("max(joints.B.misalignment)", "has no derivative"), ("max(joints.B.force)", "is a vector")):
+        with pytest.raises(SpecError, match=rf"^measures\.gap: .*{message}"):
+            mbdkit.gradient(SLIDER_CRANK, {"gap": text}, "k", **PENDULUM)
 
 
 @pytest.mark.parametrize(

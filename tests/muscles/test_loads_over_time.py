@@ -93,7 +93,7 @@ def test_a_load_that_vanishes_faster_than_activation_names_the_frames():
     spec["model"]["muscles"]["biceps"]["activation"] = {"fall": 1.0}
     with pytest.raises(RunError, match="with activations that change as fast as their dynamics allow") as error:
         mbdkit.inverse(spec)
-    assert "the smallest reserves with which they can are elbow" in str(error.value)
+    assert "`recruitment.reserves` should be at least elbow" in str(error.value)
     spec["model"]["muscles"]["biceps"]["activation"] = {"fall": 0.04}
     mbdkit.inverse(spec).close()
 

@@ -149,7 +149,7 @@ def test_the_default_file_is_named_after_the_first_run(
             ["--kind", "drift", "--component", "x"],
             "--component is an option of --kind reactions or beams, not of drift",
         ),
-        (["--kind", "reactions", "--component", "z"], "there are no components 'z'"),
+        (["--kind", "reactions", "--component", "z"], "not 'z'"),
         (["--size", "85"], "the size '85' is not understood"),
         (["--kind", "forces", "--size", "85mm"], "no force element of this run exerts a force"),
         (["-o", "fig.jpg"], "must end in .png, .svg or .pdf"),

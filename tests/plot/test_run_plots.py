@@ -178,7 +178,7 @@ def test_energies_are_named_and_potential_counts_from_the_start(driven: mbdkit.R
     balance = driven.plot.energy(Figure().add_subplot(), terms="balance")
     assert balance.get_ylabel() == "energy balance [J]"
     np.testing.assert_array_equal(lines(balance)["balance"], driven.energy.balance)
-    with pytest.raises(SpecError, match=r"no energy 'kinetik' \(did you mean 'kinetic'\?\)"):
+    with pytest.raises(SpecError, match=r"not 'kinetik' \(did you mean 'kinetic'\?\)"):
         driven.plot.energy(Figure().add_subplot(), terms=["kinetik"])
 
 
@@ -221,9 +221,9 @@ def test_names_are_taken_literally(make_run: Any, axes: Axes) -> None:
 def test_wrong_names_and_empty_plots_are_explained(driven: mbdkit.Run, make_run: Any, axes: Axes) -> None:
     with pytest.raises(MbdkitError, match=r"no joint 'pni' \(did you mean 'pin'\?\)"):
         driven.plot.reactions(axes, joints=["pni"])
-    with pytest.raises(SpecError, match=r"no components 'axail' \(did you mean 'axial'\?\)"):
+    with pytest.raises(SpecError, match=r"not 'axail' \(did you mean 'axial'\?\)"):
         driven.plot.reactions(axes, components="axail")  # type: ignore[arg-type]
-    with pytest.raises(SpecError, match="position, velocity, angle"):
+    with pytest.raises(SpecError, match="position, velocity or angle"):
         driven.plot.drift(axes, gap="force")  # type: ignore[arg-type]
     with pytest.raises(SpecError, match="no force element of this run exerts a force"):
         driven.plot.forces(axes)
