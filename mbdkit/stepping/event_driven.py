@@ -40,6 +40,9 @@ SAME_INSTANT = 4e-16
 SAME = 1e-10
 """Gaps, in lengths of the mechanism, and velocities, in those of the motion, that are zero but for errors."""
 
+REDUNDANT = 1e-6
+"""Friction forces beyond their limit by more than this share of the normal force may be those of redundant contacts."""
+
 
 @dataclass(frozen=True)
 class _Point:
@@ -160,12 +163,19 @@ class _Step:
         """Return what the contacts hold now."""
         now, forced = self.now, self._forced(self.now)
         force = forced.normal @ forced.rows.normal + forced.tangent @ forced.rows.tangent
-        normal, tangent = forced.normal, forced.tangent
-        sticks = self.modes == STICK
-        if np.any(sticks & (np.abs(tangent) > self.contacts.static * normal + self._scales(forced)[1])):
-            slides = np.where(np.abs(self.modes) == SLIP, np.sign(self.modes), 0.0)
-            normal, tangent = self.contacts.shared(now.t, now.q, now.v, self.modes != OPEN, slides, forced)
+        normal, tangent = self._shared(now, forced)
         return replace(self.state, modes=self.modes, normal=normal, tangent=tangent, force=force)
+
+    def _shared(self, at: _Point, forced: Forced) -> tuple[np.ndarray, np.ndarray]:
+        """Return the forces (C,) of contacts, normal and tangential; where redundant contacts stick, and their forces
+        are not unique, those that are within the limit of friction.
+        """
+        beyond = np.abs(forced.tangent) - self.contacts.static * forced.normal
+        # less than that is a contact about to slip
+        if not np.any((self.modes == STICK) & (beyond > REDUNDANT * np.max(np.abs(forced.normal)))):
+            return forced.normal, forced.tangent
+        slides = np.where(np.abs(self.modes) == SLIP, np.sign(self.modes), 0.0)
+        return self.contacts.shared(at.t, at.q, at.v, self.modes != OPEN, slides, forced)
 
     def reached(self, event: tuple[int, int] | None, streak: int) -> StepState:
         """Return the present state with what the contacts pass to the next step."""
@@ -246,8 +256,9 @@ class _Step:
         forced = self._forced(at)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
         opens = forced.rows.normal @ at.v >= 0.0
-        normal = np.where(is_open, np.where(opens, np.abs(forced.rows.gap), forced.rows.gap), forced.normal)
-        limit = self.contacts.static * forced.normal - np.abs(forced.tangent)
+        pressed, tangent = self._shared(at, forced)
+        normal = np.where(is_open, np.where(opens, np.abs(forced.rows.gap), forced.rows.gap), pressed)
+        limit = self.contacts.static * pressed - np.abs(tangent)
         has_slip = slips & (self.contacts.kinetic > 0)
         friction = np.where(has_slip, np.sign(self.modes) * forced.rows.slip, np.where(self.modes == STICK, limit, 1.0))
         return np.stack([normal, friction])
