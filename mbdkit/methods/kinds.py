@@ -78,6 +78,8 @@ class Traits:
         Whether runs can be advanced in lanes, and steps be differentiated by parameters.
     can_be_projected
         Whether states may be changed between the steps.
+    is_time_stepping
+        Whether velocities may jump in any step, so that it integrates contacts without locating impacts.
     why_no_checkpoint
         Why the state of a run cannot be stored, as a clause; empty if it can.
     """
@@ -93,6 +95,7 @@ class Traits:
     has_lanes: bool = False
     has_derivatives: bool = False
     can_be_projected: bool = True
+    is_time_stepping: bool = False
     why_no_checkpoint: str = ""
 
     def carries_multipliers(self, formulation: Formulation) -> bool:

@@ -1,4 +1,7 @@
-"""The time-stepping method of Moreau and Jean for rigid contacts; its algorithm is `mbdkit.stepping.time_stepping`."""
+"""Time-stepping methods for rigid contacts.
+
+Their algorithms are in `mbdkit.stepping.time_stepping` and `mbdkit.stepping.generalized_alpha`.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,14 @@ JEAN = """@article{jean1999,
   pages = {235--257}, year = {1999}, doi = {10.1016/S0045-7825(98)00383-1}}"""
 
 
+CHEN = """@article{chen2013,
+  author = {Chen, Qiong-zhong and Acary, Vincent and Virlez, Geoffrey and Br{\\"u}ls, Olivier},
+  title = {A nonsmooth generalized-$\\alpha$ scheme for flexible multibody systems with unilateral constraints},
+  journal = {International Journal for Numerical Methods in Engineering}, volume = {96}, number = {8},
+  pages = {487--511}, year = {2013}, doi = {10.1002/nme.4563}}"""
+NOT_STORED = "the state of a method written in Python cannot be stored"
+
+
 class MoreauJeanOptions(Options):
     """How forces are weighted."""
 
@@ -34,8 +45,27 @@ class MoreauJean(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        why = "the state of a method written in Python cannot be stored"
-        return Traits("moreau-jean", suits_stiff=True, why_no_checkpoint=why)
+        return Traits("moreau-jean", suits_stiff=True, is_time_stepping=True, why_no_checkpoint=NOT_STORED)
+
+
+class GeneralizedAlphaOptions(Options):
+    """How fast vibrations are damped."""
+
+    spectral_radius: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.8
+    """Factor by which a step multiplies infinitely fast vibrations: 0 removes them, 1 keeps them."""
+
+
+@dataclass(frozen=True)
+class GeneralizedAlpha(Method):
+    """The nonsmooth generalized-alpha method."""
+
+    spectral_radius: float = 0.8
+
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        family = "nonsmooth-generalized-alpha"
+        return Traits(family, suits_stiff=True, is_time_stepping=True, why_no_checkpoint=NOT_STORED)
 
 
 FAMILY = "moreau-jean"
@@ -52,5 +82,18 @@ INTEGRATORS = (
             needs=("tangents",),
         ),
         references=(JEAN,),
+    ),
+    IntegratorPlugin(
+        name="nonsmooth-generalized-alpha",
+        summary="Nonsmooth generalized-alpha: time-stepping for rigid contacts, order 2 without them, fixed steps.",
+        options=GeneralizedAlphaOptions,
+        create=lambda options: GeneralizedAlpha(options.spectral_radius),
+        claims=lambda options: Claims(
+            order=2,
+            drift="positions meet the joints to round-off, velocities to the order of the step",
+            constraints_hold=("position",),
+            needs=("tangents",),
+        ),
+        references=(CHEN,),
     ),
 )

@@ -136,13 +136,16 @@ def make_method(spec: RunSpec) -> Method:
     return method
 
 
+NEEDS_TIME_STEPPING = "the treatment time-stepping needs the integrator moreau-jean or nonsmooth-generalized-alpha"
+
+
 def _check_treatment(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if a method cannot integrate the rigid contacts of a spec."""
     treatment, traits = spec.contact.treatment, method.traits
     if not spec.has_rigid_contacts:
         return
-    if treatment == "time-stepping" and traits.family != "moreau-jean":
-        raise spec.placed(SpecError("the treatment time-stepping needs the integrator moreau-jean", key="integrator"))
+    if treatment == "time-stepping" and not traits.is_time_stepping:
+        raise spec.placed(SpecError(NEEDS_TIME_STEPPING, key="integrator"))
     if treatment == "event-driven" and not (traits.is_explicit and traits.tableau and traits.tolerances is None):
         message = "the treatment event-driven needs an explicit Runge-Kutta method with fixed steps, such as dop853"
         raise spec.placed(SpecError(message, key="integrator"))

@@ -46,7 +46,7 @@ class ContactTreatment(Section):
     """`compliant`: the bodies overlap by a little, and `compliance` of a contact determines the force; by every method.
     `event-driven`: rigid bodies, whose impacts and changes between sticking, slipping and separation are located; by
     explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every step; by
-    `moreau-jean`."""
+    `moreau-jean` or `nonsmooth-generalized-alpha`."""
     impact_law: Literal["newton", "poisson"] = "newton"
     """Law of impacts of rigid bodies, `restitution` of a contact being a ratio of velocities or of impulses; of
     `event-driven`."""

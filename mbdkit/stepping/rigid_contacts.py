@@ -152,6 +152,8 @@ class ContactState:
         First time at which several contacts that affect each other have closed at once, in an unknown order [s].
     residual
         Largest error of the velocities of contacts, relative to the largest one in its step.
+    accelerations
+        What a time-stepping method passes to its next step.
     """
 
     modes: np.ndarray
@@ -168,10 +170,11 @@ class ContactState:
     is_over_step: bool = False
     undecided: float = math.inf
     residual: float = 0.0
+    accelerations: tuple[np.ndarray, ...] = ()
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load, where modes are determined anew."""
-        return replace(self, modes=np.zeros(0, dtype=int))
+        return replace(self, modes=np.zeros(0, dtype=int), accelerations=())
 
     def remarks(self) -> tuple[str, ...]:
         """Return sentences about sequences of impacts that were cut, and about impacts with another law."""

@@ -18,12 +18,13 @@ from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.diagonally_implicit import DiagonallyImplicit
 from mbdkit.stepping.event_driven import EventDriven
 from mbdkit.stepping.explicit import CompiledExplicit
+from mbdkit.stepping.generalized_alpha import GeneralizedAlphaSteps
 from mbdkit.stepping.interface import Stepper, Timetable
 from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
-from mbdkit.stepping.time_stepping import TimeStepping
+from mbdkit.stepping.time_stepping import MoreauJeanSteps
 
 COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
     "explicit": lambda method, workspace, control: CompiledExplicit(method, workspace),
@@ -36,7 +37,10 @@ IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
     "diagonally-implicit": lambda method, *run: PythonStepper(DiagonallyImplicit(method), *run),
     "scipy": SciPyStepper,
     "python": PythonStepper,
-    "moreau-jean": lambda method, *run: PythonStepper(TimeStepping(method.theta), *run),
+    "moreau-jean": lambda method, *run: PythonStepper(MoreauJeanSteps(method.theta), *run),
+    "nonsmooth-generalized-alpha": lambda method, *run: PythonStepper(
+        GeneralizedAlphaSteps(method.spectral_radius), *run
+    ),
 }
 """Steppers of methods whose steps are taken in Python, by family."""
 

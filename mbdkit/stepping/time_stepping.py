@@ -1,6 +1,7 @@
-"""The time-stepping method of Moreau and Jean: velocities may jump in any step, and impacts are not located.
+"""Time-stepping methods: velocities may jump in any step, and impacts are not located.
 
-With positions q_m = q_0 + h/2 v_0, at which gaps, their gradients and joints are evaluated, a step from (q_0, v_0) is
+With positions q_m = q_0 + h/2 v_0, at which gaps, their gradients and joints are evaluated, a step of the method of
+Moreau and Jean from (q_0, v_0) is
 
     M (v_1 - v_0) = h (theta Q(t_1, q_1, v_1) + (1 - theta) Q(t_0, q_0, v_0)) + joints + contacts
     q_1 = q_0 + h (theta v_1 + (1 - theta) v_0)
@@ -40,18 +41,45 @@ SMALL = 1e-12
 """Overlap, in lengths of the mechanism, that is zero but for errors."""
 
 
-class TimeStepping(StepMethod):
-    """The method of Moreau and Jean.
+@dataclass(frozen=True)
+class SmoothStep:
+    """A step without impulses of contacts.
 
-    Parameters
+    Attributes
     ----------
-    theta
-        Share of the forces at the end of a step, from 0.5 to 1.
+    v
+        (n,) velocities at its end.
+    multipliers
+        (m,) of the joints.
+    middle
+        (n,) positions at which contacts have their gradients.
+    solve
+        Returns the change of the velocities (n,) by an impulse (n,).
+    positions
+        Returns the positions (n,) at the end, before their projection, with given velocities (n,) there.
+    accelerations
+        What the method passes to its next step.
     """
 
-    def __init__(self, theta: float):
-        self.theta = theta
+    v: np.ndarray
+    multipliers: np.ndarray
+    middle: np.ndarray
+    solve: Callable[[np.ndarray], np.ndarray]
+    positions: Callable[[np.ndarray], np.ndarray]
+    accelerations: tuple[np.ndarray, ...] = ()
+
+
+class TimeStepping(StepMethod):
+    """A time-stepping method, which a subclass defines by its step without contacts."""
+
+    def __init__(self) -> None:
         self._contacts = KnownContacts()
+
+    def smooth(
+        self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]
+    ) -> SmoothStep:
+        """Return the step without impulses of contacts, after `accelerations` of the last one, () if there is none."""
+        raise NotImplementedError
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         """See `StepMethod.step`. A step whose positions cannot be projected is taken in halves."""
@@ -72,26 +100,27 @@ class TimeStepping(StepMethod):
         return replace(end, work=half.work + end.work, dissipated=half.dissipated + end.dissipated)
 
     def _whole(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        p, theta, q, v = equations, self.theta, state.q, state.v
+        p, v = equations, state.v
         contacts = self._contacts.on(p)
-        middle = q + 0.5 * h * v
-        a, multipliers = p.accelerations(t, q, v)
-        matrix = p.iteration_matrix(
-            t + 0.5 * h, middle, v, a, multipliers, damping=theta * h, stiffness=(theta * h) ** 2
-        )
-        contacts.find_free()
-        force = theta * p.forces(t + h, q + h * v, v) + (1.0 - theta) * p.forces(t, q, v)
-        after = v + matrix.solve(h * force, -p.constraint_rates(t + 0.5 * h, middle, v))[0]
-        some = np.flatnonzero(contacts.gaps(q + h * (theta * after + (1.0 - theta) * v)) <= SMALL * p.length)
         held = contacts.all_open().after_stop() if state.memory is None else state.memory
-        memory = replace(contacts.all_open(), residual=held.residual, changed=held.changed, is_over_step=True)
+        smooth = self.smooth(p, t, state, h, held.accelerations)
+        contacts.find_free()
+        after = smooth.v
+        some = np.flatnonzero(contacts.gaps(smooth.positions(after)) <= SMALL * p.length)
+        memory = replace(
+            contacts.all_open(),
+            residual=held.residual,
+            changed=held.changed,
+            is_over_step=True,
+            accelerations=smooth.accelerations,
+        )
         lost = 0.0
         if len(some):
-            rows, none = contacts.rows(middle, v, some), np.zeros(p.m)
+            rows = contacts.rows(smooth.middle, v, some)
             guess = h * np.stack([held.normal, held.tangent])[:, some]
             sticks = self._sticks(held, rows.rates(v)[1], v, some)
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
-            impact = _Impact(contacts, rows, some, friction, v, after, lambda row: matrix.solve(row, none)[0], guess)
+            impact = _Impact(contacts, rows, some, friction, v, after, smooth.solve, guess)
             after, found, changed = impact.solved()
             forces = np.stack([found.normal, found.tangent]) / h
             slip = SLIP * np.sign(rows.rates(after)[1]).astype(int)
@@ -100,8 +129,8 @@ class TimeStepping(StepMethod):
             memory.modes[some] = np.where(found.is_closed, np.where(found.is_slipping, slip, STICK), OPEN)
             memory.force[:] = rows.force(forces)
             lost = -0.5 * h * float(np.sum(forces * rows.rates(v + after)))
-        reached = self._closed(contacts, t + h, q + h * (theta * after + (1.0 - theta) * v))
-        work, dissipated = p.powers(t + 0.5 * h, middle, 0.5 * (v + after), multipliers)
+        reached = self._closed(contacts, t + h, smooth.positions(after))
+        work, dissipated = p.powers(t + 0.5 * h, smooth.middle, 0.5 * (v + after), smooth.multipliers)
         return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
 
     @staticmethod
@@ -131,7 +160,7 @@ class TimeStepping(StepMethod):
             if len(some):
                 rows = contacts.rows(q, 0.0 * q, some)
                 step, _ = contacts.pushed(
-                    rows, step, rows.gap, np.zeros(len(some)), partial(_answer, p, t, q), precision=precision
+                    rows, step, rows.gap, np.zeros(len(some)), partial(answer, p, t, q), precision=precision
                 )
             q, now = q + step, p.relative_change(q, step)
             is_closed = p.m == 0 or now <= ROUND_OFF or (now >= 0.5 * before and now < STAGNANT)
@@ -139,7 +168,43 @@ class TimeStepping(StepMethod):
         raise StepError("newton-failed", f"no positions without overlap were found in {MOST_ITERATIONS} iterations")
 
 
-def _answer(p: EquationsOfMotion, t: float, q: np.ndarray, impulse: np.ndarray) -> np.ndarray:
+class MoreauJeanSteps(TimeStepping):
+    """The method of Moreau and Jean.
+
+    Parameters
+    ----------
+    theta
+        Share of the forces at the end of a step, from 0.5 to 1.
+    """
+
+    def __init__(self, theta: float):
+        super().__init__()
+        self.theta = theta
+
+    def smooth(
+        self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]
+    ) -> SmoothStep:
+        """See `TimeStepping.smooth`."""
+        theta, q, v = self.theta, state.q, state.v
+        middle = q + 0.5 * h * v
+        a, multipliers = p.accelerations(t, q, v)
+        matrix = p.iteration_matrix(
+            t + 0.5 * h, middle, v, a, multipliers, damping=theta * h, stiffness=(theta * h) ** 2
+        )
+        force = theta * p.forces(t + h, q + h * v, v) + (1.0 - theta) * p.forces(t, q, v)
+        after = v + matrix.solve(h * force, -p.constraint_rates(t + 0.5 * h, middle, v))[0]
+        none = np.zeros(p.m)
+        return SmoothStep(
+            after,
+            multipliers,
+            middle,
+            lambda impulse: matrix.solve(impulse, none)[0],
+            lambda end: q + h * (theta * end + (1.0 - theta) * v),
+        )
+
+
+def answer(p: EquationsOfMotion, t: float, q: np.ndarray, impulse: np.ndarray) -> np.ndarray:
+    """Return the change of the velocities (n,) by an impulse (n,) at a position, with closed joints."""
     return p.solve(t, q, impulse, np.zeros(p.m))[0]
 
 

@@ -29,6 +29,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("rattle", {}),
     ("lobatto-pair", {}),
     ("moreau-jean", {}),
+    ("nonsmooth-generalized-alpha", {}),
     ("scipy-radau", {}),
     ("scipy-dop853", {}),
     ("scipy-lsoda", {}),

@@ -49,6 +49,7 @@ def test_every_built_in_loads_and_states_summary_and_origin():
         "rattle",
         "lobatto-pair",
         "moreau-jean",
+        "nonsmooth-generalized-alpha",
         "scipy-radau",
         "scipy-dop853",
         "scipy-lsoda",
