@@ -31,7 +31,13 @@ ATTRIBUTES: Mapping[str, Sequence[str]] = {
 
 
 def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
-    """Return the SI unit of a quantity of the runs of a spec; None for a first-order state with a unit of its own."""
+    """Return the SI unit of a quantity of the runs of a spec; None for a first-order state with a unit of its own.
+
+    Raises
+    ------
+    SpecError
+        If it is the friction of a joint without friction.
+    """
     if quantity.kind == "events":
         return read_unit(_EVENTS[quantity.attribute][0])
     found = quantity.recorded
@@ -39,7 +45,11 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
         return read_unit(found.units)
     if quantity.of.unit_of is None:
         return read_unit(spec.actuator_units[quantity.name])
-    of_element = quantity.of.unit_of(spec.mechanism(), quantity.name)
+    mechanism = spec.mechanism()
+    is_friction = (quantity.kind, quantity.attribute) == ("joints", "friction")
+    if is_friction and getattr(mechanism.joints[quantity.name], "friction", None) is None:
+        raise SpecError(f"joint '{quantity.name}' has no friction")
+    of_element = quantity.of.unit_of(mechanism, quantity.name)
     if quantity.kind == "states":
         try:
             return read_unit(of_element if quantity.attribute == "value" else f"{of_element}/s")

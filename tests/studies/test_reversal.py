@@ -24,7 +24,7 @@ SWING = {"name": "double-pendulum", "angles": [-1.0, -0.4], "rates": [0.5, -0.5]
 
 def there_and_back(model: Any, integrator: Any, time: Any = None, **sections: Any) -> Reversal:
     spec = {"mbdkit": 1, "model": model, "integrator": integrator, "time": time or {"steps": 200, "step": 0.05}}
-    return reverse(load_spec(spec | sections), lambda text: None)
+    return reverse(load_spec(spec | sections))
 
 
 def rk4(z: complex) -> complex:
@@ -114,6 +114,6 @@ def test_velocity_misalignment_is_that_of_every_step_though_few_are_recorded() -
     spec = {"mbdkit": 1, "model": SWING, "integrator": {"name": "rk4"}, "time": {"steps": 300, "step": 0.02}}
     every = mbdkit.run(spec).array("joints/velocity_misalignment").max()
     thin = load_spec(spec | {"output": {"every": 97, "quantities": []}})
-    values, note = second_run(thin, ["velocity_misalignment_every_step"], lambda text: None)
+    values, note = second_run(thin, ["velocity_misalignment_every_step"])
     assert values == {"velocity_misalignment_every_step": every}
     assert note == ""
