@@ -172,6 +172,41 @@ def test_a_pin_and_a_slide_move_by_their_formulas(tmp_path: Path) -> None:
     assert m.coordinates["way"].of == "slide.angle"
 
 
+FORMAT_3 = """<?xml version="1.0" encoding="UTF-8" ?>
+<OpenSimDocument Version="30000"><Model name="subject"><gravity>0 -9.80665 0</gravity><BodySet><objects>
+<Body name="ground"><mass>0</mass><mass_center>0 0 0</mass_center><Joint/></Body>
+<Body name="rod"><mass>2.0</mass><mass_center>0.3 0 0</mass_center><inertia_xx>0.1</inertia_xx>
+<inertia_yy>0.1</inertia_yy><inertia_zz>0.06</inertia_zz><inertia_xy>0</inertia_xy><inertia_xz>0</inertia_xz>
+<inertia_yz>0</inertia_yz><Joint><PinJoint name="pin"><parent_body>ground</parent_body>
+<location_in_parent>1.0 2.0 0.5</location_in_parent><orientation_in_parent>0 0 0.4</orientation_in_parent>
+<location>0 0 0</location><orientation>0 0 0</orientation><CoordinateSet><objects><Coordinate name="turn">
+<default_value>0</default_value><locked>false</locked></Coordinate></objects></CoordinateSet><reverse>false</reverse>
+</PinJoint></Joint></Body>
+<Body name="bead"><mass>0.5</mass><mass_center>0 0 0</mass_center><inertia_zz>0.001</inertia_zz><Joint>
+<CustomJoint name="slide"><parent_body>rod</parent_body><location_in_parent>0 0 0</location_in_parent>
+<orientation_in_parent>0 0 0</orientation_in_parent><location>0 0 0</location><orientation>0 0 0</orientation>
+<CoordinateSet><objects><Coordinate name="way"><default_value>0.25</default_value></Coordinate></objects>
+</CoordinateSet><SpatialTransform><TransformAxis name="rotation1"><coordinates></coordinates><axis>0 0 1</axis>
+<function><Constant><value>0</value></Constant></function></TransformAxis><TransformAxis name="translation1">
+<coordinates>way</coordinates><axis>1 0 0</axis><function><LinearFunction><coefficients>1 0</coefficients>
+</LinearFunction></function></TransformAxis></SpatialTransform></CustomJoint></Joint></Body></objects></BodySet>
+<MarkerSet><objects><Marker name="R.Tip"><body>rod</body><location>0.6 0 0</location></Marker></objects></MarkerSet>
+</Model></OpenSimDocument>"""
+
+
+def test_a_file_of_opensim_3_is_read_like_one_of_opensim_4(tmp_path: Path) -> None:
+    # expected: rotation matrices by hand, as above
+    m = build_mechanism(written(tmp_path, FORMAT_3), {"turn": 0.3}, {"turn": 2.0, "way": -1.0})
+    c, s = math.cos(0.7), math.sin(0.7)
+    assert m.bodies["rod"].position == pytest.approx((1.0 + 0.3 * c, 2.0 + 0.3 * s), abs=1e-15)
+    assert m.bodies["rod"].inertia == 0.06
+    assert m.bodies["bead"].position == pytest.approx((1.0 + 0.25 * c, 2.0 + 0.25 * s), abs=1e-15)
+    assert m.bodies["bead"].velocity == pytest.approx((-0.5 * s - c, 0.5 * c - s), abs=1e-15)
+    assert m.markers["R.Tip"].point == pytest.approx((0.3, 0.0), abs=1e-15)  # from the centre of mass
+    with pytest.raises(SpecError, match="joint 'pin' is reversed, which is not read"):
+        build_mechanism(written(tmp_path, FORMAT_3.replace("<reverse>false", "<reverse>true")), {}, {})
+
+
 def test_a_spline_of_opensim_through_points_of_a_cubic_is_the_cubic() -> None:
     # expected: its end conditions, third differences of four points, are exact for a cubic
     x = np.array([-1.0, -0.4, 0.1, 0.9, 1.5])
@@ -254,7 +289,7 @@ def custom(*axes: str, coordinates: str = "turn") -> str:
     [
         ("<OpenSimDocument", "is not XML"),
         ("<html/>", "is not a file of OpenSim: its root is <html>"),
-        ('<OpenSimDocument Version="30000"><Model/></OpenSimDocument>', "open it in OpenSim 4 and save it again"),
+        ('<OpenSimDocument Version="20302"><Model/></OpenSimDocument>', "open it in OpenSim 4 and save it again"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><OpenSimDocument Version="40500"/>', "contains a document type definition"),
         (osim.document(ROD, [osim.joint("PinJoint", "pin", "ground", "rod", "turn", turned=(0.1, 0, 0))]),
          "PinJoint 'pin' is not planar: the z axis of its parent frame"),

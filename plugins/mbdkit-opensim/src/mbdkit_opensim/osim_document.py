@@ -12,9 +12,10 @@ from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import parse
 
 from mbdkit import SpecError
+from mbdkit_opensim.osim_format_3 import as_format_4
 
-OLDEST = 30_500
-"""First version of the format that describes joints by frames, as OpenSim 4 writes it."""
+OLDEST, WITH_FRAMES = 30_000, 30_500
+"""First version of the format of OpenSim 3, and of that which describes joints by frames, as OpenSim 4 writes it."""
 
 LARGEST = 50_000_000
 """Largest file that is read [bytes]; the models of full bodies have below 5 MB."""
@@ -33,7 +34,7 @@ def read_model(file: str) -> Element:
     Raises
     ------
     SpecError
-        If it cannot be read, or is not a model in the format of OpenSim 4.
+        If it cannot be read, or is not a model in the format of OpenSim 3 or 4.
     """
     path = Path(file).expanduser()
     try:
@@ -50,10 +51,12 @@ def read_model(file: str) -> Element:
         raise refused(f"{path} is not a file of OpenSim: its root is <{root.tag}>, not <OpenSimDocument>")
     version = root.get("Version", "")
     if not version.isdecimal() or int(version) < OLDEST:
-        raise refused(f"{path} has the format of OpenSim 3 or earlier; open it in OpenSim 4 and save it again")
+        raise refused(f"{path} has a format before that of OpenSim 3; open it in OpenSim 4 and save it again")
     model = root.find("Model")
     if model is None:
         raise refused(f"{path} contains no <Model>")
+    if int(version) < WITH_FRAMES:
+        as_format_4(model)
     return model
 
 

@@ -1,0 +1,73 @@
+"""Models in the format of OpenSim 3 as those of OpenSim 4, which describes joints and points by frames.
+
+The rules are those by which OpenSim 4 reads older files: the joint of a body becomes a member of `JointSet`, with one
+frame on each of its bodies.
+"""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element, SubElement
+
+from mbdkit import SpecError
+
+INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
+SOCKETS = {
+    "coordinate": "socket_coordinate",
+    "x_coordinate": "socket_x_coordinate",
+    "y_coordinate": "socket_y_coordinate",
+    "z_coordinate": "socket_z_coordinate",
+}
+"""Properties that name coordinates, in points of muscles."""
+GROUND = "ground"
+SIDES = (("parent_body", "location_in_parent", "orientation_in_parent"), ("", "location", "orientation"))
+"""Properties of a joint about its parent and its own body."""
+
+
+def as_format_4(model: Element) -> None:
+    """Change a model of the format of OpenSim 3 to that of OpenSim 4, in place.
+
+    Raises
+    ------
+    SpecError
+        If a joint is reversed.
+    """
+    SubElement(model, "Ground", name=GROUND)
+    joints = SubElement(SubElement(model, "JointSet"), "objects")
+    bodies = model.find("BodySet/objects")
+    for body in list(bodies if bodies is not None else ()):
+        held = body.find("Joint")
+        for joint in held if held is not None else ():
+            joints.append(_joint(joint, body.get("name", "")))
+        if body.get("name") == GROUND and bodies is not None:
+            bodies.remove(body)
+        elif body.find("inertia") is None:
+            _add(body, "inertia", " ".join(body.findtext(f"inertia_{axes}") or "0" for axes in INERTIAS))
+    for point in model.iter():
+        if (body_name := point.findtext("body")) is not None and point.find("location") is not None:
+            _add(point, "socket_parent_frame", _path(body_name.strip()))
+        for old, new in SOCKETS.items() if "PathPoint" in point.tag else ():
+            if (name := point.findtext(old)) is not None:
+                _add(point, new, name.strip())
+
+
+def _joint(joint: Element, child: str) -> Element:
+    if (joint.findtext("reverse") or "false").strip().lower() == "true":
+        raise SpecError(f"joint '{joint.get('name')}' is reversed, which is not read", key="model.file")
+    frames = SubElement(joint, "frames")
+    for (body, location, orientation), side in zip(SIDES, ("parent", "child"), strict=True):
+        frame = SubElement(frames, "PhysicalOffsetFrame", name=f"{side}_offset")
+        _add(frame, "socket_parent", _path((joint.findtext(body) or "").strip() if body else child))
+        _add(frame, "translation", joint.findtext(location) or "0 0 0")
+        _add(frame, "orientation", joint.findtext(orientation) or "0 0 0")
+        _add(joint, f"socket_{side}_frame", f"{side}_offset")
+    coordinates = SubElement(joint, "coordinates")
+    coordinates.extend(joint.iterfind("CoordinateSet/objects/Coordinate"))
+    return joint
+
+
+def _path(body: str) -> str:
+    return f"/{GROUND}" if body == GROUND else f"/bodyset/{body}"
+
+
+def _add(element: Element, tag: str, text: str) -> None:
+    SubElement(element, tag).text = text
