@@ -111,9 +111,15 @@ def _contacts(run: Run) -> list[Headline]:
 
 
 def _errors(run: Run, name: str) -> np.ndarray | None:
-    """Return estimated errors (T, J) of a quantity of joints; None without a check of the whole run."""
+    """Return estimated errors (T, J) of a quantity of joints; None without a check of the whole run.
+
+    The peak of a simulated run has the largest error of the run, as in its verdict: the true peak may be elsewhere.
+    """
     accuracy = run.accuracy
-    return getattr(accuracy, name) if accuracy is not None and accuracy.is_complete else None
+    if accuracy is None or not accuracy.is_complete:
+        return None
+    errors: np.ndarray = getattr(accuracy, name)
+    return errors if run.kind == "inverse" else np.broadcast_to(np.max(errors, axis=0), errors.shape)
 
 
 def _largest(

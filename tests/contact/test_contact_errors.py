@@ -36,9 +36,9 @@ def checked(model: dict[str, Any], treatment: str, method: str, step: float, end
 def test_errors_of_time_stepping_are_known_from_an_event_driven_run() -> None:
     floor = {"bodies": ["ground", "body"], "shapes": [FLOOR, {"circle": {"radius": 0.1}}], "restitution": 0.5}
     model = {"bodies": {"body": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 1.1]}}, "contacts": {"floor": floor}}
-    run = checked(model, "time-stepping", "moreau-jean", 0.002, 0.8)
+    run = checked(model, "time-stepping", "moreau-jean", 0.004, 0.6)
     first = np.sqrt(2.0 / 9.81)
-    after = 0.8 - first
+    after = 0.6 - first
     true = 0.1 + 0.5 * 9.81 * first * after - 0.5 * 9.81 * after**2
     assert run.accuracy is not None
     assert run.accuracy.is_complete
