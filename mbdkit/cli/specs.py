@@ -134,8 +134,8 @@ HITS = 12
 
 
 def guide(
-    topic: Annotated[
-        str | None,
+    words: Annotated[
+        list[str] | None,
         typer.Argument(metavar="TOPIC", help="Name of a page, or words to search for; by default, pages are listed."),
     ] = None,
     debug: Debug = False,
@@ -144,11 +144,12 @@ def guide(
 
     Pages are Markdown. A pager helps with long ones, as in
     `mbdkit guide spec | less`. Words that are not the name of a page
-    are searched for, as in `mbdkit guide "gas spring"`.
+    are searched for, as in `mbdkit guide gas spring`.
     """
     from mbdkit.guide.pages import find_page, pages, search
 
-    if topic is None:
+    topic = " ".join(words or ())
+    if not topic:
         show(table([("TOPIC", "CONTENTS"), *((page.topic, page.summary) for page in pages().values())]))
     elif topic not in pages() and (hits := search(topic)):
         for hit in hits[:HITS]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.base.errors import MbdkitError, SpecError
@@ -60,7 +61,7 @@ def compare(
         step, other keys of the spec, or else title and file.
     **options
         Options of the method of `Run.plot` of this kind, such as ``joints`` and ``components``. Unless elements are
-        named, the few with the largest values in the first run are drawn.
+        named, the few with the largest values in any of the runs are drawn.
 
     Returns
     -------
@@ -119,9 +120,15 @@ def comparison(
         raise SpecError(f"there are {counted(len(runs), 'run')}, but {counted(len(names), 'label')}")
     if len(runs) == 1:
         return module.chart(runs[0], **options), ""
-    first = module.chart(runs[0], **options, most=max(1, _LINES // len(runs)))
-    groups = list(dict.fromkeys(_group(line) for line in first.lines))
-    charts = [first, *(module.chart(run, **options, most=_ALL) for run in runs[1:])]
+    few = max(1, _LINES // len(runs))
+    wanted = {_group(line) for run in runs for line in module.chart(run, **options, most=few).lines}
+    charts = [module.chart(run, **options, most=_ALL) for run in runs]
+    size = dict.fromkeys((_group(line) for line in charts[0].lines if _group(line) in wanted), 0.0)
+    for line in (line for chart in charts for line in chart.lines if _group(line) in size):
+        size[_group(line)] = max(size[_group(line)], float(np.max(np.nan_to_num(np.abs(line.y)), initial=0.0)))
+    largest = sorted(size, key=lambda group: -size[group])[:few] if "joints" not in options else list(size)
+    groups = [group for group in size if group in largest]
+    first = next((one for one in charts if one.y.log), charts[0])  # a run without errors has a linear axis
     lines = [
         _labelled(line, name, alone=len(groups) == 1)
         for name, chart in zip(names, charts, strict=True)

@@ -319,6 +319,7 @@ def test_the_same_elements_are_compared_although_others_matter_in_the_second_run
     assert len(drawn) == 6
     assert {name.partition(",")[0] for name in drawn[:3]} == {name.partition(",")[0] for name in drawn[3:]}
     assert "J5, one" in drawn
+    assert "J10, one" in drawn  # the largest of the second run
 
 
 def test_kind_and_axes_of_a_comparison_stand_in_any_order(driven: mbdkit.Run, axes: Axes) -> None:
