@@ -27,7 +27,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
-    from mbdkit.stepping.rigid_contacts import ContactImpact
+    from mbdkit.stepping.contact_state import ContactImpact
 
 APART = 1e-6
 """Residual of a redundant row that round-off can explain, as a share of the characteristic length; for angles, in

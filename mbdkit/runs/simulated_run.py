@@ -49,9 +49,9 @@ from mbdkit.runs.run_in_memory import measured_gradients, measured_values, run_i
 from mbdkit.runs.warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
+from mbdkit.stepping.contact_state import ContactState
 from mbdkit.stepping.interface import Advancing, Failure, Stretch
 from mbdkit.stepping.python_stepper import PythonStepper
-from mbdkit.stepping.rigid_contacts import ContactState
 from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 from mbdkit.trust.criteria import judge

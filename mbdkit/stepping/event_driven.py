@@ -20,16 +20,11 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK, Treatment
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.stepping.closed_contacts import ClosedSystem
+from mbdkit.stepping.contact_impacts import struck
+from mbdkit.stepping.contact_state import ContactImpact, ContactState, HeldForces
 from mbdkit.stepping.interface import StepTaken
-from mbdkit.stepping.rigid_contacts import (
-    ClosedSystem,
-    ContactImpact,
-    ContactState,
-    Forced,
-    HeldForces,
-    KnownContacts,
-    RigidContacts,
-)
+from mbdkit.stepping.rigid_contacts import Forced, KnownContacts, RigidContacts
 
 MOST_EVENTS = 1000
 """Events that follow each other without a whole step, after which the run stops."""
@@ -152,7 +147,7 @@ class _Step:
 
     def _modes_at_rest(self) -> np.ndarray:
         """Return the modes at the start, after the impact of contacts that are closed and approach."""
-        rows = self.contacts.rows(self.now.q, self.now.v)
+        rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
         touching = rows.gap <= SAME * self.length
         if np.any(touching & (rows.normal @ self.now.v < -SAME * self.speed)):
             self._strike(touching)
@@ -332,7 +327,7 @@ class _Step:
             self.modes = self._decided(self.now, touching, stops, begins)
 
     def _touching(self) -> np.ndarray:
-        rows = self.contacts.rows(self.now.q, self.now.v)
+        rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
         return (self.modes != OPEN) | (
             (rows.gap <= SAME * self.length) & (rows.normal @ self.now.v <= SAME * self.speed)
         )
@@ -348,7 +343,7 @@ class _Step:
 
         `stops` is positive where slip has just ended, `begins` the direction in which it has just begun, else 0.
         """
-        rows = self.contacts.rows(at.q, at.v)
+        rows = self.contacts.kinematics.rows(at.q, at.v)
         resting = touching & (rows.normal @ at.v <= SAME * self.speed)
         slips = (np.abs(rows.slip) > SAME * self.speed) & (np.asarray(stops) <= 0.0)
         sliding = np.where(np.asarray(begins) != 0.0, begins, np.where(slips, np.sign(rows.slip), 0.0))
@@ -357,23 +352,23 @@ class _Step:
     def _strike(self, touching: np.ndarray) -> None:
         """Apply an impact of touching contacts."""
         now = self.now
-        rows = self.contacts.rows(now.q, now.v)
+        rows = self.contacts.kinematics.rows(now.q, now.v)
         approach = rows.normal @ now.v
         e = np.where(touching, self.contacts.restitution, 0.0)
-        struck = self.contacts.struck(now.t, now.q, now.v, touching, e, self.treatment.impact_law)
+        result = struck(self.contacts, now.t, now.q, now.v, touching, e, self.treatment.impact_law)
         undecided = self.state.undecided
         if self.contacts.affect_each_other(now.t, now.q, touching & (approach < -SAME * self.speed)):
             undecided = min(undecided, now.t)
-        self.now = replace(now, v=struck.v)
+        self.now = replace(now, v=result.v)
         self.modes = self._decided(self.now, touching)
         tails = self._cut(touching, approach)
         lost = 0.5 * float((now.v - self.now.v) @ (self.p.mass * (now.v + self.now.v)))
         self.now = replace(self.now, dissipated=now.dissipated + lost)
         new = [
-            ContactImpact(now.t, i, float(struck.normal[i]), float(struck.tangent[i]), lost)
-            for i in np.flatnonzero(touching & (struck.normal > 0)).tolist()
+            ContactImpact(now.t, i, float(result.normal[i]), float(result.tangent[i]), lost)
+            for i in np.flatnonzero(touching & (result.normal > 0)).tolist()
         ]
-        changed = [] if struck.is_as_asked else [self.contacts.names[one.contact] for one in new]
+        changed = [] if result.is_as_asked else [self.contacts.names[one.contact] for one in new]
         self.state = replace(
             self.state,
             impacts=(*self.state.impacts, *new, *(one for one in tails if one.time < np.inf)),

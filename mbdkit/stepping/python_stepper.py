@@ -17,6 +17,7 @@ from mbdkit.engine.iteration_matrix import vector
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping import interface
+from mbdkit.stepping.contact_state import ContactState, HeldForces
 from mbdkit.stepping.event_driven import SAME_INSTANT, EventDriven
 from mbdkit.stepping.impulse import impulse
 from mbdkit.stepping.interface import (
@@ -33,7 +34,6 @@ from mbdkit.stepping.interface import (
 )
 from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
-from mbdkit.stepping.rigid_contacts import ContactState, HeldForces
 from mbdkit.stepping.step_watch import StepWatch
 
 if TYPE_CHECKING:

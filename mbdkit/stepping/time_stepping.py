@@ -17,6 +17,7 @@ Systems, 2008, chapter 10.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,7 +31,10 @@ from mbdkit.engine.nearest_state import ROUND_OFF
 from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping.complementarity import PRECISION, Pushed, stronge
-from mbdkit.stepping.rigid_contacts import SMALL_RESTITUTION, ContactState, KnownContacts, RigidContacts, Rows
+from mbdkit.stepping.contact_impacts import SMALL_RESTITUTION
+from mbdkit.stepping.contact_kinematics import Rows
+from mbdkit.stepping.contact_state import ContactState
+from mbdkit.stepping.rigid_contacts import KnownContacts, RigidContacts
 
 MOST_HALVINGS = 4
 """How often a step may be halved."""
@@ -75,11 +79,11 @@ class TimeStepping(StepMethod):
     def __init__(self) -> None:
         self._contacts = KnownContacts()
 
+    @abstractmethod
     def smooth(
         self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]
     ) -> SmoothStep:
         """Return the step without impulses of contacts, after `accelerations` of the last one, () if there is none."""
-        raise NotImplementedError
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
         """See `StepMethod.step`. A step whose positions cannot be projected is taken in halves."""
@@ -106,7 +110,7 @@ class TimeStepping(StepMethod):
         smooth = self.smooth(p, t, state, h, held.accelerations)
         contacts.find_free()
         after = smooth.v
-        some = np.flatnonzero(contacts.gaps(smooth.positions(after)) <= SMALL * p.length)
+        some = np.flatnonzero(contacts.kinematics.gaps(smooth.positions(after)) <= SMALL * p.length)
         memory = replace(
             contacts.all_open(),
             residual=held.residual,
@@ -116,7 +120,7 @@ class TimeStepping(StepMethod):
         )
         lost = 0.0
         if len(some):
-            rows = contacts.rows(smooth.middle, v, some)
+            rows = contacts.kinematics.rows(smooth.middle, v, some)
             guess = h * np.stack([held.normal, held.tangent])[:, some]
             sticks = self._sticks(held, rows.rates(v)[1], v, some)
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
@@ -147,7 +151,7 @@ class TimeStepping(StepMethod):
         is_closed = p.m == 0
         touched = np.zeros(len(contacts.names), dtype=bool)
         for _ in range(MOST_ITERATIONS):
-            gaps = contacts.gaps(q)
+            gaps = contacts.kinematics.gaps(q)
             deepest = -float(np.min(gaps, initial=0.0))
             is_apart = deepest <= SMALL * p.length
             if is_closed and (is_last or is_apart):
@@ -158,7 +162,7 @@ class TimeStepping(StepMethod):
             precision = ROUGH if is_last else PRECISION
             step, _ = p.solve(t, q, p.mass * (given - q), -p.constraints(t, q))
             if len(some):
-                rows = contacts.rows(q, 0.0 * q, some)
+                rows = contacts.kinematics.rows(q, 0.0 * q, some)
                 step, _ = contacts.pushed(
                     rows, step, rows.gap, np.zeros(len(some)), partial(answer, p, t, q), precision=precision
                 )

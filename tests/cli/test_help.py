@@ -45,7 +45,7 @@ def test_every_command_has_help_that_fits_a_terminal(command, mbdkit):
     result = mbdkit(*command, "--help")
     assert result.exit_code == 0
     assert all(len(line) <= 80 for line in result.stdout.splitlines())
-    assert "..." not in result.stdout.replace("{FILE.h5}...", "").replace("[ARGS]...", "")
+    assert "..." not in result.stdout.replace("{FILE.h5}...", "").replace("[ARGS]...", "").replace("[TOPIC]...", "")
 
 
 @pytest.mark.parametrize(("command", "list_of"), [("run", "examples"), ("study", "studies")])

@@ -26,8 +26,8 @@ from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.accuracy.resolved_loads import resolved_until
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
+from mbdkit.stepping.contact_state import ContactState
 from mbdkit.stepping.interface import Failure, Stepper
-from mbdkit.stepping.rigid_contacts import ContactState
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch

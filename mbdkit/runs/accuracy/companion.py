@@ -17,9 +17,9 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.contacts import Treatment
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
+from mbdkit.stepping.contact_state import ContactState
 from mbdkit.stepping.interface import SAME_TIME, Stepper, Stretch, Timetable
 from mbdkit.stepping.python_stepper import PythonStepper
-from mbdkit.stepping.rigid_contacts import ContactState
 from mbdkit.stepping.sampled_control import states_at_start
 from mbdkit.stepping.start import start_method
 

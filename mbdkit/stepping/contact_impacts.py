@@ -1,0 +1,81 @@
+"""Impacts of rigid contacts: impulses by the laws of Newton, Poisson and Stronge, and of Coulomb."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.base.errors import StepError
+from mbdkit.stepping.complementarity import coulomb, stronge
+from mbdkit.stepping.rigid_contacts import RigidContacts
+
+SMALL_RESTITUTION = 1e-3
+"""Coefficient of restitution below which an impact of several contacts that would gain energy has none."""
+
+
+class Struck(NamedTuple):
+    """Velocities (n,) after an impact, impulses (C,) [N s], and whether the impact law was that of the run."""
+
+    v: np.ndarray
+    normal: np.ndarray
+    tangent: np.ndarray
+    is_as_asked: bool
+
+
+def struck(
+    contacts: RigidContacts, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, e: np.ndarray, law: str
+) -> Struck:
+    """Return the result of an impact of touching contacts.
+
+    Parameters
+    ----------
+    contacts
+        The contacts, on the equations of motion.
+    touching
+        (C,) whether a contact is closed.
+    e
+        (C,) coefficients of restitution.
+    law
+        ``newton`` or ``poisson``.
+    """
+    some, rows = np.flatnonzero(touching), contacts.kinematics.rows(q, v)
+    response, both = contacts.response(t, q, rows, some)
+    before = both @ v
+    own = e[some]
+    impulses = _impulses(contacts, law, response, before, own, some)
+    is_asked = not _gains(response, before, impulses)
+    if not is_asked and len(some) == 1:
+        impulses = stronge(response, before, float(contacts.kinetic[some[0]]), float(own[0]))
+    while _gains(response, before, impulses) and np.any(own):
+        own = np.where(own > SMALL_RESTITUTION, 0.9 * own, 0.0)
+        impulses = _impulses(contacts, "poisson", response, before, own, some)
+    normal, tangent = np.zeros(len(touching)), np.zeros(len(touching))
+    normal[some], tangent[some] = np.split(impulses, 2)
+    return Struck(v + contacts.answers(t, q, both)[0] @ impulses, normal, tangent, is_asked)
+
+
+def _gains(response: np.ndarray, before: np.ndarray, impulses: np.ndarray) -> bool:
+    """Return whether impulses would increase the kinetic energy by more than rounding errors."""
+    gain = impulses @ (before + 0.5 * response @ impulses)
+    return bool(gain > 1e-12 * (np.abs(impulses) @ np.abs(before)))
+
+
+def _impulses(
+    contacts: RigidContacts, law: str, response: np.ndarray, before: np.ndarray, e: np.ndarray, some: np.ndarray
+) -> np.ndarray:
+    """Return the impulses (2 k,) of k contacts, normal ones first, by the law of Newton or of Poisson."""
+    k = len(some)
+
+    def solved(velocities: np.ndarray, pressed: np.ndarray | float = 0.0) -> np.ndarray:
+        found = coulomb(response, velocities[:k], velocities[k:], contacts.kinetic[some], pressed=pressed)
+        if found is None:
+            raise StepError("contact-solver", "no impulses of the contacts satisfy the law of impact")
+        return np.concatenate([found.normal, found.tangent])
+
+    if law == "newton":
+        back = np.where(before[:k] < 0.0, e * before[:k], 0.0)
+        return solved(before + np.concatenate([back, np.zeros(k)]))
+    pressed = solved(before)
+    least = np.concatenate([e * pressed[:k], np.zeros(k)])
+    return pressed + least + solved(before + response @ (pressed + least), least[:k])

@@ -1,0 +1,154 @@
+"""Kinematics of rigid contacts: gaps, slips, and their derivatives in a state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.contact_forces import ActingContact
+
+FEW = 8
+"""Number of contacts of a kind that are evaluated one by one, which takes less time than arrays."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of C contacts in a state.
+
+    Attributes
+    ----------
+    gap, slip
+        (C,) in m and m/s.
+    normal_right, tangent_right
+        (C,) right-hand sides; see `mbdkit.symbolic.contact_rows.row_function`.
+    bodies
+        (C, 2) numbers of the bodies.
+    gradients
+        (2, C, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
+    n
+        Number of coordinates.
+    """
+
+    gap: np.ndarray
+    slip: np.ndarray
+    normal_right: np.ndarray
+    tangent_right: np.ndarray
+    bodies: np.ndarray
+    gradients: np.ndarray
+    n: int
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """(C, 6) coordinates of both bodies; those of the ground follow the others."""
+        return (3 * self.bodies[:, :, None] + np.arange(3)).reshape(len(self.bodies), 6)
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """(C, n) derivatives of the rates of the gaps by the velocities."""
+        return self._whole(self.gradients[0])
+
+    @cached_property
+    def tangent(self) -> np.ndarray:
+        """(C, n) derivatives of the slips by the velocities."""
+        return self._whole(self.gradients[1])
+
+    def _whole(self, parts: np.ndarray) -> np.ndarray:
+        rows = np.zeros((len(parts), self.n + 3))
+        np.put_along_axis(rows, self.columns, parts, axis=1)
+        return rows[:, : self.n]
+
+    def rates(self, v: np.ndarray) -> np.ndarray:
+        """Return the rates of gaps and slips (2, C) at velocities (n,)."""
+        return np.asarray(np.sum(self.gradients * np.concatenate([v, np.zeros(3)])[self.columns], axis=2))
+
+    def force(self, forces: np.ndarray) -> np.ndarray:
+        """Return the generalized forces (n,) of normal and tangential forces (2, C)."""
+        parts = np.sum(forces[:, :, None] * self.gradients, axis=0)
+        return np.bincount(self.columns.ravel(), parts.ravel(), self.n + 3)[: self.n]
+
+
+class _Alike(NamedTuple):
+    """Contacts of one kind of geometry: their places among all, bodies (2, K), and numbers of the geometry (N, K)."""
+
+    kind: tuple[str, int]
+    places: np.ndarray
+    bodies: np.ndarray
+    numbers: np.ndarray
+
+    @classmethod
+    def of(cls, contacts: Sequence[ActingContact], kind: tuple[str, int]) -> _Alike:
+        places = [i for i, one in enumerate(contacts) if one.pair.kind == kind]
+        some = [contacts[i] for i in places]
+        bodies, numbers = np.array([one.bodies for one in some]).T, np.array([one.pair.numbers for one in some]).T
+        return cls(kind, np.array(places), bodies, numbers)
+
+
+class ContactKinematics:
+    """Gaps and rows of the contacts of a mechanism.
+
+    Parameters
+    ----------
+    contacts
+        The contacts.
+    n
+        Number of coordinates of the mechanism.
+    """
+
+    def __init__(self, contacts: Sequence[ActingContact], n: int):
+        self._contacts, self._n = contacts, n
+        self._bodies = np.array([one.bodies for one in contacts], dtype=int).reshape(-1, 2)
+        kinds = [one.pair.kind for one in contacts]
+        self._alike = [_Alike.of(contacts, kind) for kind in dict.fromkeys(kinds)]
+        #: Place of each contact among those of its kind, and number of the kind (C,).
+        self._place, self._kind = np.zeros((2, len(contacts)), dtype=int)
+        for number, alike in enumerate(self._alike):
+            self._place[alike.places], self._kind[alike.places] = np.arange(len(alike.places)), number
+
+    def gaps(self, q: np.ndarray) -> np.ndarray:
+        """Return the gaps (C,) of all contacts at a position [m]."""
+        from mbdkit.symbolic.contact_rows import gap_function  # loads SymPy
+
+        if len(self._contacts) <= FEW:
+            return self.rows(q, 0.0 * q).gap
+        gaps, states, none = np.empty(len(self._contacts)), self._states(q, 0.0 * q)[:4], (0.0,) * 3
+        for alike in self._alike:
+            first, second = (states[:, side] for side in alike.bodies)
+            gaps[alike.places] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers)
+        return gaps
+
+    def rows(self, q: np.ndarray, v: np.ndarray, some: np.ndarray | None = None) -> Rows:
+        """Return the rows of all contacts in a state, or of some (C,), given by their numbers."""
+        from mbdkit.symbolic.contact_rows import row_function  # loads SymPy
+
+        states = self._states(q, v)
+        chosen = np.arange(len(self._contacts)) if some is None else some
+        values = np.empty((16, len(chosen)))
+        for number, alike in enumerate(self._alike):
+            which = np.flatnonzero(self._kind[chosen] == number)
+            places = self._place[chosen[which]]
+            given = np.concatenate([states[:, alike.bodies[0, places]], states[:, alike.bodies[1, places]]])
+            numbers = alike.numbers[:, places]
+            if len(which) <= FEW:
+                function = row_function(alike.kind, is_of_arrays=False)
+                for place, one, own in zip(which, given.T.tolist(), numbers.T.tolist(), strict=True):
+                    values[:, place] = function(*one, *own)
+                continue
+            for row, computed in enumerate(row_function(alike.kind, is_of_arrays=True)(*given, *numbers)):
+                values[row, which] = computed
+        gradients = np.ascontiguousarray(values[2:14].reshape(2, 6, len(chosen)).transpose(0, 2, 1))
+        return Rows(values[0], values[1], values[14], values[15], self._bodies[chosen], gradients, self._n)
+
+    def _states(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return x, y, cosine and sine of the angle and the velocities of all bodies (7, B + 1), the ground last."""
+        states = np.zeros((7, self._n // 3 + 1))
+        states[2, -1] = 1.0
+        x, y, angle = q.reshape(-1, 3).T
+        states[0, :-1], states[1, :-1], states[4:, :-1] = x, y, v.reshape(-1, 3).T
+        angles = angle.tolist()  # NumPy's functions depend on the number of items
+        states[2, :-1], states[3, :-1] = [math.cos(x) for x in angles], [math.sin(x) for x in angles]
+        return states

@@ -1,0 +1,125 @@
+"""What rigid contacts pass from step to step: modes, forces and impacts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from mbdkit.base.text import listed
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.contact_forces import HELD, held_coordinates
+
+SOLVED = 1e-6
+"""Error of the velocities of contacts that is not worth a remark."""
+
+
+class ContactImpact(NamedTuple):
+    """An impact of a contact: time [s], number of the contact, impulses [N s], energy lost by all contacts [J]."""
+
+    time: float
+    contact: int
+    normal_impulse: float
+    tangential_impulse: float
+    energy_lost: float
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """What contacts pass from step to step.
+
+    Attributes
+    ----------
+    modes, normal, tangent
+        (C,) modes and forces [N] at the end of the step.
+    force
+        (n,) generalized forces of all contacts [N, N m].
+    impacts
+        All impacts so far.
+    energy
+        Largest kinetic energy so far [J].
+    cut, changed
+        Names of contacts whose sequence of impacts was cut, and of those with another law of impact.
+    time
+        Time at which the step has ended [s]: before its planned end if there is an event.
+    event
+        What happens then, before the next step; None if nothing does. See `mbdkit.stepping.event_driven`.
+    streak
+        Number of events since a step that had none.
+    is_over_step
+        Whether the forces are those over the whole step, and not at its end.
+    undecided
+        First time at which several contacts that affect each other have closed at once, in an unknown order [s].
+    residual
+        Largest error of the velocities of contacts, relative to the largest one in its step.
+    accelerations
+        What a time-stepping method passes to its next step.
+    """
+
+    modes: np.ndarray
+    normal: np.ndarray
+    tangent: np.ndarray
+    force: np.ndarray
+    impacts: tuple[ContactImpact, ...] = ()
+    energy: float = 0.0
+    cut: frozenset[str] = frozenset()
+    changed: frozenset[str] = frozenset()
+    time: float = math.inf
+    event: tuple[int, int] | None = None
+    streak: int = 0
+    is_over_step: bool = False
+    undecided: float = math.inf
+    residual: float = 0.0
+    accelerations: tuple[np.ndarray, ...] = ()
+
+    def after_stop(self) -> ContactState:
+        """Return the state after a discontinuity of a motion or load, where modes are determined anew."""
+        return replace(self, modes=np.zeros(0, dtype=int), accelerations=())
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return sentences about sequences of impacts that were cut, and about impacts with another law."""
+        found = []
+        if self.cut:
+            names = listed(sorted(self.cut), "and")
+            found.append(
+                f"impacts that follow each other without end were cut, at {names}: the contact stays closed from the "
+                "last one on; `/impacts` has the time at which they would have accumulated"
+            )
+        if self.changed:
+            names = listed(sorted(self.changed), "and")
+            found.append(
+                f"the law of impact would have created energy at {names}; Stronge's law was used there, for several "
+                "contacts at once that of the run or Poisson's with a smaller restitution"
+            )
+        if self.residual > SOLVED:
+            found.append(
+                f"the laws of contact and friction are satisfied to {self.residual:.1g} of the largest velocity only, "
+                "in the worst step; a smaller `time.step` may help"
+            )
+        return tuple(found)
+
+
+class HeldForces:
+    """Forces and modes of rigid contacts as first-order states, which do not change between the ends of steps."""
+
+    def __init__(self, mechanism: CompiledMechanism):
+        rigid = [one for one in mechanism.contacts if one.first_state >= 0]
+        self._first = rigid[0].first_state if rigid else 0
+        self._contacts, self._coordinates = len(HELD) * len(rigid), held_coordinates(rigid)
+        self.count = self._contacts + len(self._coordinates)
+
+    def others(self, mechanism: CompiledMechanism) -> list[str]:
+        """Return the names of the other first-order states of the mechanism."""
+        own = range(self._first, self._first + self.count)
+        return [state.name for number, state in enumerate(mechanism.states) if number not in own]
+
+    def of(self, memory: ContactState | None) -> np.ndarray:
+        """Return the states (Z,); zeros before the first step."""
+        z = np.zeros(self.count)
+        if self.count and memory is not None:
+            modes = memory.modes if len(memory.modes) else np.zeros(len(memory.normal))  # not known after a stop
+            z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(modes)], axis=1).ravel()
+            z[self._contacts :] = memory.force[self._coordinates]
+        return z
