@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mbdkit.archive.peak_errors import peak_errors
+
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
@@ -78,11 +80,11 @@ def largest_loads(run: Run) -> list[Headline]:
     if not run.joint_names or not run.records("joints/reaction_force"):
         return []
     force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    forces = _largest("force in", run.joint_names, force, "N", _errors(run, "reaction_error"))
+    forces = _largest("force in", run.joint_names, force, "N", _errors(run, "reaction_error", force))
     if not run.drivers or not run.records("joints/reaction_torque"):
         return forces
     torque = np.abs(run.array("joints/reaction_torque"))
-    torques = _largest("torque of", run.joint_names, torque, "N m", _errors(run, "torque_error"))
+    torques = _largest("torque of", run.joint_names, torque, "N m", _errors(run, "torque_error", torque))
     of_drivers = [one for one in torques if one.label.removeprefix("largest torque of ") in run.drivers]
     floor = ROUND_OFF * max((headline.value for headline in forces), default=0.0)
     return [*(headline for headline in of_drivers if headline.value > floor), *forces]
@@ -92,7 +94,9 @@ def _actuators(run: Run) -> list[Headline]:
     if run.kind != "inverse" or not run.records("actuators/value"):
         return []
     size = np.abs(run.array("actuators/value"))
-    errors = run.array("actuators/value_error") if run.records("actuators/value_error") else None
+    errors = None
+    if run.records("actuators/value_error"):
+        errors = np.take_along_axis(run.array("actuators/value_error"), _peak_rows(size)[None], axis=0)[0]
     units = {name: actuator.units for name, actuator in run.actuators.items()}
     headlines = _largest("", list(run.actuators), size, "", errors)
     return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in headlines[:2]]
@@ -110,27 +114,28 @@ def _contacts(run: Run) -> list[Headline]:
     return _largest("normal force at", list(run.contacts), run.array("contacts/normal_force"), "N", None)[:2]
 
 
-def _errors(run: Run, name: str) -> np.ndarray | None:
-    """Return estimated errors (T, J) of a quantity of joints; None without a check of the whole run.
-
-    The peak of a simulated run has the largest error of the run, as in its verdict: the true peak may be elsewhere.
-    """
-    accuracy = run.accuracy
-    if accuracy is None or not accuracy.is_complete:
-        return None
-    errors: np.ndarray = getattr(accuracy, name)
-    return errors if run.kind == "inverse" else np.broadcast_to(np.max(errors, axis=0), errors.shape)
+def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
+    """Return estimated errors (J,) of the largest values (T, J) of joints; None without a check of the whole run."""
+    is_known = run.accuracy is not None and run.accuracy.is_complete
+    return peak_errors(run, name, size, len(run.time)) if is_known else None
 
 
 def _largest(
     words: str, names: list[str] | tuple[str, ...], size: np.ndarray, unit: str, errors: np.ndarray | None
 ) -> list[Headline]:
-    """Return the largest values over time (T, J) of each element, the largest first, without zeros."""
-    rows = np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)
+    """Return the largest values over time (T, J) of each element and their errors (J,), the largest first, without
+    zeros.
+    """
+    rows = _peak_rows(size)
     headlines = []
     for column, row in enumerate(rows):
-        error = math.nan if errors is None else float(errors[row, column])
+        error = math.nan if errors is None else float(errors[column])
         label = f"largest {words} {names[column]}" if words else names[column]
         headlines.append(Headline(label, float(size[row, column]), unit, error))
     most = max((headline.value for headline in headlines), default=0.0)
     return sorted((one for one in headlines if one.value > ROUND_OFF * most), key=lambda one: -one.value)
+
+
+def _peak_rows(size: np.ndarray) -> np.ndarray:
+    """Return the rows (J,) of the largest values (T, J)."""
+    return np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF, Headline, headlines, plus_minus
+from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
@@ -180,11 +181,12 @@ def accuracy_sentence(run: Run) -> str:
     afterwards = "" if accuracy.is_complete else "; errors unknown afterwards"
     position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
     if run.joints and run.records("joints/reaction_force"):
-        joints = accuracy.of_joints(run.joint_names, run.array("joints/reaction_force"))
-        largest = max(joints, key=lambda joint: joint.peak_known)
-        if largest.peak_known > 0:
-            value = plus_minus(largest.peak_known, largest.error).partition(" ")[0]
-            known = f"largest force in {largest.name} {value} N, known to {largest.error:.2g} N{until}"
+        size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[: accuracy.rows_known]
+        joint = int(np.argmax(np.max(size, axis=0)))
+        errors = peak_errors(run, "reaction_error", size, accuracy.rows_known)
+        if (largest := float(np.max(size))) > 0 and errors is not None:
+            value = plus_minus(largest, float(errors[joint])).partition(" ")[0]
+            known = f"largest force in {run.joint_names[joint]} {value} N, known to {errors[joint]:.2g} N{until}"
             return f"{known}; {position}{afterwards}"
     return f"{position}{until}{afterwards}"
 

@@ -6,8 +6,10 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import typer
 
+from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.base import terminal
 from mbdkit.base.terminal import say, show, show_json
 
@@ -71,11 +73,13 @@ def _outcome(result: Run) -> dict[str, Any]:
 def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
     """Return the estimated errors in numbers; None where they are unknown."""
     joints = {}
-    if result.records("joints/reaction_force"):
-        force = result.array("joints/reaction_force")
+    if result.records("joints/reaction_force") and len(result.time):
+        size = np.linalg.norm(result.array("joints/reaction_force"), axis=2)
+        errors = peak_errors(result, "reaction_error", size, len(result.time)) if accuracy.is_complete else None
+        known = np.full(len(result.joint_names), np.nan) if errors is None else errors
         joints = {
-            joint.name: {"largest_force": joint.peak, "error": _number(joint.error)}
-            for joint in accuracy.of_joints(result.joint_names, force)
+            name: {"largest_force": float(largest), "error": _number(float(error))}
+            for name, largest, error in zip(result.joint_names, np.max(size, axis=0), known, strict=True)
         }
     return {
         "known_until": _number(accuracy.known_until),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
+from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit.figures.curves import BEYOND, Array, blocks, take
 from mbdkit.figures.mechanism_drawing import NARROW, WIDE, NamedPose, mechanism_svg
@@ -148,11 +149,11 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
     if accuracy is None:
         return _Quantity(name, unit, peaks, None, np.full(len(peaks.value), np.nan), math.nan)
     count = accuracy.rows_known
-    errors = accuracy.reaction_error if name == "force" else accuracy.torque_error
-    error = np.max(errors[:count], axis=0) if count else np.full(len(peaks.value), np.nan)
-    if run.kind == "inverse" and count:  # bars hold at their own time; those of a run grow with time
-        rows = np.searchsorted(time, np.nan_to_num(peaks.time, nan=time[0]))
-        error = errors[rows, np.arange(len(rows))]
+    error: np.ndarray | None = None
+    if count:
+        what = "reaction_error" if name == "force" else "torque_error"
+        error = peak_errors(run, what, magnitude(np.asarray(data[:count])), count)
+    error = np.full(len(peaks.value), np.nan) if error is None else error
     until = math.inf if accuracy.is_complete else accuracy.known_until if count else -math.inf
     known = peaks if accuracy.is_complete else Peaks.of(time[:count], data, magnitude)
     return _Quantity(name, unit, peaks, known if count else None, error, until)

@@ -1,0 +1,87 @@
+"""Errors of the largest recorded forces and torques: those of the method, and of peaks between recorded rows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+
+PARABOLA, SPLINE = 2.0, 1.5
+"""Factors on the heights by which a parabola through three rows, and a cubic spline through all, exceed the rows.
+
+Of random sums of three sines, the larger of the two covers the true peak in 93 % with 4 rows a period of the highest
+frequency, in 99 % with 6, and in all with 10."""
+
+
+def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
+    """Return the errors (J,) of the largest values of the joints in the first rows; None without a check.
+
+    In a simulated run it is the largest error of the method in these rows, as the true peak may be elsewhere, plus the
+    height by which a peak between rows may exceed the recorded one. In inverse dynamics, values belong to the frames of
+    the data, and the error is that of the frame.
+
+    Parameters
+    ----------
+    run
+        The run.
+    name
+        ``reaction_error`` or ``torque_error``.
+    size
+        (T, J) magnitudes of the joints.
+    count
+        Number of rows, at least 1.
+    """
+    if run.accuracy is None:
+        return None
+    errors: np.ndarray = getattr(run.accuracy, name)[:count]
+    size = size[:count]
+    if run.kind == "inverse":
+        rows = np.argmax(np.nan_to_num(size), axis=0)
+        return np.asarray(np.take_along_axis(errors, rows[None], axis=0)[0])
+    return np.asarray(np.max(errors, axis=0) + excess_between_rows(np.asarray(run.time)[:count], size))
+
+
+def excess_between_rows(time: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return by how much the largest values (J,) of curves may exceed those of the rows.
+
+    Parameters
+    ----------
+    time
+        (T,) times of the rows [s].
+    size
+        (T, J) values of the curves.
+    """
+    recorded: np.ndarray = np.max(size, axis=0)
+    if len(time) < 3:
+        return np.zeros_like(recorded)
+    above = PARABOLA * (_above_parabolas(time, size) - recorded)
+    if np.all(np.diff(time) > 0) and np.all(np.isfinite(size)):
+        above = np.maximum(above, SPLINE * (_above_spline(time, size) - recorded))
+    return np.asarray(np.maximum(above, 0.0))
+
+
+def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return the largest rows (J,), plus the height by which a parabola through three rows exceeds them."""
+    left, right = np.diff(time)[:-1, None], np.diff(time)[1:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        before, after = np.diff(size, axis=0)[:-1] / left, np.diff(size, axis=0)[1:] / right
+        curvature = (after - before) / (left + right)
+        slope = (before * right + after * left) / (left + right)  # in the middle row
+        place = -0.5 * slope / curvature
+        height = size[1:-1] - 0.25 * slope**2 / curvature
+    is_between = (curvature < 0) & (place > -left) & (place < right)  # false for nan, and for rows at equal times
+    return np.asarray(np.max(np.where(is_between, height, size[1:-1]), axis=0))
+
+
+def _above_spline(time: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return the largest values (J,) of cubic splines at their stationary points."""
+    a, b, c, d = CubicSpline(time, size).c
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(b**2 - 3.0 * a * c)
+        place = -c / (b + np.where(b < 0, -root, root)), -(b + np.where(b < 0, -root, root)) / (3.0 * a)
+        inside = [np.where((x > 0) & (x < np.diff(time)[:, None]), x, 0.0) for x in place]
+    return np.asarray(np.max([d + x * (c + x * (b + x * a)) for x in inside], axis=(0, 1)))
