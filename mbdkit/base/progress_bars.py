@@ -85,13 +85,15 @@ def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, in
 
 
 @contextmanager
-def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield a function of (runs done, failed runs) that draws a bar for work of unknown length; see `_drawing`."""
+def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, str], None] | None]:
+    """Yield a function of (runs done, failed runs, stage) that draws a bar for work of unknown length; see
+    `_drawing`.
+    """
     with _drawing(what, quiet, lines=True) as draw:
 
-        def advance(done: int, failed: int) -> None:
+        def advance(done: int, failed: int, stage: str) -> None:
             assert draw is not None
-            draw(None, f"{counted(done, 'run')}{_failed(failed)}")
+            draw(None, f"{stage}, {counted(done, 'run')}{_failed(failed)}")
 
         yield None if draw is None else advance
 

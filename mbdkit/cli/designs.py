@@ -22,6 +22,7 @@ from mbdkit.cli.common_options import (
 )
 
 if TYPE_CHECKING:
+    from mbdkit.designs.robustness import Deviation
     from mbdkit.spec.reading import Document
 
 
@@ -55,41 +56,48 @@ def design(
             help="Replace the design in the folder: remove its points, results and report; other files are kept.",
         ),
     ] = False,
+    optimum_only: Annotated[
+        bool,
+        typer.Option(
+            "--optimum-only",
+            help="Stop when the best point and its errors are known. The same command without this option adds the "
+            "comparisons and the robustness later.",
+        ),
+    ] = False,
     printing: Printing,
 ) -> None:
     """Choose numbers of a spec so that measures become small.
 
-    Writes design.json, archives of the start and of the best point, and points.jsonl
-    with all points that are evaluated. If a call is interrupted, the same command
-    continues from these points. See `mbdkit guide design`.
+    The stages are the optimisation, the errors of its result, a comparison with each of
+    the other settings of `compare`, and the robustness. Writes design.json, archives of
+    the start and of the best point, and points.jsonl with all points that are evaluated.
+    If a call is interrupted, the same command continues from these points. See `mbdkit guide design`.
 
     Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
     from mbdkit.base.errors import MbdkitError
     from mbdkit.designs.gains import costs
     from mbdkit.designs.robustness import robustness, robustness_text
-    from mbdkit.designs.solve_design import WORKER, evaluating
-    from mbdkit.designs.solve_design import design as carry_out
+    from mbdkit.designs.solve_design import WORKER, evaluating, solved_in
+    from mbdkit.designs.stages import Stages
     from mbdkit.designs.store import DesignFolder, runs_of
+    from mbdkit.spec import load_design_spec
     from mbdkit.studies.executor_pool import Engine
     from mbdkit.studies.executors import opened
 
     folder = output if output is not None else Path(stem(spec))
     notify = silence if printing.quiet or printing.as_json else say
     with opened(cluster.asked(workers), folder, notify) as executor, tally_bar(folder.name, printing.quiet) as progress:
-        result = carry_out(
-            spec,
-            out=folder,
-            workers=workers or cores(),
-            executor=executor,
-            progress=progress,
-            notify=notify,
-            assignments=assignments or (),
-            overwrite=overwrite,
-        )
+        loaded = load_design_spec(spec, assignments or ())
         there, engine = DesignFolder(folder), Engine(workers or cores(), executor, WORKER)
-        with there.locked(), evaluating(result.spec, there, engine, notify, progress) as evaluator:
-            deviations = robustness(evaluator, evaluator.point(result.best.variables))
+        further = 0 if optimum_only else 1
+        stages = Stages(loaded, notify, progress, optimum_only=optimum_only, further=further)
+        result = solved_in(there, loaded, engine, stages, overwrite=overwrite)
+        deviations: list[Deviation] = []
+        if not optimum_only:
+            with there.locked(), evaluating(result.spec, there, engine, stages) as evaluator:
+                stages.begin("robustness")
+                deviations = robustness(evaluator, evaluator.point(result.best.variables))
     page = None
     if with_report:
         from mbdkit.report.report import write_report
@@ -109,7 +117,8 @@ def design(
             for warning in dict.fromkeys(text for pair in pairs.values() for text in pair["best"].warnings):
                 if warning not in summary:
                     show(f"warning: {warning}")
-        show(robustness_text(evaluator, deviations))
+        if deviations:
+            show(robustness_text(result.spec, deviations))
         show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
     if not result.is_feasible:
         raise typer.Exit(STOPPED_EARLY)

@@ -11,10 +11,12 @@ import numpy as np
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import counted, table
 from mbdkit.designs.evaluation import Evaluator
-from mbdkit.designs.point import DesignPoint, Notify, point_of
+from mbdkit.designs.point import DesignPoint, point_of
 from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import searches
+from mbdkit.designs.stages import Stages
 from mbdkit.spec import DesignSpec
+from mbdkit.spec.design_spec import LocalOptimizer
 
 
 @dataclass(frozen=True)
@@ -77,17 +79,28 @@ def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
     return Evaluator(evaluator.spec, evaluator.run, compared=name)
 
 
-def compare(evaluator: Evaluator, name: str, best: np.ndarray, notify: Notify) -> Comparison:
-    """Search for the best point of a design with the other settings of this name; its own `best` is computed, too."""
+def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -> Comparison:
+    """Search for the best point of a design with the other settings of this name; its own `best` is computed, too.
+
+    The search begins at `best`, near which the other point is if both settings are accurate. Only if a run fails there
+    with these settings does it begin as the search of the design did.
+    """
     other = compared_with(evaluator, name)
+    stages.begin(f"comparison with {name}", other)
+    optimizer, start = evaluator.spec.optimizer, evaluator.first
     try:
-        found = searches(Problem(other), evaluator.spec.optimizer, evaluator.first)[0]
+        problem = Problem(other)
+        if not np.any(np.isnan(other.values(best[None]))):
+            start = best
+            if isinstance(optimizer, LocalOptimizer):
+                optimizer = optimizer.model_copy(update={"starts": 1})
+        found = searches(problem, optimizer, start)[0]
     except RunError as error:
-        notify(f"{name}: {error}")
+        stages.notify(f"{name}: {error}")
         return Comparison(name, None, None, False, f"There is no best point with {name}: {str(error).rstrip('.')}.")
     end = found.end
-    notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
-           f"{other.totals(end)[0]:.6g}")  # fmt: skip
+    stages.notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
+                  f"{other.totals(end)[0]:.6g}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)
     reason = "" if found.feasible else f"With {name}, the search found no point that satisfies all limits."
     own = point_of(other, evaluator.first), point_of(other, best)

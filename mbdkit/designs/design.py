@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,10 @@ from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.front import front_table, pareto_front
 from mbdkit.designs.gains import Gain, gains, goal_words
 from mbdkit.designs.identifiability import sentence, undetermined
-from mbdkit.designs.point import DesignPoint, Notify, numbers, point_of
+from mbdkit.designs.point import DesignPoint, numbers, point_of
 from mbdkit.designs.problem import Problem
 from mbdkit.designs.search import Search, searches
+from mbdkit.designs.stages import Stages
 from mbdkit.designs.trust import Trust, certified
 from mbdkit.spec import DesignSpec
 
@@ -53,7 +54,7 @@ class Design:
         Changes of variables by name, each of which does not change the goal at the best point, because only a
         combination of these variables is determined; empty for a Pareto front.
     compared
-        Results of the design with other settings of the runs (`compare` of its spec).
+        Results of the design with other settings of the runs (`compare` of its spec); empty until they are computed.
     """
 
     spec: DesignSpec
@@ -175,20 +176,24 @@ class Design:
         return "lower" if best <= low + slack else "upper" if best >= high - slack else ""
 
 
-def solve(evaluator: Evaluator, notify: Notify) -> Design:
-    """Solve a design, and call `notify` with a sentence when a search ends."""
+def solve(evaluator: Evaluator, stages: Stages) -> Design:
+    """Solve a design, without comparisons."""
     spec, first = evaluator.spec, evaluator.first
+    stages.begin("optimisation", evaluator)
     problem = Problem(evaluator)
     found = searches(problem, spec.optimizer, first)
-    notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {evaluator.totals(found[0].end)[0]:.6g}")
-    front = [found[0]] if len(spec.totals) == 1 else pareto_front(evaluator, found[0], notify)
+    at = ", ".join(f"{name} {value:.6g}" for name, value in evaluator.variables(found[0].end).items())
+    least, before = evaluator.totals(found[0].end)[0], evaluator.totals(first)[0]
+    stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {least:.6g} at {at}; "
+                  f"at the start it is {before:.6g}")  # fmt: skip
+    front = [found[0]] if len(spec.totals) == 1 else pareto_front(evaluator, found[0], stages.notify)
     best = front[0] if len(front) == 1 else _knee(evaluator, front)
+    stages.begin("errors of the result")
     trust = certified(evaluator, first, best.end)
     near = sum(
         one.feasible == found[0].feasible and one.cost <= found[0].cost + 1e-3 * abs(found[0].cost) for one in found
     )
     alone = undetermined(problem, best.end) if len(spec.totals) == 1 else ()
-    compared = tuple(compare(evaluator, name, best.end, notify) for name in spec.compare)
     return Design(
         spec=spec,
         start=point_of(evaluator, first),
@@ -203,8 +208,22 @@ def solve(evaluator: Evaluator, notify: Notify) -> Design:
         derivatives=derivatives_sentence(evaluator),
         unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients else (),
         undetermined=alone,
-        compared=compared,
     )
+
+
+def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> Design:
+    """Return a design with the comparisons of its spec.
+
+    Parameters
+    ----------
+    evaluator
+        One that has evaluated nothing yet, so that the number of runs does not depend on interruptions.
+    """
+    best = evaluator.point(design.best.variables)
+    evaluator.outcomes(np.array([evaluator.first, best]))  # known ones
+    evaluator.runs, evaluator.failures = design.runs, design.failures
+    compared = tuple(compare(evaluator, name, best, stages) for name in design.spec.compare)
+    return replace(design, runs=evaluator.runs, failures=evaluator.failures, compared=compared)
 
 
 def _knee(evaluator: Evaluator, front: list[Search]) -> Search:

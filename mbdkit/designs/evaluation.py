@@ -210,6 +210,8 @@ class Evaluator:
         Number of runs so far, and of those that failed.
     gradients
         Number of points so far at which exact derivatives were computed.
+    least
+        Least first goal so far at a point that satisfies all limits; nan if there is none.
     why_differences
         Reason why derivatives are differences of runs; empty if they are exact.
 
@@ -221,6 +223,7 @@ class Evaluator:
 
     def __init__(self, spec: DesignSpec, source: Source | None = None, compared: str = ""):
         self.spec, self.runs, self.failures, self.gradients, self.why_differences = spec, 0, 0, 0, ""
+        self.least = np.nan
         self.names = tuple(defined_measure.name for defined_measure in spec.defined_measures())
         specs = spec.compared_specs[compared] if compared else spec.specs
         self.scenarios = tuple(ScenarioRuns(one) for one in specs.values())
@@ -272,13 +275,28 @@ class Evaluator:
         if new:
             jobs = [Job(name, [*one, *self._changes]) for one in new.values() for name in self.spec.specs]
             found = iter(self.run(jobs))
-            self._known |= {key: tuple(islice(found, len(self.scenarios))) for key in new}
+            outcomes = {key: tuple(islice(found, len(self.scenarios))) for key in new}
+            self._known |= outcomes
+            values = (np.array([one.values for one in outcome]) for outcome in outcomes.values())
+            goals = [self.sums(some)[0] for some in values if not self.exceeded(some)]
+            self.least = np.fmin.reduce([self.least, *goals])
         return [self._known[key] for key in keys]
 
     @property
     def evaluated(self) -> list[np.ndarray]:
         """All points (n,) that were evaluated, in order."""
         return [np.frombuffer(key) for key in self._known]
+
+    def exceeded(self, values: np.ndarray) -> tuple[str, ...]:
+        """Return the names of the limits that goals and limits (..., K) do not satisfy; nan satisfies none."""
+        found = []
+        for name, limit in self.spec.subject_to.items():
+            column = values[..., self.names.index(name)]
+            slack = 1e-6 * max(abs(x) for x in (limit.min, limit.max) if x is not None)
+            low, high = (-np.inf if limit.min is None else limit.min), (np.inf if limit.max is None else limit.max)
+            if not np.all((column >= low - slack) & (column <= high + slack)):
+                found.append(name)
+        return tuple(found)
 
     def run(self, jobs: Sequence[Job]) -> list[Outcome]:
         """Return the outcome of jobs, and count them."""

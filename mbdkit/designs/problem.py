@@ -81,6 +81,7 @@ class Problem:
         jacobian: Jacobian = derivatives,
     ):
         self.evaluator, self._jacobian = evaluator, jacobian
+        self._differentiated: tuple[bytes, np.ndarray] = b"", np.empty(0)
         self.sums_squares = evaluator.spec.sums_squares
         self.weights = goal_weights(evaluator, goal)
         self.bounds = [*_limits(evaluator), *(_cap(evaluator, *cap) for cap in (caps or {}).items())]
@@ -162,7 +163,9 @@ class Problem:
         return self.worth(x[None])[0][0] == 0.0
 
     def _derivatives(self, x: np.ndarray) -> np.ndarray:
-        return np.asarray(np.nan_to_num(self._jacobian(self.evaluator, x)))
+        if self._differentiated[0] != x.tobytes():  # optimisers ask for those of goals and of limits one by one
+            self._differentiated = x.tobytes(), np.nan_to_num(self._jacobian(self.evaluator, x))
+        return self._differentiated[1]
 
 
 def goal_weights(evaluator: Evaluator, goal: int) -> np.ndarray:

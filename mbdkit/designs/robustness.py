@@ -12,6 +12,7 @@ from mbdkit.base.plain_data import Path, canonical
 from mbdkit.base.text import table
 from mbdkit.designs.evaluation import Evaluator, Job, Settings
 from mbdkit.designs.gains import goal_words
+from mbdkit.spec import DesignSpec
 from mbdkit.spec.design_spec import variable_path
 from mbdkit.spec.key_words import key_unit, key_words
 from mbdkit.spec.model_spec import ModelSpec
@@ -76,7 +77,7 @@ def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
     values = np.array([one.values for one in evaluator.run(jobs)])
     values = values.reshape(len(cases), 2, len(specs), len(evaluator.names))
     return [
-        Deviation(words, size, np.array([evaluator.sums(one) for one in of_case]), _exceeded(evaluator, of_case))
+        Deviation(words, size, np.array([evaluator.sums(one) for one in of_case]), evaluator.exceeded(of_case))
         for (words, size, _), of_case in zip(cases, values, strict=True)
     ]
 
@@ -123,26 +124,14 @@ def _replaced(holder: Any, path: Path, value: float) -> Any:
     return [_replaced(one, path[1:], value) if place == path[0] else one for place, one in enumerate(holder)]
 
 
-def _exceeded(evaluator: Evaluator, values: np.ndarray) -> tuple[str, ...]:
-    """Return the names of the limits that values (2, S, K) do not satisfy; nan satisfies none."""
-    found = []
-    for name, limit in evaluator.spec.subject_to.items():
-        column = values[..., evaluator.names.index(name)]
-        slack = 1e-6 * max(abs(x) for x in (limit.min, limit.max) if x is not None)
-        low, high = (-np.inf if limit.min is None else limit.min), (np.inf if limit.max is None else limit.max)
-        if not np.all((column >= low - slack) & (column <= high + slack)):
-            found.append(name)
-    return tuple(found)
-
-
-def robustness_text(evaluator: Evaluator, deviations: Sequence[Deviation]) -> str:
+def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:
     """Return the deviations with the largest effect as a table for a terminal, the worst first."""
     ranked = sorted(deviations, key=lambda one: -np.max(np.nan_to_num(one.goals[:, 0], nan=np.inf)))
-    sides = [f"{goal_words(name)} {sign}".upper() for name in evaluator.spec.totals for sign in "-+"]
-    rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if evaluator.spec.subject_to else ()))]
+    sides = [f"{goal_words(name)} {sign}".upper() for name in spec.totals for sign in "-+"]
+    rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if spec.subject_to else ()))]
     for one in ranked[:MOST]:
         goals = (f"{value:.4g}" if np.isfinite(value) else "fails" for value in one.goals.T.ravel())
-        limits = (", ".join(one.exceeds),) if evaluator.spec.subject_to else ()
+        limits = (", ".join(one.exceeds),) if spec.subject_to else ()
         rows.append((one.words, one.size, *goals, *limits))
     rest = len(ranked) - MOST
     return table(rows) + (f"\nand {rest} numbers with a smaller effect, which the report has" if rest > 0 else "")

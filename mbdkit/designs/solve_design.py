@@ -11,11 +11,12 @@ from typing import Any
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import counted
 from mbdkit.designs.computing import Computer
-from mbdkit.designs.design import Design, solve
+from mbdkit.designs.design import Design, solve, with_comparisons
 from mbdkit.designs.evaluation import Evaluator
 from mbdkit.designs.known_points import KnownPoints, PointFile
 from mbdkit.designs.point import Notify
 from mbdkit.designs.search import check_installed
+from mbdkit.designs.stages import Stages
 from mbdkit.designs.store import DesignFolder
 from mbdkit.spec import DesignSpec, load_design_spec
 from mbdkit.studies.executor_pool import Engine, checked_executor
@@ -37,6 +38,7 @@ def design(
     notify: Notify | None = None,
     assignments: Sequence[str] = (),
     overwrite: bool = False,
+    optimum_only: bool = False,
     **sections: Any,
 ) -> Design:
     """Choose numbers of a spec so that measures of its runs become small.
@@ -56,11 +58,13 @@ def design(
     progress
         Called with the number of runs so far, and of those that failed, when runs are complete.
     notify
-        Called with a sentence when a search ends.
+        Called with a sentence when a stage begins or a search ends.
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``.
     overwrite
         Whether to replace an earlier design in the folder: its files are removed first. Other files are kept.
+    optimum_only
+        Whether to omit the comparisons with other settings (`compare`). A later call with the same folder adds them.
     **sections
         Sections of the spec, such as ``optimizer={"name": "slsqp", "starts": 8}``; they replace those of `source`.
 
@@ -101,34 +105,49 @@ def design(
     check_installed(spec)
     engine = Engine(workers, checked_executor(executor), WORKER)
     folder = None if out is None else DesignFolder(Path(out))
+
+    def count(done: int, failed: int, stage: str) -> None:
+        if progress is not None:
+            progress(done, failed)
+
+    stages = Stages(spec, notify or _silent, count, optimum_only=optimum_only)
     if folder is not None:
-        return _solved_in(folder, spec, engine, notify or _silent, progress, overwrite=overwrite)
-    with evaluating(spec, None, engine, notify or _silent, progress) as evaluator:
-        return solve(evaluator, notify or _silent)
+        return solved_in(folder, spec, engine, stages, overwrite=overwrite)
+    with evaluating(spec, None, engine, stages) as evaluator:
+        return _compared(evaluator, solve(evaluator, stages), stages)
 
 
-def _solved_in(
-    folder: DesignFolder,
-    spec: DesignSpec,
-    engine: Engine,
-    notify: Notify,
-    progress: Progress | None,
-    *,
-    overwrite: bool,
+def solved_in(
+    folder: DesignFolder, spec: DesignSpec, engine: Engine, stages: Stages, *, overwrite: bool = False
 ) -> Design:
-    """Carry out a design in its folder, or read its result there."""
+    """Carry out a design in its folder, or read its result there.
+
+    The result is written as soon as the best point and its errors are known, and again with the comparisons.
+    """
+    check_installed(spec)
     folder.check(spec, overwrite=overwrite)
     Evaluator(spec)  # expressions are checked before anything is written
     if overwrite:
         folder.clear()
     folder.prepare(spec)
     with folder.locked():
-        if folder.result.is_file():
-            return folder.read()
-        with evaluating(spec, folder, engine, notify, progress) as evaluator:
-            result = solve(evaluator, notify)
-            folder.write(result)
+        result = folder.read() if folder.result.is_file() else None
+        if result is not None and (stages.optimum_only or len(result.compared) == len(spec.compare)):
+            return result
+        with evaluating(spec, folder, engine, stages) as evaluator:
+            if result is None:
+                result = solve(evaluator, stages)
+                folder.write(result)
+            result = _compared(evaluator, result, stages)
+            folder.write_result(result)
     return result
+
+
+def _compared(evaluator: Evaluator, result: Design, stages: Stages) -> Design:
+    """Return a design with its comparisons, unless they are omitted."""
+    if stages.optimum_only or not result.spec.compare:
+        return result
+    return with_comparisons(Evaluator(evaluator.spec, evaluator.source), result, stages)
 
 
 def load_design(folder: str | Path) -> Design:
@@ -148,17 +167,16 @@ def load_design(folder: str | Path) -> Design:
 
 
 @contextmanager
-def evaluating(
-    spec: DesignSpec, folder: DesignFolder | None, engine: Engine, notify: Notify, progress: Progress | None = None
-) -> Iterator[Evaluator]:
+def evaluating(spec: DesignSpec, folder: DesignFolder | None, engine: Engine, stages: Stages) -> Iterator[Evaluator]:
     """Yield the evaluator of a design; points are stored in its folder, if there is one, which is created and locked.
 
-    If Ctrl-C ends the block, `notify` is called with a sentence that says how to continue.
+    If Ctrl-C ends the block, a message says how to continue.
     """
+    notify = stages.notify
     place = Path("points.jsonl") if folder is None else folder.points
     with one_thread_of_linear_algebra(), Computer(spec, engine, notify, place) as computer:  # searches use it, too
         names = [measure.name for measure in spec.defined_measures()]
-        known = KnownPoints(computer, None if folder is None else PointFile(place, names, notify), progress)
+        known = KnownPoints(computer, None if folder is None else PointFile(place, names, notify), stages.count)
         try:
             yield Evaluator(spec, known)
         except KeyboardInterrupt:

@@ -92,9 +92,13 @@ class DesignFolder(OwnedFolder[DesignSpec]):
     def write(self, design: Design) -> list[Path]:
         """Write archives of the start and of the best point and then the result, and return these files."""
         archives = [path for which in WHICH for path in self._archives(design, which)]
+        self.write_result(design)
+        return [self.result, *archives]
+
+    def write_result(self, design: Design) -> None:
+        """Write the result alone."""
         with replacing(self.result) as temporary:
             temporary.write_text(json.dumps({VERSION: 1, **design.to_dict()}, indent=2) + "\n", encoding="utf-8")
-        return [self.result, *archives]
 
     def _archives(self, design: Design, which: str) -> Iterator[Path]:
         """Write the archives of a point, with the estimated errors of their runs, and yield their names."""

@@ -99,9 +99,9 @@ def _of_design(folder: Path) -> Work:
             continue
     known = [value for value in values if isinstance(value, int | float)]
     least = f", least {goal} of a run {min(known):.4g}" if known else ""
-    return Work(
-        f"{counted(len(values), 'run')}{least}", len(values), math.nan, paths.result.is_file(), tuple(_owners(folder))
-    )
+    owners = tuple(_owners(folder))
+    complete = paths.result.is_file() and not owners  # comparisons and robustness come after the result
+    return Work(f"{counted(len(values), 'run')}{least}", len(values), math.nan, complete, owners)
 
 
 def _owners(folder: Path) -> Iterator[str]:

@@ -16,6 +16,7 @@ from mbdkit.designs.gains import costs, goal_units, goal_words, measure_units
 from mbdkit.designs.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit.designs.robustness import robustness
 from mbdkit.designs.solve_design import WORKER, evaluating
+from mbdkit.designs.stages import Stages
 from mbdkit.designs.store import WHICH, DesignFolder, runs_of
 from mbdkit.figures.mechanism_drawing import NamedPose
 from mbdkit.figures.page_model import Section, Table
@@ -55,7 +56,10 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
     design = folder.read()
     with ExitStack() as stack:
         pairs = stack.enter_context(runs_of(design, path))
-        with folder.locked(), evaluating(design.spec, folder, Engine(workers, None, WORKER), say) as evaluator:
+        with (
+            folder.locked(),
+            evaluating(design.spec, folder, Engine(workers, None, WORKER), Stages(design.spec, say)) as evaluator,
+        ):
             best = evaluator.point(design.best.variables)
             around = {"": cuts(evaluator, best)}
             around |= {

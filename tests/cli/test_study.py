@@ -181,14 +181,16 @@ def test_a_terminal_sees_how_many_runs_a_design_has_made(monkeypatch, capsys):
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     monkeypatch.setenv("FORCE_COLOR", "1")
     with progress_bars.tally_bar("design") as advance:
-        advance(3, 0)
-        advance(12, 2)
+        advance(3, 0, "stage 1 of 2")
+        advance(12, 2, "stage 1 of 2")
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert "12 runs, 2 failed" in captured.err
+    assert "stage 1 of 2, 12 runs, 2 failed" in captured.err
 
 
-@pytest.mark.parametrize(("bar", "counts"), [(progress_bars.count_bar, (4, 8, 1)), (progress_bars.tally_bar, (4, 1))])
+@pytest.mark.parametrize(
+    ("bar", "counts"), [(progress_bars.count_bar, (4, 8, 1)), (progress_bars.tally_bar, (4, 1, "4 stages"))]
+)
 def test_without_a_terminal_there_is_at_most_one_line_in_ten_seconds(bar, counts, monkeypatch, capsys):
     clock = iter([0.0, 1.0, 9.9, 10.1, 15.0, 20.2])
     monkeypatch.setattr(progress_bars.time, "perf_counter", lambda: next(clock))

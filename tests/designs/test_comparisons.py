@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,21 @@ def test_fronts_are_not_compared() -> None:
     goals = {"a": distance(0, 0), "b": distance(1, 0)}
     with pytest.raises(SpecError, match="compare: compares the best point of a single goal"):
         load_design_spec(moved(goals, compare={"a": {"time.step": 0.02}}))
+
+
+def test_comparisons_are_added_to_an_optimum_that_is_there_and_stages_are_named(tmp_path: Path) -> None:
+    spec, told = tuned(compare={"coarse": GILL}), []  # type: dict[str, Any], list[str]
+    found = mbdkit.design(spec, out=tmp_path / "both", optimum_only=True, notify=told.append)
+    assert not found.compared
+    assert mbdkit.load_design(tmp_path / "both").best == found.best
+    assert [text for text in told if "stage" in text] == [
+        "stage 1 of 2: optimisation", "stage 2 of 2: errors of the result"]  # fmt: skip
+    told.clear()
+    mbdkit.design(spec, out=tmp_path / "both", notify=told.append)
+    assert [text for text in told if "stage" in text] == ["stage 3 of 3: comparison with coarse"]
+    mbdkit.design(spec, out=tmp_path / "once")
+    results = [(tmp_path / name / "design.json").read_bytes() for name in ("both", "once")]
+    assert results[0] == results[1]
 
 
 @pytest.mark.slow

@@ -47,5 +47,5 @@ def test_variables_masses_and_attachments_are_off_by_five_percent_and_two_millim
     assert found["stiffness of spring"].exceeds == ("load",)  # sqrt(10.5^2 + 10^2) = 14.5 N
     assert found["x of point 1 of spring"].exceeds == ("load",)  # sqrt(10.1^2 + 10^2) = 14.21 N
     assert found["y of point 1 of spring"].exceeds == ()
-    table = robustness_text(evaluator, list(found.values()))
+    table = robustness_text(evaluator.spec, list(found.values()))
     assert table.splitlines()[1].split() == ["stiffness", "of", "spring", "5", "%", "9.5", "10.5", "10", "10", "load"]

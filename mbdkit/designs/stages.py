@@ -1,0 +1,65 @@
+"""The stages of a design: the optimisation, the errors of its result, comparisons with other settings, robustness."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbdkit.designs.point import Notify
+from mbdkit.spec import DesignSpec
+
+if TYPE_CHECKING:
+    from mbdkit.designs.evaluation import Evaluator
+
+Progress = Callable[[int, int, str], None]
+"""Called with the number of runs so far, of those that failed, and the stage with its best goal in words."""
+
+
+class Stages:
+    """Says in messages which stage of a design is computed.
+
+    Parameters
+    ----------
+    spec
+        The design.
+    notify
+        Called with a sentence when a stage begins or has a result.
+    progress
+        Called when a run is complete.
+    optimum_only
+        Whether comparisons are omitted.
+    further
+        Number of stages that the caller adds.
+    """
+
+    def __init__(
+        self,
+        spec: DesignSpec,
+        notify: Notify,
+        progress: Progress | None = None,
+        *,
+        optimum_only: bool = False,
+        further: int = 0,
+    ):
+        self.notify, self.optimum_only = notify, optimum_only
+        self._goal, self._progress = spec.totals[0], progress
+        self._names = ["optimisation", "errors of the result"]
+        self._names += [] if optimum_only else [f"comparison with {name}" for name in spec.compare]
+        self._count = len(self._names) + further
+        self._words, self._evaluator = "", None  # type: str, Evaluator | None
+
+    def begin(self, name: str, evaluator: Evaluator | None = None) -> None:
+        """Begin a stage; the best goal is that of `evaluator`."""
+        number = self._names.index(name) + 1 if name in self._names else self._count
+        self._words, self._evaluator = f"stage {number} of {self._count}: {name}", evaluator
+        self.notify(self._words)
+
+    def count(self, done: int, failed: int) -> None:
+        """Report the number of runs so far, and of those that failed."""
+        if self._progress is None:
+            return
+        least = np.nan if self._evaluator is None else self._evaluator.least
+        best = "" if np.isnan(least) else f", best {self._goal} {least:.6g}"
+        self._progress(done, failed, self._words + best)
