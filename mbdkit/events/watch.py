@@ -327,7 +327,8 @@ class Watch:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
         begin = np.concatenate([step.v0, step.z0])
         if self._values is None or self._ended is None or not np.array_equal(self._ended, begin):
-            # at the start, after an impulse, or after a sample of a controller
+            # the start of this step is not the end of the last one: at the start of the run, after an impulse, an event
+            # that sets states, or a sample of a controller
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
         q, v, z = (np.array([state[part] for state in states]) for part in range(3))

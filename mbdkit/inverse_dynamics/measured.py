@@ -189,7 +189,8 @@ def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.nd
     if large.size:
         row = int(large[0])
         raise table.error(
-            f"column '{shown(column.column)}': {values[row]:.6g} {unit} is no possible value (largest {LARGEST:g})",
+            f"column '{shown(column.column)}': {values[row]:.6g} {unit} is not possible: its magnitude exceeds "
+            f"{LARGEST:g}",
             row=row,
         )
     return values

@@ -339,7 +339,7 @@ class _Search:
 
     def run(self) -> Rest | None:
         # Levenberg-Marquardt: with little damping a step is a Newton step, with much damping a short step along the
-        # accelerations. The initial value limits a step along the accelerations to `LONGEST`. After a rejected step the
+        # accelerations. The initial damping limits such a step to `LONGEST`. After a rejected step the
         # damping has a lower bound, because a multiple of a vanishing value would grow too slowly.
         idle, damping = 0, self.size(self.x) / LONGEST
         while self.tried < MOST_STEPS:

@@ -275,7 +275,7 @@ class FromTo(BetweenPoints):
     GLOBAL: ClassVar[tuple[str, ...]] = ("from", "to")
 
     from_: Point | None = Field(default=None, alias="from")
-    """Instead of `points`, with `to`: the point of the first body (x, y) [m] in the global frame, at the initial
+    """With `to`, instead of `points`: the point of the first body (x, y) [m] in the global frame, at the initial
     positions as given (before assembly)."""
     to: Point | None = None
     """The point of the second body (x, y) [m] in the global frame, at the initial positions as given."""

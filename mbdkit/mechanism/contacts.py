@@ -142,7 +142,8 @@ class Treatment(NamedTuple):
     impact_law
         Law of impacts of rigid bodies, ``newton`` or ``poisson``.
     rest_energy
-        Kinetic energy of a rebound, as a share of the largest so far, below which a contact stays closed.
+        Kinetic energy of a rebound, as a share of the mechanism's largest one so far, below which a
+        contact stays closed.
     """
 
     kind: str = "compliant"

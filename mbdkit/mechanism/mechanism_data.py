@@ -136,7 +136,8 @@ class MechanismData(StrictModel):
     contacts: dict[str, Contact] = Field(default_factory=dict)
     """Contacts between bodies by name."""
     coordinates: dict[str, AnyNamedCoordinate] = Field(default_factory=dict)
-    """Names of quantities, such as ``knee_angle: knee.angle`` or ``knee_angle: {of: knee.angle, scale: -1}``."""
+    """Named coordinates: quantities, scaled and shifted, such as ``knee_angle: knee.angle`` or
+    ``knee_angle: {of: knee.angle, scale: -1}``."""
     states: dict[str, FirstOrderState] = Field(default_factory=dict)
     """First-order states by name, such as ``i: {rate: "(u - R*states.i)/L", unit: A}``."""
     controllers: dict[str, Controller] = Field(default_factory=dict)

@@ -178,7 +178,7 @@ def options_in(schema: Schema, deepest: int = DEEPEST) -> Iterator[tuple[str, st
 
 def _options(schema: Schema, definitions: Schema, prefix: str, deepest: int) -> Iterator[tuple[str, str, str, str]]:
     for name, info in schema.get("properties", {}).items():
-        if "const" in info:  # the type of a force element, which is part of its name here
+        if "const" in info:  # a key with one value only, such as `type`, which stands in the heading
             continue
         inside = _inside(info, definitions)
         default = info.get("default")

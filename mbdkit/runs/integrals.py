@@ -78,7 +78,8 @@ class RunIntegrals:
     ):
         self.functionals = functionals
         self._workspace = workspace.with_own_pivots()
-        has_states = bool(workspace.mechanism.states)  # their values at the stages are not kept
+        # Values of first-order states at the stages are not kept: with them, integrals use the ends of steps.
+        has_states = bool(workspace.mechanism.states)
         others = [one for one in functionals if has_states or not one.is_of_stages]
         #: Integrals and extrema of the motion between the ends of steps; None if there are none.
         self.continuous: ContinuousFunctionals | None = None

@@ -87,8 +87,8 @@ class Recorder:
     def __init__(
         self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS, ranges: LawRanges | None = None
     ):
-        # The number of steps between two calls depends on wall time. If pivots were shared with the stepper, the last
-        # bits of both results would depend on it.
+        # The number of steps between two calls depends on wall time. If pivots were shared with the stepper, so would
+        # the last bits of the steps and of the recorded rows.
         self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards
         mechanism = workspace.mechanism
         self._observer = StateObserver(self.workspace)

@@ -311,7 +311,9 @@ class MuscleDeviations(Section):
     @model_validator(mode="after")
     def _vary_something(self) -> MuscleDeviations:
         if not self.max_force and not self.optimal_length and not self.tendon_length:
-            raise PydanticCustomError("mbdkit", "needs `max_force`, `optimal_length` or `tendon_length`")
+            raise PydanticCustomError(
+                "mbdkit", "at least one of `max_force`, `optimal_length` and `tendon_length` has to be above 0"
+            )
         return self
 
 

@@ -51,8 +51,8 @@ class ContactTreatment(Section):
     """Law of impacts of rigid bodies, `restitution` of a contact being a ratio of velocities or of impulses; of
     `event-driven`."""
     rest_energy: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] = 1e-12
-    """Kinetic energy of a rebound, as a share of the largest so far, below which `event-driven` ends a sequence of
-    impacts, whose accumulation is recorded."""
+    """Kinetic energy of a rebound, as a share of the mechanism's largest kinetic energy so far, below which
+    `event-driven` keeps the contact closed."""
 
     @property
     def of_mechanism(self) -> Treatment:

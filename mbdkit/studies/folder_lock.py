@@ -43,7 +43,7 @@ class Shard:
         Raises
         ------
         SpecError
-            If the text does not have this form.
+            If the text does not have this form, or the number is not from 1 to the count.
         """
         match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if not match or not 1 <= int(match[1]) <= int(match[2]):

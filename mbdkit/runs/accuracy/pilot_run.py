@@ -206,10 +206,11 @@ class RecordedPilot:
 
 
 def can_be_recorded(spec: RunSpec) -> bool:
-    """Return whether pilots of a spec are kept: an explicit method with tolerances, and no impulses of drivers.
+    """Return whether a pilot of a spec can keep the ends of all its steps, between which states are interpolated.
 
-    Impulses make velocities discontinuous, and stiff mechanisms, which need implicit methods, have accelerations that
-    are too inaccurate for interpolation.
+    The method has to be explicit with adaptive steps, because in stiff mechanisms, which need implicit methods,
+    accelerations are too inaccurate for interpolation; and no driver may cause impulses, which make velocities
+    discontinuous. The caller also excludes events and first-order states.
     """
     return (
         spec.claims.adaptive
