@@ -29,9 +29,6 @@ HEAVY = 10.0
 """Largest normal force at the start, relative to the weight of all bodies, with which an overlap counts as that of
 bodies at rest."""
 
-RIGID_KINDS = ("line", "circles", "hole")
-"""Kinds of geometry whose rows are smooth where the shapes touch."""
-
 HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
 """What a rigid contact holds from step to step, as first-order states without rates, and their units."""
 
@@ -202,7 +199,6 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
             bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
             static, kinetic = contact.coefficients
             if is_rigid:
-                _check_rigid(pair)
                 form = Form(pair.kind, "none", False, moving)  # type: ignore[arg-type]
                 given = contact.restitution, static, kinetic
                 found.append(ActingContact(pair, form, bodies, NO_LAW, 0, given))
@@ -215,16 +211,6 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
             form = Form(pair.kind, FORCES[contact.compliance.law], static > 0.0, moving)  # type: ignore[arg-type]
             found.append(ActingContact(pair, form, bodies, _law_numbers(contact, pair.radius)))
     return found
-
-
-def _check_rigid(pair: ContactPair) -> None:
-    """Raise SpecError for a contact that rigid treatments do not have."""
-    if pair.kind[0] not in RIGID_KINDS:
-        raise SpecError(
-            "rigid contacts are those of points, circles and polygons with lines, and of circles with each other and "
-            "in holes, so far; use `contact: {treatment: compliant}`",
-            key=f"{pair.key}.shapes",
-        )
 
 
 def _law_numbers(contact: Contact, radius: float) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.contact_forces import ActingContact
+from mbdkit.stepping.polygon_features import EXACT, Feature, features_of, shape_pairs
 
 FEW = 8
 """Number of contacts of a kind that are evaluated one by one, which takes less time than arrays."""
@@ -73,7 +74,7 @@ class Rows:
 
 
 class _Alike(NamedTuple):
-    """Contacts of one kind of geometry: their places among all, bodies (2, K), and numbers of the geometry (N, K)."""
+    """Features of one kind of geometry: their places among all, bodies (2, K), and numbers of the geometry (N, K)."""
 
     kind: tuple[str, int]
     places: np.ndarray
@@ -81,10 +82,10 @@ class _Alike(NamedTuple):
     numbers: np.ndarray
 
     @classmethod
-    def of(cls, contacts: Sequence[ActingContact], kind: tuple[str, int]) -> _Alike:
-        places = [i for i, one in enumerate(contacts) if one.pair.kind == kind]
-        some = [contacts[i] for i in places]
-        bodies, numbers = np.array([one.bodies for one in some]).T, np.array([one.pair.numbers for one in some]).T
+    def of(cls, features: Sequence[Feature], kind: tuple[str, int]) -> _Alike:
+        places = [i for i, one in enumerate(features) if one.kind == kind]
+        some = [features[i] for i in places]
+        bodies, numbers = np.array([one.bodies for one in some]).T, np.array([one.numbers for one in some]).T
         return cls(kind, np.array(places), bodies, numbers)
 
 
@@ -97,25 +98,66 @@ class ContactKinematics:
         The contacts.
     n
         Number of coordinates of the mechanism.
+    length
+        Characteristic length of the mechanism [m].
+
+    Attributes
+    ----------
+    held
+        (C,) number of the feature of each contact that is closed, -1 if that nearest to touching is meant; see
+        `mbdkit.stepping.polygon_features`.
     """
 
-    def __init__(self, contacts: Sequence[ActingContact], n: int):
-        self._contacts, self._n = contacts, n
+    def __init__(self, contacts: Sequence[ActingContact], n: int, length: float):
+        self._n, self._exact = n, EXACT * length
         self._bodies = np.array([one.bodies for one in contacts], dtype=int).reshape(-1, 2)
-        kinds = [one.pair.kind for one in contacts]
-        self._alike = [_Alike.of(contacts, kind) for kind in dict.fromkeys(kinds)]
-        #: Place of each contact among those of its kind, and number of the kind (C,).
-        self._place, self._kind = np.zeros((2, len(contacts)), dtype=int)
+        own = [features_of(one) for one in contacts]
+        features = [feature for some in own for feature in some]
+        self._first = np.cumsum([0, *(len(some) for some in own)], dtype=int)[:-1]
+        kinds = [one.kind for one in features]
+        self._alike = [_Alike.of(features, kind) for kind in dict.fromkeys(kinds)]
+        #: Place of each feature among those of its kind, and number of the kind (F,).
+        self._place, self._kind = np.zeros((2, len(features)), dtype=int)
         for number, alike in enumerate(self._alike):
             self._place[alike.places], self._kind[alike.places] = np.arange(len(alike.places)), number
+        self._polygons = shape_pairs(contacts, self._exact)
+        self.held = self.none_held()
+
+    def none_held(self) -> np.ndarray:
+        """Return the value of `held` of open contacts."""
+        return np.full(len(self._first), -1)
+
+    def hold(self, q: np.ndarray, closed: np.ndarray) -> None:
+        """Let closed contacts (C,) keep the features that they hold, else those that they have at a position."""
+        if self._polygons:
+            self.held = np.where(closed, self._chosen(self._states(q, 0.0 * q))[0], -1)
+
+    def margins(self, q: np.ndarray) -> np.ndarray:
+        """Return how far contacts (C,) are from where they lose their held feature [m]; infinite without one."""
+        states, margins = self._states(q, 0.0 * q), np.full(len(self._first), np.inf)
+        for pair in self._polygons:
+            for i, row in enumerate(pair.rows):
+                if self.held[row] >= 0:
+                    margins[row] = pair.margin(states, i, int(self.held[row])) + 2.0 * self._exact
+        return margins
+
+    def _chosen(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the number of the feature of each contact (C,), and the least gap (C,), of those that do not act."""
+        features, least = np.zeros(len(self._first), dtype=int), np.full(len(self._first), -np.inf)
+        for pair in self._polygons:
+            found = pair.chosen(states)
+            features[pair.rows] = found.features
+            least[pair.rows] = np.where(found.acts, -np.inf, np.maximum(found.distances, self._exact))
+        is_held = self.held >= 0
+        return np.where(is_held, self.held, features), np.where(is_held, -np.inf, least)
 
     def gaps(self, q: np.ndarray) -> np.ndarray:
         """Return the gaps (C,) of all contacts at a position [m]."""
         from mbdkit.symbolic.contact_rows import gap_function  # loads SymPy
 
-        if len(self._contacts) <= FEW:
+        if len(self._first) <= FEW or self._polygons:
             return self.rows(q, 0.0 * q).gap
-        gaps, states, none = np.empty(len(self._contacts)), self._states(q, 0.0 * q)[:4], (0.0,) * 3
+        gaps, states, none = np.empty(len(self._first)), self._states(q, 0.0 * q)[:4], (0.0,) * 3
         for alike in self._alike:
             first, second = (states[:, side] for side in alike.bodies)
             gaps[alike.places] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers)
@@ -126,22 +168,25 @@ class ContactKinematics:
         from mbdkit.symbolic.contact_rows import row_function  # loads SymPy
 
         states = self._states(q, v)
-        chosen = np.arange(len(self._contacts)) if some is None else some
+        chosen = np.arange(len(self._first)) if some is None else some
+        features, least = self._chosen(states)
+        own = self._first[chosen] + features[chosen]
         values = np.empty((16, len(chosen)))
         for number, alike in enumerate(self._alike):
-            which = np.flatnonzero(self._kind[chosen] == number)
-            places = self._place[chosen[which]]
+            which = np.flatnonzero(self._kind[own] == number)
+            places = self._place[own[which]]
             given = np.concatenate([states[:, alike.bodies[0, places]], states[:, alike.bodies[1, places]]])
             numbers = alike.numbers[:, places]
             if len(which) <= FEW:
                 function = row_function(alike.kind, is_of_arrays=False)
-                for place, one, own in zip(which, given.T.tolist(), numbers.T.tolist(), strict=True):
-                    values[:, place] = function(*one, *own)
+                for place, one, given_numbers in zip(which, given.T.tolist(), numbers.T.tolist(), strict=True):
+                    values[:, place] = function(*one, *given_numbers)
                 continue
             for row, computed in enumerate(row_function(alike.kind, is_of_arrays=True)(*given, *numbers)):
                 values[row, which] = computed
         gradients = np.ascontiguousarray(values[2:14].reshape(2, 6, len(chosen)).transpose(0, 2, 1))
-        return Rows(values[0], values[1], values[14], values[15], self._bodies[chosen], gradients, self._n)
+        gap = np.maximum(values[0], least[chosen])
+        return Rows(gap, values[1], values[14], values[15], self._bodies[chosen], gradients, self._n)
 
     def _states(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return x, y, cosine and sine of the angle and the velocities of all bodies (7, B + 1), the ground last."""

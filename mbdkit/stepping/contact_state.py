@@ -56,6 +56,8 @@ class ContactState:
         Largest error of the velocities of contacts, relative to the largest one in its step.
     accelerations
         What a time-stepping method passes to its next step.
+    features
+        (C,) see `mbdkit.stepping.contact_kinematics.ContactKinematics.held`.
     """
 
     modes: np.ndarray
@@ -73,6 +75,7 @@ class ContactState:
     undecided: float = math.inf
     residual: float = 0.0
     accelerations: tuple[np.ndarray, ...] = ()
+    features: np.ndarray | None = None
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load, where modes are determined anew."""

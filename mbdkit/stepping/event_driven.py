@@ -2,8 +2,9 @@
 
 Contacts are open, stick or slip. Between events, closed contacts are constraints of the accelerations, and those that
 slip have the friction force -mu N against the slip. Events are zeros of functions of the state, found by steps of the
-method itself: a gap that closes, a normal force that vanishes, a friction force that reaches its limit, and slip that
-ends. At an event, a linear complementarity problem determines the modes that follow, at an impact also the impulses.
+method itself: a gap that closes, a normal force that vanishes, a friction force that reaches its limit, slip that
+ends, and the end of an edge of a polygon. At an event, a linear complementarity problem determines the modes that
+follow, at an impact also the impulses.
 """
 
 from __future__ import annotations
@@ -134,12 +135,24 @@ class _Step:
         self.length = contacts.p.length
         self._book_energy()
         is_known = len(self.state.modes) == len(contacts.names)
+        features = self.state.features if is_known else None
+        contacts.kinematics.held = contacts.kinematics.none_held() if features is None else features
         self.modes = self.state.modes if is_known else self._modes_at_rest()
 
     @property
+    def modes(self) -> np.ndarray:
+        """Modes (C,) of the contacts, of which those that are closed keep their features."""
+        return self._modes
+
+    @modes.setter
+    def modes(self, modes: np.ndarray) -> None:
+        self._modes = modes
+        self.contacts.kinematics.hold(self.now.q, modes != OPEN)
+
+    @property
     def speed(self) -> float:
-        """Size of velocities in the motion so far [m/s]."""
-        return float(np.sqrt(2.0 * self.state.energy / np.sum(self.p.mass[::3]))) or 1e-3
+        """Size of velocities in the motion so far [m/s]; not that of rounding errors of bodies at rest."""
+        return max(float(np.sqrt(2.0 * self.state.energy / np.sum(self.p.mass[::3]))), 1e-3)
 
     def _book_energy(self) -> None:
         now = 0.5 * float(self.now.v @ (self.p.mass * self.now.v))
@@ -159,7 +172,8 @@ class _Step:
         now, forced = self.now, self._forced(self.now)
         force = forced.normal @ forced.rows.normal + forced.tangent @ forced.rows.tangent
         normal, tangent = self._shared(now, forced)
-        return replace(self.state, modes=self.modes, normal=normal, tangent=tangent, force=force)
+        features = self.contacts.kinematics.held
+        return replace(self.state, modes=self.modes, normal=normal, tangent=tangent, force=force, features=features)
 
     def _shared(self, at: _Point, forced: Forced) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces (C,) of contacts, normal and tangential; where redundant contacts stick, and their forces
@@ -245,8 +259,8 @@ class _Step:
         return float(h)
 
     def _values(self, at: _Point) -> np.ndarray:
-        """Return two functions (2, C) of each contact that are negative after an event: those of its normal direction
-        and of its friction.
+        """Return three functions (3, C) of each contact that are negative after an event: those of its normal
+        direction, of its friction, and of its place on a polygon.
         """
         forced = self._forced(at)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
@@ -256,18 +270,19 @@ class _Step:
         limit = self.contacts.static * pressed - np.abs(tangent)
         has_slip = slips & (self.contacts.kinetic > 0)
         friction = np.where(has_slip, np.sign(self.modes) * forced.rows.slip, np.where(self.modes == STICK, limit, 1.0))
-        return np.stack([normal, friction])
+        return np.stack([normal, friction, self.contacts.kinematics.margins(at.q)])
 
     def _scales(self, forced: Forced) -> np.ndarray:
         inertial = np.delete(np.abs(self.p.mass * forced.a), np.s_[2::3])
         weight = max(float(np.max([*np.abs(forced.normal), *inertial])), 1e-300)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
         normal = np.where(is_open, 1e-15 * self.length, SAME * weight)
-        return np.stack([normal, SAME * np.where(slips, self.speed, weight)])
+        place = np.full(len(normal), 1e-15 * self.length)
+        return np.stack([normal, SAME * np.where(slips, self.speed, weight), place])
 
     def _first_event(self, there: _Point) -> tuple[float, tuple[int, int]] | None:
-        """Return the share of a step at which the first event happens, and the event: 0 (normal) or 1 (friction), and
-        the number of the contact.
+        """Return the share of a step at which the first event happens, and the event: 0 (normal), 1 (friction) or 2
+        (place), and the number of the contact.
         """
         now, h = self.now, there.t - self.now.t
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v)
@@ -279,15 +294,29 @@ class _Step:
         first: tuple[float, tuple[int, int]] | None = None
         for place in np.argwhere(np.any(values[1:] < -small, axis=0)):
             kind, contact = int(place[0]), int(place[1])
-            if self.modes[contact] == STICK and np.array_equal(self._decided(there, self.modes != OPEN), self.modes):
+            if (
+                kind < 2
+                and self.modes[contact] == STICK
+                and np.array_equal(self._decided(there, self.modes != OPEN), self.modes)
+            ):
                 continue  # other forces of redundant contacts keep it closed
             own = values[:, kind, contact]
             after = 1 + int(np.argmax(own[1:] < -small[kind, contact]))
             before = int(np.argmax(own[:after]))
-            share = self._zero(kind, contact, shares[before], shares[after], h) if own[before] > 0 else 0.0
+            low = shares[before] if own[before] > 0 else self._rise(kind, contact, shares[after], h, small)
+            share = self._zero(kind, contact, low, shares[after], h) if low is not None else 0.0
             if first is None or share < first[0]:
                 first = share, (kind, contact)
         return first
+
+    def _rise(self, kind: int, contact: int, high: float, h: float, small: np.ndarray) -> float | None:
+        """Return a share of the step, before another one, at which a function that begins with zero is positive, such
+        as slip that begins just before the contact opens; None if there is none.
+        """
+        for share in high * 0.1 ** np.arange(1.0, 6.0):
+            if self._values(self._moved(share * h))[kind, contact] > small[kind, contact]:
+                return float(share)
+        return None
 
     def _zero(self, kind: int, contact: int, low: float, high: float, h: float) -> float:
         """Return the share of the step at which a function vanishes, found by steps of the method."""
@@ -309,6 +338,9 @@ class _Step:
         if kind == 0 and self.modes[contact] == OPEN:
             self._strike(self._touching() | (np.arange(len(self.modes)) == contact))
             return
+        if kind == 2:
+            self._hand_over(contact)
+            return
         stops, begins = np.zeros((2, len(self.modes)))
         if kind == 1 and self.modes[contact] == STICK:
             forced = self._forced(self.now)
@@ -325,6 +357,18 @@ class _Step:
         if kind == 0 and self.modes[contact] != OPEN and self._forced(self.now).normal[contact] <= limit:
             touching[contact] = False  # the force vanishes now and would pull from now on
             self.modes = self._decided(self.now, touching, stops, begins)
+
+    def _hand_over(self, contact: int) -> None:
+        """Give a contact that leaves its edge or corner to those that touch there."""
+        stays = self.modes != OPEN
+        stays[contact] = False
+        self.modes = np.where(stays, self.modes, OPEN)
+        touching = self._touching()
+        rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
+        if np.any(touching & (rows.normal @ self.now.v < -SAME * self.speed)):
+            self._strike(touching)
+        else:
+            self.modes = self._decided(self.now, touching)
 
     def _touching(self) -> np.ndarray:
         rows = self.contacts.kinematics.rows(self.now.q, self.now.v)

@@ -58,7 +58,7 @@ class RigidContacts:
         self.names = [one.pair.name for one in self.contacts]
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = given.T
-        self.kinematics = ContactKinematics(self.contacts, equations.n)
+        self.kinematics = ContactKinematics(self.contacts, equations.n, equations.length)
         #: Inverse masses (B + 1, 3), and whether a body is not coupled to others but by contacts; the ground is last.
         self._lightness = np.vstack([1.0 / equations.mass.reshape(-1, 3), np.zeros(3)])
         self._is_free = np.zeros(len(self._lightness), dtype=bool)

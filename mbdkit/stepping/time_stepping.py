@@ -110,7 +110,9 @@ class TimeStepping(StepMethod):
         smooth = self.smooth(p, t, state, h, held.accelerations)
         contacts.find_free()
         after = smooth.v
-        some = np.flatnonzero(contacts.kinematics.gaps(smooth.positions(after)) <= SMALL * p.length)
+        kinematics, end = contacts.kinematics, smooth.positions(after)
+        kinematics.held = kinematics.none_held()
+        some = np.flatnonzero(kinematics.gaps(end) <= SMALL * p.length)
         memory = replace(
             contacts.all_open(),
             residual=held.residual,
@@ -120,7 +122,9 @@ class TimeStepping(StepMethod):
         )
         lost = 0.0
         if len(some):
-            rows = contacts.kinematics.rows(smooth.middle, v, some)
+            kinematics.hold(end, np.ones(len(contacts.names), dtype=bool))
+            rows = kinematics.rows(smooth.middle, v, some)
+            kinematics.held = kinematics.none_held()
             guess = h * np.stack([held.normal, held.tangent])[:, some]
             sticks = self._sticks(held, rows.rates(v)[1], v, some)
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])

@@ -137,7 +137,8 @@ def _of_edge(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps
         outside = choose(-along, at_corner, choose(along - size, at_end, at_edge))
         return step(choose(deepest, outside, inside))
 
-    distance = where_it_is(to_corner, to_end, height, height)
+    far = choose(height, height, -height)  # rows of other edges do not overlap
+    distance = where_it_is(to_corner, to_end, far, choose(deepest - height, -height, height))
     mx, my = where_it_is(dx, tx, ty, ty), where_it_is(dy, ty, -tx, -tx)
     active = where_it_is(choose(past, 1, 0), sp.Integer(0), choose(height, 1, 0), choose(deepest - height, 0, 1))
     return distance - r, mx, my, active

@@ -51,6 +51,16 @@ REFUSED = {
         "model.contacts.k.shapes[1].polygon",
         "counter-clockwise",
     ),
+    "concave": (
+        {"shapes": [FLOOR, {"polygon": [[0, 0], [1, 0], [0.2, 0.2], [0, 1]]}]},
+        "model.contacts.k.shapes[1].polygon",
+        "convex",
+    ),
+    "corners that coincide": (
+        {"shapes": [FLOOR, {"polygon": [[0, 0], [1, 0], [1, 0], [0, 1]]}]},
+        "model.contacts.k.shapes[1].polygon",
+        "none between others",
+    ),
     "overlap": ({"shapes": [FLOOR, {"circle": {"radius": 0.7}}]}, "model.contacts.k.shapes", "overlap by 0.2 m"),
     "no compliance": ({"compliance": None}, "model.contacts.k.compliance", "is missing"),
     "flores": (

@@ -1,0 +1,160 @@
+"""Rigid polygons against polygons and circles, event-driven and by time-stepping."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import mbdkit
+from mbdkit.base.errors import SpecError
+from tests.contact.test_rigid_contacts import G, block, run
+
+TABLE = {"polygon": [[-1.0, -0.5], [0.0, -0.5], [0.0, 0.0], [-1.0, 0.0]]}
+"""A table whose corner is the origin."""
+TREATMENTS = [("event-driven", 0.02, 1e-8), ("time-stepping", 0.001, 0.01)]
+"""Treatment, step [s] and largest error of the position at the end [m]; that of time-stepping is of order 1."""
+
+
+def outline(half_width: float, half_height: float) -> dict[str, Any]:
+    b, h = half_width, half_height
+    return {"polygon": [[-b, -h], [b, -h], [b, h], [-b, h]]}
+
+
+def on_table(body: dict[str, Any], shape: dict[str, Any], friction: float) -> dict[str, Any]:
+    contact = {"bodies": ["ground", "body"], "shapes": [TABLE, shape], "friction": friction}
+    return {"bodies": {"body": {"mass": 1.0} | body}, "contacts": {"table": contact}}
+
+
+def end_of(found: mbdkit.Run) -> np.ndarray:
+    return np.array([*found["body"].position[-1], found["body"].angle[-1]])
+
+
+def solved(rate: Any, start: list[float], span: tuple[float, float], event: Any = None) -> tuple[float, np.ndarray]:
+    """Return end and state [s] of a motion by DOP853, at an event if there is one."""
+    if event is not None:
+        event.terminal = True
+    found = solve_ivp(rate, span, start, method="DOP853", rtol=1e-12, atol=1e-13, events=event)
+    return float(found.t[-1]), found.y[:, -1]
+
+
+def flown(time: float, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    return place + time * velocity + 0.5 * time**2 * np.array([0.0, -G, 0.0])
+
+
+@pytest.mark.parametrize(("treatment", "step", "error"), TREATMENTS)
+def test_a_box_slides_off_a_table_and_tips_around_its_corner(treatment: str, step: float, error: float) -> None:
+    # expected: Lagrange's equations with the distance s of the centre along the box from the corner, by DOP853, from
+    # the time on at which the centre is above the corner, until the corner no longer pushes; then free flight
+    b, h, speed, end = 0.2, 0.1, 0.5, 0.5
+    inertia = (b * b + h * h) / 3.0
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        s, angle, ds, turn = y
+        matrix = [[1.0, -h], [-h, h * h + s * s + inertia]]
+        right = [s * turn**2 - G * np.sin(angle), -2 * s * ds * turn - G * (s * np.cos(angle) - h * np.sin(angle))]
+        return [ds, turn, *np.linalg.solve(matrix, right)]
+
+    def place(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s, angle, ds, turn = y
+        along, up = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        return np.append(s * along + h * up, angle), np.append((ds - h * turn) * along + s * turn * up, turn)
+
+    def push(t: float, y: np.ndarray) -> float:  # normal acceleration of the centre, and weight
+        s, angle, ds, turn = y
+        return float(2 * ds * turn + s * rate(t, y)[3] - h * turn**2 + G * np.cos(angle))
+
+    begin = 0.05 / speed
+    leaves, state = solved(rate, [0.0, 0.0, speed, 0.0], (begin, end), push)
+    assert begin < leaves < end
+    expected = flown(end - leaves, *place(state))
+    body = {"inertia": inertia, "position": [-0.05, h], "velocity": [speed, 0.0]}
+    with run(on_table(body, outline(b, h), 0.0), end, step, treatment) as found:
+        assert end_of(found) == pytest.approx(expected, abs=error)
+        assert min(np.min(row.gap) for row in found.contacts.values()) > -1e-9
+        assert len(found.impacts.time) == 0
+        hands_over = [name for name, row in found.contacts.items() if np.any(row.normal_force > 0.1)]
+        assert hands_over == ["table.0", "table.6"]  # the box's rear corner, then the corner of the table
+
+
+@pytest.mark.parametrize(("treatment", "step", "error"), TREATMENTS)
+def test_a_disc_rolls_off_a_table_and_slips_on_its_corner(treatment: str, step: float, error: float) -> None:
+    # expected: rolling about the corner until friction reaches its limit, slipping until the corner no longer pushes,
+    # both by DOP853, then free flight
+    r, speed, mu, share, end = 0.1, 0.3, 0.4, 0.5, 0.6
+    begin = 0.05 / speed
+
+    def rolls(t: float, y: np.ndarray) -> list[float]:
+        return [y[1], G * np.sin(y[0]) / (r * (1.0 + share)), y[1]]
+
+    def sticks(t: float, y: np.ndarray) -> float:
+        return float(mu * (G * np.cos(y[0]) - r * y[1] ** 2) - G * np.sin(y[0]) * share / (1.0 + share))
+
+    def slips(t: float, y: np.ndarray) -> list[float]:
+        friction = mu * (G * np.cos(y[0]) - r * y[1] ** 2)
+        return [y[1], (G * np.sin(y[0]) - friction) / r, y[3], friction / (share * r)]
+
+    def push(t: float, y: np.ndarray) -> float:
+        return float(G * np.cos(y[0]) - r * y[1] ** 2)
+
+    at, (lean, rate, turned) = solved(rolls, [0.0, speed / r, 0.05 / r], (begin, end), sticks)
+    leaves, (lean, rate, turned, turn) = solved(slips, [lean, rate, turned, rate], (at, end), push)
+    assert begin < at < leaves < end
+    along = np.array([np.cos(lean), -np.sin(lean)])
+    place, velocity = r * np.array([np.sin(lean), np.cos(lean)]), r * rate * along
+    expected = flown(end - leaves, np.append(place, -turned), np.append(velocity, -turn))
+    body = {
+        "inertia": share * r * r, "position": [-0.05, r], "velocity": [speed, 0.0], "angular_velocity": -speed / r,
+    }  # fmt: skip
+    with run(on_table(body, {"circle": {"radius": r}}, mu), end, step, treatment) as found:
+        assert end_of(found) == pytest.approx(expected, abs=error)
+        assert min(np.min(row.gap) for row in found.contacts.values()) > -1e-9
+
+
+def test_polygons_as_ground_give_the_closed_forms_of_lines() -> None:
+    # expected: see the tests of the same bodies on lines
+    sliding = block(0.3)
+    sliding["contacts"]["incline"]["shapes"][0] = {"polygon": [[-4.0, -4.0], [4.0, -4.0], [4.0, 4 / np.sqrt(3)],
+                                                              [-4.0, -4 / np.sqrt(3)]]}  # fmt: skip
+    found = run(sliding, 1.0, 0.05)
+    up = [np.cos(np.radians(30.0)), np.sin(np.radians(30.0))]
+    assert found["block"].position[-1] @ up == pytest.approx(-0.362398577094839, abs=1e-11)
+
+    b, h, tilt = 0.1, 0.4, 0.05
+    place = [b * np.cos(tilt) - h * np.sin(tilt) - 0.3, b * np.sin(tilt) + h * np.cos(tilt)]
+    body = {"inertia": (b * b + h * h) / 3.0, "angle": tilt, "position": [float(x) for x in place]}
+    with run(on_table(body, outline(b, h), 5.0), 0.3, 0.02) as found:
+        ratio = 1.0 - 1.5 * np.sin(np.arctan(b / h)) ** 2  # Housner
+        assert found.impacts.energy_lost[0] == pytest.approx((1 - ratio**2) * G * (place[1] - h), rel=1e-9)
+
+
+@pytest.mark.parametrize("treatment", ["event-driven", "time-stepping"])
+def test_a_pile_of_boxes_stands(treatment: str) -> None:
+    # expected: forces of the weights above, whose resultant is below the centre of mass of these
+    half, bodies, contacts = 0.1, {}, {}
+    for i, x in enumerate((0.0, 0.0, 0.05)):
+        bodies[f"b{i}"] = {"mass": 1.0, "inertia": 0.01, "position": [x, half * (2 * i + 1)]}
+        below = [f"b{i - 1}", outline(half, half)] if i else ["ground", {"line": {"normal": [0.0, 1.0]}}]
+        own = {"bodies": [below[0], f"b{i}"], "shapes": [below[1], outline(half, half)], "friction": 0.5}
+        contacts[f"c{i}"] = own
+    with run({"bodies": bodies, "contacts": contacts}, 0.1, 0.01, treatment) as found:
+        for i, body in enumerate(bodies):
+            assert found[body].position[-1] == pytest.approx(bodies[body]["position"], abs=1e-12)
+            rows = [row for name, row in found.contacts.items() if name.startswith(f"c{i}.")]
+            assert sum(row.normal_force[-1] for row in rows) == pytest.approx((3 - i) * G, rel=1e-9)
+
+
+def test_polygons_that_overlap_at_the_start_are_refused() -> None:
+    body = {"inertia": 0.01, "position": [-0.5, 0.09]}
+    with pytest.raises(SpecError, match=r"the shapes of 'table.0' overlap by 0\.01 m at the start"):
+        run(on_table(body, outline(0.1, 0.1), 0.0), 0.1, 0.01)
+
+
+def test_edges_that_a_circle_does_not_touch_have_no_overlap() -> None:
+    # expected: the distance of the disc from each edge of the table
+    body = {"inertia": 0.01, "position": [-0.5, 0.1]}
+    with run(on_table(body, {"circle": {"radius": 0.1}}, 0.0), 0.01, 0.01) as found:
+        gaps = [row.gap[0] for row in found.contacts.values()]
+    assert gaps == pytest.approx([0.5, np.hypot(0.5, 0.1) - 0.1, 0.0, np.hypot(0.5, 0.1) - 0.1], abs=1e-15)
