@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,12 +12,16 @@ import numpy as np
 from mbdkit.analysis.cycles import Normalized, contacts, normalized
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
 from mbdkit.archive.history import UnknownNameError
+from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
 from mbdkit.base.errors import SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
+
+KINDS = ("joint", "actuator", "reserve", "residual")
+"""Kinds of elements, in the order of tables."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,8 @@ class Load:
     loading_rate
         Largest rate at which the magnitude rises [N/s or N m/s].
     peak_error
-        Bound of the error of the value at `peak_time` that holds with a probability of 95 %; None if unknown.
+        Error of the peak, over a whole run that of its summary: in inverse dynamics the bound that holds with a
+        probability of 95 %, in a forward run the estimate of its check. None if unknown.
     """
 
     units: str
@@ -74,7 +79,8 @@ class ElementWorkload:
     Attributes
     ----------
     name, kind
-        Name, and ``joint`` or ``actuator``; drivers of a forward run count as actuators.
+        Name, and ``joint``, ``actuator``, ``reserve`` or ``residual``, in this order; drivers of a forward run count as
+        actuators. A residual is the load from outside on a part that no joint connects to the ground.
     load
         Magnitude of the reaction force of a joint; force or torque of an actuator.
     torque
@@ -237,7 +243,38 @@ def workload(
     starts, parts = _parts(run, cycles, load, threshold)
     phases = tuple(Phase(name, begin, until, between(begin, until)) for name, begin, until in parts)
     over = {one.name: normalized(time, one.value, starts) for one in every} if len(starts) > 1 else {}
-    return Workload(start, end, between(start, end), phases, over)
+    return Workload(start, end, _with_errors(run, between(start, end)), phases, over)
+
+
+def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[ElementWorkload, ...]:
+    """Return the workload of a whole run with the errors of the peaks that its summary has."""
+    if run.accuracy is None or not run.accuracy.is_complete:
+        return elements
+    found: dict[tuple[str, str], float] = {}
+    force, torque = (np.abs(run.array(f"joints/reaction_{what}")) for what in ("force", "torque"))
+    for name, size, unit in (("reaction_error", np.linalg.norm(force, axis=2), "N"), ("torque_error", torque, "N m")):
+        errors = peak_errors(run, name, size, len(run.time))
+        if errors is not None:
+            found |= {(joint, unit): error for joint, error in zip(run.joint_names, errors.tolist(), strict=True)}
+    if run.actuators:
+        size, bars = np.abs(run.array("actuators/value")), run.array("actuators/value_error")
+        errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
+        found |= {(name, "value"): error for name, error in zip(run.actuators, errors.tolist(), strict=True)}
+
+    def known(name: str, load: Load, what: str) -> Load:
+        error = found.get((name, what), math.nan)
+        return load if math.isnan(error) else replace(load, peak_error=error)
+
+    return tuple(
+        replace(
+            one,
+            load=known(
+                one.name, one.load, "value" if one.name in run.actuators and one.kind != "joint" else one.load.units
+            ),
+            torque=None if one.torque is None else known(one.name, one.torque, "N m"),
+        )
+        for one in elements
+    )
 
 
 def _parts(
@@ -283,8 +320,9 @@ def _series_of(run: Run) -> list[_Series]:
             found.append(_Series(name, "joint", "N", force, torque if carries else None, **errors))
     for name, actuator in run.actuators.items():
         error = None if bars is None else actuator.value_error
-        found.append(_Series(name, "actuator", actuator.units, actuator.value, power=actuator.power, error=error))
-    return found
+        kind = actuator.kind or "actuator"  # archives of earlier versions have no kinds
+        found.append(_Series(name, kind, actuator.units, actuator.value, power=actuator.power, error=error))
+    return sorted(found, key=lambda one: KINDS.index(one.kind))
 
 
 def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | None) -> Load:
@@ -329,7 +367,7 @@ def _rows(one: ElementWorkload) -> list[tuple[str, ...]]:
     if work is not None:
         most = max(work.peak_power, work.least_power, key=abs)
         powers = (f"{most:.4g} W", f"{work.positive:.4g} J", f"{-work.negative:.4g} J")
-    kind = "" if one.kind == "joint" else " (actuator)"
+    kind = "" if one.kind == "joint" else f" ({one.kind})"
     rows = [(f"{one.name}{kind}", *_numbers(one.load), *powers)]
     if one.torque is not None:
         rows.append((f"{one.name} (torque)", *_numbers(one.torque), "", "", ""))

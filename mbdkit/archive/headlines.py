@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import peak_errors
+from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -96,10 +96,12 @@ def _actuators(run: Run) -> list[Headline]:
     size = np.abs(run.array("actuators/value"))
     errors = None
     if run.records("actuators/value_error"):
-        errors = np.take_along_axis(run.array("actuators/value_error"), _peak_rows(size)[None], axis=0)[0]
+        bars = run.array("actuators/value_error")
+        errors = errors_of_frames(run, "actuators.value", list(run.actuators), size, bars)
     units = {name: actuator.units for name, actuator in run.actuators.items()}
     headlines = _largest("", list(run.actuators), size, "", errors)
-    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in headlines[:2]]
+    own = [one for one in headlines if run.actuators[one.label].kind != "residual"]
+    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
 
 
 def _activations(run: Run) -> list[Headline]:

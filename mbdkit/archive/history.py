@@ -319,7 +319,11 @@ class ObservedHistory(View, of="motion"):
 
 
 class ActuatorHistory(View, of="actuators"):
-    """Value [N or N m], its error and power of one actuator, in inverse dynamics."""
+    """Value [N or N m], its error and power of one actuator, in inverse dynamics.
+
+    Its `kind` is ``actuator``, ``reserve`` (of recruitment) or ``residual`` (a load from outside on a part that no
+    joint connects to the ground); empty in archives of earlier versions.
+    """
 
     # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
     value: np.ndarray
@@ -327,6 +331,7 @@ class ActuatorHistory(View, of="actuators"):
     value_error: np.ndarray
 
     units: str
+    kind: str
 
 
 class MuscleHistory(View, of="muscles"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +18,19 @@ PARABOLA, SPLINE = 2.0, 1.5
 Of random sums of three sines, the larger of the two covers the true peak in 93 % with 4 rows a period of the highest
 frequency, in 99 % with 6, and in all with 10."""
 
+_ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
+_LARGEST = re.compile(
+    r"max\(abs\((?P<kind>joints|actuators)(?:\.(?P<name>\w+)|\[\"(?P<quoted>[^\"]+)\"\])\.(?P<attribute>\w+)\)\)"
+)
+"""An expression of the largest magnitude of a joint or actuator, without blanks."""
+
 
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
     """Return the errors (J,) of the largest values of the joints in the first rows; None without a check.
 
     In a simulated run it is the largest error of the method in these rows, as the true peak may be elsewhere, plus the
     height by which a peak between rows may exceed the recorded one. In inverse dynamics, values belong to the frames of
-    the data, and the error is that of the frame.
+    the data; see `errors_of_frames`.
 
     Parameters
     ----------
@@ -40,9 +48,42 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
     errors: np.ndarray = getattr(run.accuracy, name)[:count]
     size = size[:count]
     if run.kind == "inverse":
-        rows = np.argmax(np.nan_to_num(size), axis=0)
-        return np.asarray(np.take_along_axis(errors, rows[None], axis=0)[0])
+        return errors_of_frames(run, _ATTRIBUTES[name], run.joint_names, size, errors)
     return np.asarray(np.max(errors, axis=0) + excess_between_rows(np.asarray(run.time)[:count], size))
+
+
+def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Return the errors (E,) of the largest values of joints or actuators in inverse dynamics.
+
+    It is that of a measure ``max(abs(joints.NAME.force))`` if the run has one, so that a number has one error wherever
+    it is printed, and otherwise that of the frame. The first one is sampled for the maximum itself; the second one is
+    the bound of a vector, or belongs to a single frame.
+
+    Parameters
+    ----------
+    run
+        The run.
+    quantity
+        ``joints.force``, ``joints.torque`` or ``actuators.value``.
+    names
+        Names of the joints or actuators.
+    size, errors
+        (T, E) magnitudes and their errors.
+    """
+    rows = np.argmax(np.nan_to_num(size), axis=0)
+    found = np.take_along_axis(errors, rows[None], axis=0)[0].copy()
+    kind, attribute = quantity.split(".")
+    for measure, defined in (run.spec.get("measures") or {}).items():
+        match = _LARGEST.fullmatch("".join(str(defined["value"] if isinstance(defined, Mapping) else defined).split()))
+        if match is None or (match["kind"], match["attribute"]) != (kind, attribute):
+            continue
+        name = match["name"] or match["quoted"]
+        if name in names and measure in run.measures:
+            place = list(names).index(name)
+            is_same = np.isclose(run.measures[measure], size[rows[place], place], rtol=1e-9, atol=0.0)
+            if is_same and np.isfinite(run.measure_errors[measure]):
+                found[place] = run.measure_errors[measure]
+    return np.asarray(found)
 
 
 def excess_between_rows(time: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF, Headline, headlines, plus_minus
-from mbdkit.archive.peak_errors import peak_errors
+from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
@@ -81,6 +81,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("fit", _fit(run)),
         ("raw data", _raw_misalignment(run)),
         ("actuators", _actuators(run)),
+        ("residuals", _actuators(run, residual=True)),
         ("muscles", _muscles(run)),
         ("contact", _contact_forces(run)),
         ("contacts", _contacts(run)),
@@ -207,7 +208,9 @@ def _error_bars(run: Run) -> str:
     if not size.size:
         return ""
     row, joint = (int(place) for place in np.unravel_index(np.argmax(size), size.shape))
-    error = float(accuracy.reaction_error[row, joint])
+    errors = peak_errors(run, "reaction_error", size, len(run.time))
+    assert errors is not None
+    error = float(errors[joint])
     value = plus_minus(float(size[row, joint]), error)
     return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s"
 
@@ -340,16 +343,21 @@ def _raw_misalignment(run: Run) -> str:
     return f"misaligned by at most {text}" if text else ""
 
 
-def _actuators(run: Run) -> str:
-    """Return the largest value of each actuator, with its error bar, and its time, the largest first."""
-    peaks, known = [], run.accuracy is not None
-    for name, actuator in run.actuators.items():
+def _actuators(run: Run, *, residual: bool = False) -> str:
+    """Return the largest value of each actuator, with its error bar, and its time, the largest first; or those of the
+    residual loads.
+    """
+    if not run.actuators:
+        return ""
+    values, peaks, known = run.array("actuators/value"), [], run.accuracy is not None
+    names = list(run.actuators)
+    bars = run.array("actuators/value_error") if known else np.zeros_like(values)
+    errors = errors_of_frames(run, "actuators.value", names, np.abs(values), bars)
+    for (name, actuator), error in zip(run.actuators.items(), errors.tolist(), strict=True):
+        if (actuator.kind == "residual") != residual:
+            continue
         row = int(np.argmax(np.abs(actuator.value)))
-        value = (
-            plus_minus(float(actuator.value[row]), float(actuator.value_error[row]))
-            if known
-            else f"{actuator.value[row]:.4g}"
-        )
+        value = plus_minus(float(actuator.value[row]), error) if known else f"{actuator.value[row]:.4g}"
         peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4g} s"))
     peaks.sort(key=lambda peak: -peak[0])
     return "; ".join(text for _, text in peaks[:JOINTS_NAMED]) + (

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
 from mbdkit.inverse_dynamics.column_criteria import column_doubts
@@ -11,14 +14,24 @@ from mbdkit.inverse_dynamics.load_criteria import load_doubts
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 
 
-def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> tuple[str, ...]:
-    """Return what is implausible in the data of a result, as sentences that begin with the name of the criterion."""
+class DataDoubts(NamedTuple):
+    """What is implausible in data, as sentences that begin with the name of the criterion: what the spec does not
+    accept, and what it accepts.
+    """
+
+    open: tuple[str, ...] = ()
+    accepted: tuple[str, ...] = ()
+
+
+def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
+    """Return what is implausible in the data of a result."""
     accepted = result.problem.spec.accept
     found = [*column_doubts(result), *load_doubts(result, bars)]
-    return tuple(f"{one.criterion}: {one.sentence}" for one in found if one.criterion not in accepted)
+    texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in found]
+    return DataDoubts(*(tuple(text for is_accepted, text in texts if is_accepted == side) for side in (False, True)))
 
 
-def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: tuple[str, ...]) -> Judgement:
+def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubts) -> Judgement:
     """Return the verdict: ``unknown`` at best, since error bars do not include wrong data, masses and lengths.
 
     Parameters
@@ -26,16 +39,19 @@ def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: tuple[str
     misalignment
         (J,) largest misalignment of each joint [m].
     doubts
-        What is implausible in the data.
+        What is implausible in the data; the verdict mentions what is accepted.
     """
     joints = result.problem.prepared.workspace.mechanism.joints
     worst = int(np.argmax(misalignment)) if misalignment.size else 0
-    return judge(
+    judgement = judge(
         Evidence(
             end=float(result.motion.time[-1]),
             size=result.problem.fitter.manifold.length,
             misalignment=float(np.max(misalignment, initial=0.0)),
             joint=joints[worst] if misalignment.size else "",
-            warnings=doubts,
+            warnings=doubts.open,
         )
+    )
+    return replace(
+        judgement, reasons=(*judgement.reasons, *(f"Accepted by the spec: {one}" for one in doubts.accepted))
     )

@@ -16,7 +16,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending, Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.inverse_dynamics.compute import Inverse, reaction_forces_without_muscles, recorded_states
-from mbdkit.inverse_dynamics.data_verdict import verdict_on_data
+from mbdkit.inverse_dynamics.data_verdict import DataDoubts, verdict_on_data
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.fit import raw_misalignment
 from mbdkit.measures.take import take_all
@@ -30,7 +30,7 @@ TIMINGS = ("setup_s", "wall_s", "cpu_s")
 
 def run_of(result: Inverse) -> Run:
     """Return a result without error bars as a run in memory."""
-    file = archive_of(result, None, (), None, overwrite=False, timings=dict.fromkeys(TIMINGS, 0.0))
+    file = archive_of(result, None, DataDoubts(), None, overwrite=False, timings=dict.fromkeys(TIMINGS, 0.0))
     assert file is not None
     return Run(file)
 
@@ -38,7 +38,7 @@ def run_of(result: Inverse) -> Run:
 def archive_of(
     result: Inverse,
     bars: ErrorBars | None,
-    doubts: tuple[str, ...],
+    doubts: DataDoubts,
     path: Path | None,
     *,
     overwrite: bool,
@@ -91,7 +91,7 @@ def archive_of(
             {**counters, **timings},
             misalignment,
             judgement=verdict_on_data(result, misalignment, doubts),
-            warnings=(*result.warnings, *doubts),
+            warnings=(*result.warnings, *doubts.open),
             accuracy=None if bars is None else bars.accuracy,
         )
         return writer.finish(ending, measured=partial(_measured, result, errors or {}) if spec.measures else None)
@@ -126,6 +126,7 @@ def _names(result: Inverse) -> ArchiveNames:
         observed_units=[quantity.unit for quantity in measured.quantities.quantities],
         actuators=[actuator.name for actuator in actuators],
         actuator_units=[actuator.unit for actuator in actuators],
+        actuator_kinds=[actuator.kind for actuator in actuators],
         muscles=() if result.problem.recruiter is None else tuple(result.problem.recruiter.muscles),
         loads=result.loads.names,
         load_bodies=result.loads.bodies,

@@ -42,8 +42,9 @@ class ArchiveNames:
         Names of the first-order states of force elements, and the unit of each.
     observed, observed_units
         Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
-    actuators, actuator_units
-        Names of the actuators, and the unit of the value of each, ``N`` or ``N m``.
+    actuators, actuator_units, actuator_kinds
+        Names of the actuators, and the unit of the value of each, ``N`` or ``N m``, and its kind, ``actuator``,
+        ``reserve`` or ``residual``.
     muscles
         Names of the muscles.
     loads, load_bodies
@@ -71,6 +72,7 @@ class ArchiveNames:
     observed_units: Sequence[str] = ()
     actuators: Sequence[str] = ()
     actuator_units: Sequence[str] = ()
+    actuator_kinds: Sequence[str] = ()
     muscles: Sequence[str] = ()
     loads: Sequence[str] = ()
     load_bodies: Sequence[str] = ()

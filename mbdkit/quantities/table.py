@@ -411,6 +411,8 @@ KINDS = (
         Array("time", _T, "s", "time of the recorded row"),
         _texts("actuator", "actuator", "name of the actuator", lambda names: names.actuators),
         _units("row_units", "actuator", "value", lambda names: names.actuator_units, label="units"),
+        _texts("kind", "actuator", "actuator, reserve of recruitment, or residual load from outside",
+            lambda names: names.actuator_kinds, label="kind"),
         _taken("value", _TA, MIXED,
             "torque on the second body, positive counter-clockwise; force along a travel or a coordinate; tension "
             "between two points",

@@ -127,7 +127,8 @@ def _contact_chart(run: Run) -> list[Figure]:
 
 def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
     columns = columns_of(
-        "joint or actuator; kind; unit; peak; rms; impulse; loading rate; largest power [W]; least power [W]; "
+        "joint or actuator; kind; unit; peak; error of the peak; rms; impulse; loading rate; largest power [W]; "
+        "least power [W]; "
         "work done [J]; work absorbed [J]"
     )
     rows: list[tuple[Cell, ...]] = []
@@ -137,9 +138,22 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
         if work is not None:
             power = (work.peak_power, work.least_power, work.positive, -work.negative)
         rows.append(
-            (element.name, element.kind, load.units, load.peak, load.rms, load.impulse, load.loading_rate, *power)
+            (
+                element.name,
+                element.kind,
+                load.units,
+                load.peak,
+                load.peak_error,
+                load.rms,
+                load.impulse,
+                load.loading_rate,
+                *power,
+            )
         )
-    note = "Impulses are in N s or N m s, loading rates in N/s or N m/s."
+    note = (
+        "Errors are bounds that hold with a probability of 95 %. Impulses are in N s or N m s, loading rates in N/s or "
+        "N m/s. Residuals act from outside on a part that no joint connects to the ground."
+    )
     return Table("workload", "Workload of joints and actuators", columns, tuple(rows), note)
 
 
@@ -156,7 +170,8 @@ def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
     parts, y = [], 8.0
     for unit in ("N", "N m"):
         chosen = sorted(
-            (element for element in elements if element.load.units == unit), key=lambda one: -one.load.peak
+            (element for element in elements if element.load.units == unit),
+            key=lambda one: (one.kind == "residual", -one.load.peak),
         )[:BARS]
         most = max((one.load.peak for one in chosen), default=0.0) or 1.0
         for one in chosen:

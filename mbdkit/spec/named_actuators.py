@@ -56,6 +56,11 @@ class NamedActuator:
         """Unit of the value: N for a force, N m for a torque."""
         return "N m" if self.quantity.unit == "rad" else "N"
 
+    @property
+    def kind(self) -> str:
+        """``actuator``, ``reserve`` or ``residual``."""
+        return "residual" if self.is_residual else "reserve" if self.name.startswith(RESERVE) else "actuator"
+
 
 @dataclass(frozen=True)
 class Reserve:

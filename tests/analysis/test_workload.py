@@ -73,3 +73,15 @@ def test_crossings_and_normalized_cycles_are_interpolated() -> None:
     assert crossings(time, values, 1.0).tolist() == [0.5, 2.5]
     assert crossings(time, values, 1.0, rising=False).tolist() == [1.5, 3.5]
     assert normalized(time, time, np.array([0.5, 2.5])).cycles[0] == pytest.approx(np.linspace(0.5, 2.5, 101))
+
+
+def test_residual_loads_come_last_and_a_number_has_one_error_everywhere() -> None:
+    run = mbdkit.inverse("walking")
+    found = mbdkit.workload(run)
+    kinds = {one.name: one.kind for one in found.elements}
+    assert list(kinds)[-3:] == [name for name, kind in kinds.items() if kind == "residual"]
+    assert {name: one.kind for name, one in run.actuators.items()}["hip_y"] == "residual"
+    summary = run.summary()
+    assert "hip_y" in next(line for line in summary.splitlines() if line.startswith("residuals"))
+    for joint in ("hip", "knee", "ankle"):
+        assert found[joint].load.peak_error == run.measure_errors[f"{joint}_force"]

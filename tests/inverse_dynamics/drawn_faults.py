@@ -415,11 +415,11 @@ def answer(one: DataSet) -> Answer:
     }
     try:
         result = compute(InverseProblem.of(load_inverse_spec(one.spec | ({"loads": loads} if loads else {}), ())))
-        doubts = doubts_about_data(result, None)  # bars take most of the time
+        doubts = doubts_about_data(result, None).open  # bars take most of the time
         if one.is_free:  # noise may explain residual forces
             doubts = tuple(doubt for doubt in doubts if not doubt.startswith("residuals:"))
         bars = None if doubts else error_bars(result)
-        doubts = doubts or doubts_about_data(result, bars)
+        doubts = doubts or doubts_about_data(result, bars).open
     except MbdkitError as error:
         none = np.zeros((0, 0))
         return Answer(str(error), (), [], np.zeros(0), none, none)

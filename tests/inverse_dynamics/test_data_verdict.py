@@ -74,7 +74,9 @@ def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> Non
     run = leg(loads=far)
     assert told(run) == {"load-point"}
     assert "acts outside of foot" in run.verdict_reasons[0]
-    assert leg(loads=far, accept=["load-point"]).verdict == "unknown"
+    accepting = leg(loads=far, accept=["load-point"])
+    assert accepting.verdict == "unknown"
+    assert accepting.verdict_reasons == [f"Accepted by the spec: {run.verdict_reasons[0]}"]
     far["ground"]["kind"] = "other"
     assert leg(loads=far).verdict == "unknown"
 
