@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -83,11 +83,11 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
     return (warning,)
 
 
-def doubts(spec: RunSpec, warnings: Iterable[str]) -> tuple[str, ...]:
+def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
     """Return the warnings of a run that question its result: all but those about intended limits of model and step, and
     about unused parameters, which affect no result.
     """
-    known = _known(spec)
+    known: tuple[str, ...] = _known(spec) if warnings else ()
     return tuple(warning for warning in warnings if warning not in known)
 
 
@@ -188,11 +188,14 @@ def _excitations(spec: RunSpec) -> Iterator[str]:
 
 def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
     """Yield a warning for each beam with oscillations that the fixed steps of an implicit method do not resolve."""
-    step, claims = spec.time.step, spec.claims
-    if step is None or claims.adaptive or "tangents" not in claims.needs:
+    step, beams = spec.time.step, spec.mechanism().beams
+    if not beams or step is None:
+        return
+    claims = spec.claims
+    if claims.adaptive or "tangents" not in claims.needs:
         return  # step-size control resolves them, and explicit methods fail visibly
     fate = "keeps the energy of faster motions, but not their frequencies" if claims.symmetric else "damps faster ones"
-    for name, beam in spec.mechanism().beams.items():
+    for name, beam in beams.items():
         fastest, slowest = beam.highest_frequency, 2.0 * math.pi / (FEWEST_PER_PERIOD * step)
         if fastest > slowest:
             yield (
@@ -215,6 +218,8 @@ def step_advice(spec: RunSpec, code: str) -> str:
 
 
 def _unused_parameters(spec: RunSpec) -> Iterator[str]:
+    if not spec.parameters:
+        return
     of_events = [text for event in spec.events.values() for text in (event.when, *event.set.values())]
     texts = [*spec.written.values(), *spec.parameters.values(), *of_events]
     used = set().union(*map(names_in, texts))
