@@ -13,6 +13,7 @@ from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
+from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
@@ -63,6 +64,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
         ("model", ", ".join((_named(spec, "model"), *_elements(run)))),
+        ("gravity", _gravity(spec)),
         (
             "redundancy",
             run.redundancy and f"{run.redundancy}; reactions are not unique, those of least norm recorded",
@@ -117,6 +119,11 @@ def without_suspicion(run: Run) -> str:
 
 def _named(spec: Mapping[str, Any], kind: str) -> str:
     return str(spec.get(kind, {}).get("name", "unknown"))
+
+
+def _gravity(spec: Mapping[str, Any]) -> str:
+    gravity = spec.get("model", {}).get("gravity")
+    return "" if gravity is None else gravity_text(gravity)
 
 
 def _start(run: Run) -> str:
@@ -455,13 +462,16 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
 
 
 def _elements(run: Run) -> list[str]:
-    """Return the numbers of bodies, beams and joints; the nodes of recorded beams do not count as bodies."""
+    """Return the numbers of bodies, beams, joints and drivers, as `mbdkit validate` counts them: the nodes of recorded
+    beams are no bodies, and drivers no joints.
+    """
     nodes = [beam for beam in map(beam_of, run.bodies) if beam and beam in run.beams]
     beams, bodies = set(nodes), len(run.bodies) - len(nodes)
     return [
         *([counted(bodies, "body", "bodies")] if bodies or not beams else []),
         *([counted(len(beams), "beam")] if beams else []),
-        counted(len(run.joints), "joint"),
+        counted(len(run.joints) - len(run.drivers), "joint"),
+        *([counted(len(run.drivers), "driver")] if run.drivers else []),
     ]
 
 

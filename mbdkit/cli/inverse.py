@@ -114,6 +114,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     computed.
     """
     from mbdkit.inverse_dynamics.compute import InverseProblem
+    from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.spec import load_inverse_spec
 
     spec = load_inverse_spec(source, assignments)
@@ -121,6 +122,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     measured, time = problem.measured, problem.measured.time
     show(f"{name}: this spec of inverse dynamics is valid")
     show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")
+    show(f"gravity      {gravity_text(spec.mechanism().gravity)}")
     show(f"freedom      {problem.prepared.workspace.mechanism.freedoms()}")
     show(f"motion       {counted(len(time), 'row')} from {time[0]:g} to {time[-1]:g} s: {', '.join(measured.names)}")
     if problem.loads:

@@ -33,7 +33,7 @@ def equilibrium(
 
     The search begins at the start position and moves in the direction of the
     forces. Drivers and loads are evaluated at the start time; velocities are
-    ignored.
+    ignored. Gravity is (0, -9.81) m/s^2 unless `model.gravity` is given.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.equilibrium import equilibrium_of, spec_at

@@ -73,6 +73,8 @@ def run(
     checkpoint; the results are bitwise identical to those of an uninterrupted run.
     Checkpoints are written every 5 s, except by SciPy's solvers, by methods written in
     Python, and with --accuracy.
+
+    Gravity is (0, -9.81) m/s^2 unless `model.gravity` of the spec is given.
     """
     if resume is not None:
         given = {"SPEC": spec, "--output": output, "--set": assignments, "--check": check, "--accuracy": accuracy}
@@ -125,9 +127,9 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     """Check a spec of any kind without running it.
 
     The mechanism is built and its initial state made consistent; changes of the initial
-    state are printed. For a study, the specs of all runs are checked (a few of them if
-    it is stored in blocks), and the expressions of its measures; --set changes the base
-    of every run.
+    state are printed. Gravity is (0, -9.81) m/s^2 unless `model.gravity` is given. For a
+    study, the specs of all runs are checked (a few of them if it is stored in blocks), and
+    the expressions of its measures; --set changes the base of every run.
     """
     from mbdkit.spec import load_spec
     from mbdkit.spec.loading import read_source
@@ -154,6 +156,7 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
     checked = load_spec(document, assignments or ())
     from mbdkit.engine.formulation import FORMULATIONS
     from mbdkit.engine.spanning_tree import cut_joints
+    from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.runs.corners import check_jumps
     from mbdkit.runs.preparation import build, caution, make_method
     from mbdkit.runs.warnings import start_warnings
@@ -169,6 +172,7 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         say(f"warning: {warning}")
     show(f"{spec}: this spec is valid")
     show(f"model        {checked.model_item.id}: {mechanism.description()}")
+    show(f"gravity      {gravity_text(mechanism.gravity)}")
     show(f"freedom      {problem.mechanism.freedoms()}")
     chosen = {"method": "method and step", "step": "its step or tolerance"}.get(checked.choose or "")
     if chosen:

@@ -118,6 +118,8 @@ class Equilibrium(HtmlView):
     beams
         Internal forces of each beam by name: (E + 2, 4) distance from its end a [m], axial force, shear force [N] and
         moment [N m], at end a, in the middle of its elements, and at end b.
+    displacement : (B, 3) array
+        `position` minus that of the start, made consistent [m, rad].
     mechanism
         The mechanism, from which notebooks draw the equilibrium.
     """
@@ -139,6 +141,7 @@ class Equilibrium(HtmlView):
     states: tuple[str, ...] = ()
     state: np.ndarray = field(default_factory=lambda: np.zeros(0))
     beams: Mapping[str, np.ndarray] = field(default_factory=dict)
+    displacement: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, body: str) -> np.ndarray:
@@ -241,6 +244,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         states=tuple(one.name for one in compiled.states),
         state=found.z,
         beams=_internal_forces(prepared, found),
+        displacement=(found.q - p.q0).reshape(-1, 3),
         mechanism=prepared.spec.mechanism(),
     )
 

@@ -11,6 +11,8 @@ from mbdkit.base.text import counted, listed, table
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.kinematics import Kinematics
 from mbdkit.mechanics.modes import Modes
+from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.mechanism import gravity_text
 
 SHOWN = 20
 """Largest number of rows in a printed table."""
@@ -29,10 +31,18 @@ STABILITY = {
 def equilibrium_text(found: Equilibrium) -> str:
     """Return an equilibrium as text: accuracy, positions of the bodies, reactions in the joints."""
     lines = [f"{label:<12} {fact}" for label, fact in equilibrium_facts(found)]
+    ends = beam_ends(found)
     places = [
-        (name, *(f"{x:.9g}" for x in clean(place))) for name, place in zip(found.bodies, found.position, strict=True)
+        (name, *(f"{x:.9g}" for x in clean(place)))
+        for name, place in zip(found.bodies, found.position, strict=True)
+        if beam_of(name) not in found.beams
     ]
-    lines += ["", table(_some([("BODY", "X [m]", "Y [m]", "ANGLE [rad]"), *places]))]
+    if places:
+        lines += ["", table(_some([("BODY", "X [m]", "Y [m]", "ANGLE [rad]"), *places]))]
+    if ends:
+        moved = [(name, *(f"{x:.9g}" for x in place), *(f"{x:.6g}" for x in by)) for name, place, by in ends]
+        heads = ("END OF BEAM", "X [m]", "Y [m]", "ANGLE [rad]", "MOVED BY X [m]", "Y [m]", "TURNED BY [rad]")
+        lines += ["", table(_some([heads, *moved]))]
     if found.joints:
         force = found.reaction_force
         largest = max(float(np.max(np.abs(force))), float(np.max(np.abs(found.reaction_torque))))
@@ -48,6 +58,13 @@ def equilibrium_text(found: Equilibrium) -> str:
         lines += ["", table(_some([("STATE", "VALUE"), *values]))]
     lines += [note for note in [sharing(found)] if note]
     return "\n".join(lines)
+
+
+def beam_ends(found: Equilibrium) -> list[tuple[str, list[float], list[float]]]:
+    """Return name, position and displacement from the start of the first and the last node of each beam."""
+    nodes = {name: [k for k, body in enumerate(found.bodies) if beam_of(body) == name] for name in found.beams}
+    places = [place for own in nodes.values() for place in (own[0], own[-1])]
+    return [(found.bodies[k], clean(found.position[k]), clean(found.displacement[k])) for k in places]
 
 
 def beam_rows(found: Equilibrium) -> list[tuple[str, ...]]:
@@ -70,6 +87,7 @@ def equilibrium_facts(found: Equilibrium) -> list[tuple[str, str]]:
     return [
         ("equilibrium", STABILITY[found.stability]),
         ("time", f"{found.time:g} s, for drivers and loads"),
+        *([("gravity", gravity_text(found.mechanism.gravity))] if found.mechanism is not None else []),
         ("found in", f"{counted(found.iterations, 'step')}; {left}"),
         *([("stiffness", stiffness)] if found.stability != "fixed" else []),
     ]
@@ -92,6 +110,7 @@ def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
         "residual": found.residual,
         "iterations": found.iterations,
         "bodies": _by_name(found.bodies, found.position),
+        "displacements": _by_name(found.bodies, found.displacement),
         "reactions": {
             name: {"force": force, "torque": torque}
             for name, force, torque in zip(

@@ -41,6 +41,12 @@ AnyPlaced = TypeVar("AnyPlaced", bound=Element)
 _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 
 
+def gravity_text(gravity: Sequence[float]) -> str:
+    """Return an acceleration of gravity as text."""
+    x, y = gravity
+    return f"({x:g}, {y:g}) m/s^2" if x or y else "none"
+
+
 class Mechanism(HtmlView):
     """A planar multibody system as data.
 
@@ -864,9 +870,11 @@ class Mechanism(HtmlView):
         markers = f", {counted(len(self.markers), 'marker')}" if self.markers else ""
         markers += f", {counted(len(self.muscles), 'muscle')}" if self.muscles else ""
         markers += f", {counted(len(self.contacts), 'contact')}" if self.contacts else ""
-        beams = f"{counted(len(self.beams), 'beam')}, " if self.beams else ""
+        nodes = sum(beam.node_count for beam in self.beams.values())
+        bodies = [counted(len(self.bodies) - nodes, "body", "bodies")] if nodes < len(self.bodies) else []
+        beams = [counted(len(self.beams), "beam")] if self.beams else []
         return (
-            f"{counted(len(self.bodies), 'body', 'bodies')}, {beams}{counted(len(self.joints) - drivers, 'joint')}, "
+            f"{', '.join([*bodies, *beams])}, {counted(len(self.joints) - drivers, 'joint')}, "
             f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}{markers}; "
             f"{counted(rows, 'constraint row')}"
         )

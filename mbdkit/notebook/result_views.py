@@ -25,6 +25,7 @@ from mbdkit.figures.plane_geometry import Array
 from mbdkit.gradients.gradient import Gradient
 from mbdkit.mechanics.equilibrium import Equilibrium
 from mbdkit.mechanics.mechanics_summary import (
+    beam_ends,
     beam_rows,
     clean,
     equilibrium_facts,
@@ -34,6 +35,7 @@ from mbdkit.mechanics.mechanics_summary import (
     sharing,
 )
 from mbdkit.mechanics.modes import Modes
+from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.plot import drift_plot, reactions_plot
 from mbdkit.plot.caption import caption
@@ -163,8 +165,11 @@ def _(study: Study) -> View:
 @view.register
 def _(found: Equilibrium) -> View:
     bodies: list[tuple[Cell, ...]] = [
-        (name, *clean(place)) for name, place in zip(found.bodies, found.position, strict=True)
+        (name, *clean(place))
+        for name, place in zip(found.bodies, found.position, strict=True)
+        if beam_of(name) not in found.beams
     ]
+    ends: list[tuple[Cell, ...]] = [(name, *place, *moved) for name, place, moved in beam_ends(found)]
     forces = np.column_stack([found.reaction_force, found.reaction_torque])
     forces[np.abs(forces) < 1e-12 * np.max(np.abs(forces), initial=0.0)] = 0.0
     joints: list[tuple[Cell, ...]] = [(name, *row) for name, row in zip(found.joints, forces.tolist(), strict=True)]
@@ -173,6 +178,9 @@ def _(found: Equilibrium) -> View:
     tables = (
         Table("bodies", "Positions of the bodies", place, tuple(bodies)),
         Table("reactions", "Reactions in the joints", force, tuple(joints), sharing(found)),
+        Table("beam-ends", "Ends of beams",
+              columns_of("end of beam; x [m]; y [m]; angle [rad]; moved by x [m]; moved by y [m]; turned by [rad]"),
+              tuple(ends)),
         Table("beams", "Internal forces at the ends of beams and where they are largest",
               columns_of("beam; at [m]; moment [N m]; shear [N]; axial [N]"), tuple(beam_rows(found))),
     )  # fmt: skip
