@@ -41,6 +41,9 @@ MOST_HALVINGS = 4
 MANY, ROUGH = 40, 1e-4
 """Number of overlaps from which on positions are projected once, to this share, which leaves the rest to the next
 steps."""
+AT_REST = 4.0
+"""Gaps, rates and impulses of contacts at rest are smaller than this many times those that accelerations cause in a
+step; those of impacts are larger."""
 SMALL = 1e-12
 """Overlap, in lengths of the mechanism, that is zero but for errors."""
 
@@ -121,15 +124,25 @@ class TimeStepping(StepMethod):
             accelerations=smooth.accelerations,
         )
         lost = 0.0
-        if len(some):
+        struck = np.zeros(len(contacts.names), dtype=bool)
+        while len(some):
             kinematics.hold(end, np.ones(len(contacts.names), dtype=bool))
             rows = kinematics.rows(smooth.middle, v, some)
             kinematics.held = kinematics.none_held()
             guess = h * np.stack([held.normal, held.tangent])[:, some]
-            sticks = self._sticks(held, rows.rates(v)[1], v, some)
+            sticks = self._sticks(held, rows.rates(v)[1], v, some) & ~struck[some]
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
-            impact = _Impact(contacts, rows, some, friction, v, after, smooth.solve, guess)
+            impact = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess)
             after, found, changed = impact.solved()
+            more = self._pressed(contacts, smooth, h, v, after, some)
+            if len(more):
+                some = np.union1d(some, more)
+                continue
+            strikes = (found.normal > 0.0) & (rows.rates(v)[0] < -AT_REST * _gained(rows, v, smooth.v, h))
+            new = sticks & (friction > contacts.kinetic[some]) & (found.normal > AT_REST * guess[0])
+            if np.any(strikes) and np.any(new):  # impulses of impacts have kinetic friction
+                struck[some[new]] = True
+                continue
             forces = np.stack([found.normal, found.tangent]) / h
             slip = SLIP * np.sign(rows.rates(after)[1]).astype(int)
             memory = replace(memory, residual=max(held.residual, found.residual), changed=held.changed.union(changed))
@@ -137,9 +150,28 @@ class TimeStepping(StepMethod):
             memory.modes[some] = np.where(found.is_closed, np.where(found.is_slipping, slip, STICK), OPEN)
             memory.force[:] = rows.force(forces)
             lost = -0.5 * h * float(np.sum(forces * rows.rates(v + after)))
+            break
         reached = self._closed(contacts, t + h, smooth.positions(after))
         work, dissipated = p.powers(t + 0.5 * h, smooth.middle, 0.5 * (v + after), smooth.multipliers)
         return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
+
+    @staticmethod
+    def _pressed(
+        contacts: RigidContacts, smooth: SmoothStep, h: float, v: np.ndarray, after: np.ndarray, some: np.ndarray
+    ) -> np.ndarray:
+        """Return the other contacts at rest that the impulses of some press together.
+
+        A contact at rest has gaps of the size of the distance that it would fall in a step, and may be predicted to
+        stay open in it. If it had no impulse then, an impact of others would have another result, however small the
+        step is. Contacts with larger gaps are left to the next step, whose impulses include restitution.
+        """
+        gaps = contacts.kinematics.gaps(smooth.positions(after))
+        gaps[some] = 0.0
+        others = np.flatnonzero(gaps < -SMALL * contacts.p.length)
+        if not len(others):
+            return others
+        rows = contacts.kinematics.rows(smooth.middle, v, others)
+        return others[rows.gap <= AT_REST * h * _gained(rows, v, smooth.v, h)]
 
     @staticmethod
     def _sticks(held: ContactState, slip: np.ndarray, v: np.ndarray, some: np.ndarray) -> np.ndarray:
@@ -209,6 +241,11 @@ class MoreauJeanSteps(TimeStepping):
             lambda impulse: matrix.solve(impulse, none)[0],
             lambda end: q + h * (theta * end + (1.0 - theta) * v),
         )
+
+
+def _gained(rows: Rows, v: np.ndarray, free: np.ndarray, h: float) -> np.ndarray:
+    """Return how much the rates of gaps (C,) change in a step without impulses, from velocities to others [m/s]."""
+    return np.asarray(np.abs(rows.rates(free - v)[0]) + h * np.abs(rows.normal_right))
 
 
 def answer(p: EquationsOfMotion, t: float, q: np.ndarray, impulse: np.ndarray) -> np.ndarray:
