@@ -18,7 +18,7 @@ from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 
 SMALL_FORCE = 1e-9
-"""The force of a joint counts as rounding errors below this share of the largest force of all joints."""
+"""A joint's largest force below this share of the largest force of all joints counts as a rounding error."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class JointAccuracy:
     peak_known
         Largest reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
     error
-        Its largest estimated error up to then [N]; nan if nothing is known.
+        Largest estimated error of the reaction force up to `Accuracy.known_until` [N]; nan if nothing is known.
     share
-        `error` divided by `peak_known`, or by that of the joint with the largest force if the force of this joint is a
-        rounding error.
+        `error` divided by `peak_known`, or by the largest `peak_known` of all joints if the force of this joint counts
+        as a rounding error.
     """
 
     name: str
@@ -94,8 +94,8 @@ class Accuracy(HtmlView):
     known_until
         Time until which all errors are known [s]; nan if none is.
     order_observed
-        Observed order of the positions in the step, for adaptive methods in the tolerance; nan if the differences
-        between the comparison runs were rounding errors.
+        Observed order of convergence of the positions with the step or, for adaptive methods, with the tolerance; nan
+        if the differences between the comparison runs were rounding errors.
     method
         How the estimates were made.
     check_s
@@ -103,9 +103,10 @@ class Accuracy(HtmlView):
     asked
         Requested accuracy of positions (`accuracy` of the spec), as a share of the mechanism's size; nan if none.
     reached
-        Largest estimated error of positions in the same measure, up to `known_until`; nan if unknown or not requested.
+        Largest estimated error of positions up to `known_until`, as a share of the mechanism's size; nan if unknown, or
+        if no accuracy was requested.
     chosen, why
-        Method and step that were chosen for it, and the reason; empty if no accuracy was requested.
+        Method and step that were chosen for the requested accuracy, and the reason; empty if none was requested.
     compared_measures
         Values of the expressions of measures in comparison runs.
     """

@@ -36,8 +36,8 @@ class Checked:
     problems
         One sentence per problem; empty if the archive is valid.
     covers_attributes
-        Whether the archive has a hash of its attributes, timings and estimated errors; those of earlier versions lack
-        it.
+        Whether the archive has a hash of its attributes, timings and estimated errors; archives of earlier versions
+        have none.
     """
 
     problems: list[str]
@@ -82,7 +82,7 @@ def _examined_block(path: Path) -> Checked | None:
 
 @contextlib.contextmanager
 def blaming_damage(*paths: Path) -> Iterator[None]:
-    """Convert an unforeseen error of the block into SpecError if one of the archives that it reads is damaged.
+    """Replace an unforeseen error in the body of a `with` statement if one of the archives `paths` is damaged.
 
     Raises
     ------
@@ -337,7 +337,7 @@ class _Checker:
                 values = self.file[path][:]
                 if not np.all(np.isfinite(values[:count])):
                     self.say(f"{path} has unknown values before known_until")
-                of_run = "motion" not in self.file  # bars of inverse dynamics hold at their own time
+                of_run = "motion" not in self.file  # error bars of inverse dynamics may decrease
                 if np.any(values < 0) or (of_run and np.any(np.diff(values, axis=0) < 0)):
                     self.say(f"{path} is negative or decreases")
 

@@ -41,7 +41,7 @@ KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
 """Values of `store` with which a study keeps the recorded rows."""
 
 COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"))
-"""Growing axes of a run archive, and the group that holds their number of rows by run."""
+"""Growing axes of a run archive, each with the group of a block that holds the number of rows of each run."""
 
 
 def prefix(structure: int) -> str:
@@ -69,7 +69,7 @@ _HASHES = {
 }
 
 _AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact"}
-"""Names of the growing axes in a block: times differ from run to run."""
+"""Names of the growing axes in a block. They count rows, because the times of the rows differ from run to run."""
 
 _UNSET = object()
 
@@ -83,19 +83,19 @@ class BlockRun:
     number
         Number of the run in the study, from 1.
     base
-        Spec before its values are set, as JSON.
+        The spec without the values that distinguish this run, as JSON.
     values
-        Values that are set in it, by dotted key.
+        The values that are set in `base` for this run, by dotted key.
     status, reason
-        Its outcome.
+        Status of the run, and the reason if it is not complete or was ended by an event.
     spec_sha256, run_id
-        Hash and identifier of its spec; empty if that is not valid.
+        Hash and identifier of the run's spec; empty if the spec is not valid.
     plugins
         Attributes of ``/provenance`` that depend on the spec, as JSON.
     result
-        Its results; None if there are none.
+        Results of the run; None if there are none.
     measures
-        Values of its measures.
+        Values of the measures of the run, by name.
     """
 
     number: int
@@ -136,7 +136,7 @@ class BlockHeading:
 
 
 def kept(finished: FinishedRun, store: Store) -> FinishedRun:
-    """Return a run with the arrays that are kept, and those of names."""
+    """Return a run with only the arrays that `store` keeps and the arrays of names."""
     if store == "all":
         return finished
     arrays, keys = _KEPT.of(finished.layout, store)
@@ -144,8 +144,10 @@ def kept(finished: FinishedRun, store: Store) -> FinishedRun:
 
 
 class _KeptArrays:
-    """Finds the arrays of a layout that are kept; the last result is remembered, because runs share their layout, whose
-    hash takes longer than its comparison by identity.
+    """Finds the arrays of a layout that a study keeps.
+
+    Runs share their layout, so that the last result is cached. Layouts are compared by identity, which is faster than
+    computing their hashes.
     """
 
     def __init__(self) -> None:
@@ -153,7 +155,7 @@ class _KeptArrays:
         self._found: tuple[tuple[Array, ...], frozenset[str]] = ((), frozenset())
 
     def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
-        """Return the arrays that are kept, and those of names; and the keys of those with rows."""
+        """Return the arrays that `store` keeps with those of names, and the keys of the kept arrays with rows."""
         if self._asked[0] is not recorded or self._asked[1] != store:
             wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
             arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
@@ -166,7 +168,7 @@ _KEPT = _KeptArrays()
 
 
 def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> None:
-    """Write a block, and replace an earlier one of this name.
+    """Write a block; an existing file at `path` is replaced.
 
     Raises
     ------
@@ -175,7 +177,7 @@ def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> 
     ResourceError
         If the disk is full.
     """
-    # Made in memory: HDF5 crashes the interpreter if the disk is full when it closes a file.
+    # The file is made in memory, because HDF5 crashes the interpreter if the disk is full when it closes a file.
     name = f"block-{next(_NUMBERS)}"
     with h5py.File(name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _Writer(file, heading, runs).write()

@@ -68,7 +68,7 @@ class Block:
             raise
 
     def is_sound(self) -> bool:
-        """Return whether arrays and attributes have the hashes that were written with them, and axes their scales."""
+        """Return whether arrays and attributes have their stored hashes, and all axes have dimension scales."""
         try:
             return bool(
                 self.file.attrs["data_sha256"] == data_sha256(self.file)
@@ -121,7 +121,7 @@ class Block:
         Raises
         ------
         SpecError
-            If it is not the spec that was run.
+            If the rebuilt spec does not have the hash of the spec that was run.
         """
         row = self.row(number)
         with reading("specs", self.path, hint=_HINT):
@@ -140,7 +140,7 @@ class Block:
         return spec
 
     def run(self, number: int) -> Run | None:
-        """Return a run with the arrays that are kept; None if it has no results.
+        """Return a run with the arrays that the study keeps; None if it has no results.
 
         Raises
         ------
@@ -153,10 +153,11 @@ class Block:
         return Run(self._contents(number, self._finished(number)))
 
     def joined_runs(self) -> Iterator[tuple[Run, np.ndarray, np.ndarray]]:
-        """Yield all runs of each structure as one, their numbers (N,) in the study, and their numbers of rows (N,).
+        """Yield, for each structure, a `Run` that joins its N runs, their numbers in the study (N,), and their numbers
+        of rows (N,).
 
-        The rows of this run are those of the first run, then those of the second, and so on; its spec, status and the
-        like are those of the first. The block must stay open while it is read.
+        The joined run has the rows of the first run, then those of the second, and so on; all else, such as spec and
+        status, is that of the first run. The block must stay open while the joined run is read.
 
         Raises
         ------
@@ -290,7 +291,7 @@ class _Rows(Mapping[str, np.ndarray]):
 def _has_scales(item: h5py.Dataset) -> bool:
     """Return whether each axis of an array has one dimension scale of its length, in the group of the array.
 
-    The hashes do not cover them, because HDF5 stores scales as addresses in the file.
+    The hashes do not cover dimension scales, because HDF5 stores them as addresses in the file.
     """
     if item.is_scale:
         return True

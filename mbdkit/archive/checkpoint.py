@@ -1,7 +1,8 @@
 """``FILE.h5.part.checkpoint``: the state from which a killed run continues, and the location of its rows in the
 ``.part``.
 
-HDF5 keeps no journal: if a process is killed while HDF5 rearranges its tables, HDF5 may be unable to read the file. A
+The ``.part`` is the unfinished archive of the run. HDF5 keeps no journal: if a process is killed while HDF5 rearranges
+its tables, HDF5 may be unable to read the file. A
 checkpoint therefore contains the byte offsets of the rows, and all other data that the run needs. HDF5 never moves
 rows, and rows after the checkpoint do not change those before it, so that these can be read without HDF5.
 
@@ -67,7 +68,9 @@ class StoredRows:
         return cls(dataset.shape[1:], dataset.chunks[0], offsets, ())
 
     def read(self, part: BinaryIO, array: Array, some: slice) -> np.ndarray:
-        """Return some rows from the bytes of the ``.part``; raise ValueError or LookupError if they are not there."""
+        """Return the rows in a slice from the bytes of the ``.part``; raise ValueError or LookupError if they are not
+        there.
+        """
         if array.dtype == TEXT:
             return np.array(self.texts[some], dtype=object)
         row_bytes = np.dtype(array.dtype).itemsize * int(np.prod(self.row_shape, dtype=object))
@@ -92,11 +95,11 @@ class Checkpoint:
     head
         ``spec``, ``run_id`` and ``created_utc`` as in the archive, and its ``provenance``.
     file
-        Number of the file in its file system that has the rows.
+        Inode number of the ``.part`` with the rows.
     rows
         Number of rows of each growing axis of the layout.
     lines
-        The lines of these rows for `data_sha256`, sorted.
+        The lines of the arrays with these rows, of which `data_sha256` is the hash (see `fingerprint.line`), sorted.
     arrays
         Locations of the rows, by path of the array.
     state
@@ -139,10 +142,10 @@ class Checkpoint:
                 state=values["state"],
             )
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            return None  # the hash is right, so that someone has made it
+            return None  # with a right hash, it is not damaged but made up
 
     def write(self, part: Path) -> None:
-        """Write the checkpoint of a ``.part`` that is on the disk; it replaces the one before it only as a whole."""
+        """Write the checkpoint of a ``.part`` whose data are on the disk, and replace the previous one atomically."""
         new = new_checkpoint_path(part)
         new.unlink(missing_ok=True)
         try:

@@ -44,7 +44,7 @@ def write_column(
     compress
         Whether numbers are compressed.
     under
-        As for `create`.
+        See `mbdkit.archive.hdf5.create`.
     """
     if array.dtype != TEXT:
         plan = _plan(values, array) if compress else None
@@ -60,7 +60,7 @@ def write_column(
 
 
 def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compress: bool = False) -> None:
-    """Write a column of hexadecimal hashes as bytes; an empty hash is all zero. All have the length of the longest."""
+    """Write a column of hexadecimal hashes of equal length as bytes; an empty hash is stored as zero bytes."""
     width = max((len(text) // 2 for text in hashes), default=0) or 1
     values = np.frombuffer(b"".join(bytes.fromhex(text or "00" * width) for text in hashes), np.uint8)
     scale = Array(f"{array.path}_byte", (f"{array.name}_byte",), "1", f"number of the byte of {array.name}", "<i8")
@@ -90,7 +90,7 @@ def _hexadecimal(values: np.ndarray) -> np.ndarray:
 
 
 def _coded(values: Sequence[str] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the different texts in order of appearance, and the number of the text of each row."""
+    """Return the distinct texts in order of appearance, and for each row the index of its text among them."""
     numbers: dict[str, int] = {}
     codes = np.fromiter((numbers.setdefault(str(value), len(numbers)) for value in values), np.int64, len(values))
     return np.array(list(numbers) or [""], object), codes

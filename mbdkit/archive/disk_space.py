@@ -17,7 +17,7 @@ NEARLY_NOTHING = 2**20
 
 
 SMALL = 2**22
-"""Archives in memory up to this size are not compared with the free memory [bytes]; determining it takes 0.1 ms."""
+"""Archives in memory up to this size [bytes] are not compared with the free memory; to query it takes 0.1 ms."""
 
 
 def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[str] | None = None) -> int:
@@ -55,9 +55,9 @@ def check_room(path: Path | None, rows: int, row: int, every: int | None) -> Non
     Raises
     ------
     SpecError
-        If it is larger than the whole disk or memory.
+        If the archive is larger than the whole disk or memory.
     ResourceError
-        If it is larger than the space that is free now.
+        If the archive is larger than the space that is free now.
     """
     needed = rows * row
     if path is None:

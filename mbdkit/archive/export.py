@@ -65,7 +65,7 @@ def write_tables(
     Parameters
     ----------
     folder
-        It is created if its parent exists.
+        Folder of the files; it is created if its parent exists.
     to
         Name of the format.
     overwrite
@@ -95,7 +95,7 @@ def write_tables(
 
 
 def _prepare(folder: Path, files: list[Path], overwrite: bool) -> bool:
-    """Create the folder if it does not exist, check that the files may be written; return whether it is new."""
+    """Create the folder if it does not exist, check that the files may be written, and return whether it is new."""
     if folder.is_dir():
         for file in files:
             check_output(file, overwrite=overwrite)

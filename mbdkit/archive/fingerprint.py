@@ -87,7 +87,7 @@ def attributes_sha256(file: h5py.File, known: Mapping[str, str] = MappingProxyTy
     Parameters
     ----------
     known
-        Lines of attributes by ``PATH@NAME``, which are not read.
+        Known lines of attributes, by ``PATH@NAME``; these attributes are not read from the file.
     """
     lines = []
     for path, item in _identifiers(h5o.open(file.id, b"/"), ""):

@@ -32,9 +32,9 @@ class FinishedRun:
     Parameters
     ----------
     names
-        Names of its bodies, joints and other elements.
+        Names of the mechanism's bodies, joints and other elements.
     layout
-        The arrays of the archive's layout that it recorded, those of names included.
+        The arrays of the archive's layout that the run recorded, those of names included.
     arrays
         Values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
     shared
@@ -225,7 +225,7 @@ class ArrayHash:
         Parameters
         ----------
         known
-            Digests that are known, by key: runs may share arrays.
+            Known digests of arrays, by key; runs may share arrays, which are then hashed only once.
         """
         digests = dict(known)
         lines = self._names.copy()
@@ -240,5 +240,5 @@ class ArrayHash:
 
 @lru_cache(maxsize=16)
 def array_hash(names: ArchiveNames, recorded: tuple[Array, ...]) -> ArrayHash:
-    """Return the `ArrayHash` of these names and arrays; it is kept for further runs."""
+    """Return the `ArrayHash` of these names and arrays; it is cached for further runs."""
     return ArrayHash(names, recorded)

@@ -86,7 +86,7 @@ class GroupTable:
         return GroupTable(self.run, self.group, self.rows, numbers)
 
     def read(self, rows: slice) -> list[np.ndarray]:
-        """Return the values of each column in some of the rows."""
+        """Return the values of each column in a slice of the rows."""
         paths = dict.fromkeys(column.array.path for column in self.columns)
         with reading(self.group, self.run.path):
             values = {path: _values(self.run.dataset(path), rows) for path in paths}
@@ -154,13 +154,13 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
 
 
 def _element(column: TableColumn) -> tuple[tuple[str, int], ...]:
-    """Return axis and index of the element of a column, such as a joint; nothing if it has none."""
+    """Return axis and index of the element of a column, such as a joint; an empty tuple if it has none."""
     dims = column.array.dims[1:]
     return tuple((dim, k) for dim, k in zip(dims, column.at, strict=True) if dim not in _COMPONENT_DIMS)
 
 
 def _values(dataset: h5py.Dataset | np.ndarray, rows: slice) -> np.ndarray:
-    """Return some of the rows of a dataset; text as Python strings."""
+    """Return the rows of a dataset in a slice; text as Python strings."""
     source = dataset.asstr() if isinstance(dataset, h5py.Dataset) and is_text(dataset) else dataset
     return np.asarray(source[rows])
 

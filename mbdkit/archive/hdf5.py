@@ -53,7 +53,7 @@ def create(
     plan
         Compression of an array of fixed size; None for none.
     under
-        Path of the group that has the place of the root, with a slash at the end.
+        Path of the group that takes the place of the root group, with a slash at the end; empty for the root itself.
     """
     limits = None
     if chunks is not None:

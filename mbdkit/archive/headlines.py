@@ -1,4 +1,4 @@
-"""The numbers that answer a run: its measures or, without any, its largest forces, torques and activations."""
+"""Headlines, the main numbers of a run: its measures or, without any, its largest forces, torques and activations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST = 5
 MOST_DIGITS = 6
 """Largest number of significant digits of a headline."""
 
-#: Decimal places of the first digits of numbers that are printed without an exponent.
+#: Numbers are printed without an exponent if the power of ten of their first digit is in this range.
 SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
 #: Torques [N m] below this share of the largest force [N] or torque of drivers count as zero, and forces likewise.
@@ -40,13 +40,15 @@ class Headline(NamedTuple):
 
 
 def plus_minus(value: float, error: float, sign: str = "+-") -> str:
-    """Return a value and its error, such as ``368.2 +- 0.3``: digits to the place of the error's first digit, or of its
-    second one in numbers without decimals, such as ``3600 +- 210``.
+    """Return a value and its error as text, such as ``368.2 +- 0.3``.
+
+    The value is rounded to the place of the error's first digit or, if it has no decimals, of the error's second digit,
+    as in ``3600 +- 210``.
 
     Parameters
     ----------
     value, error
-        In one unit; the error may be nan, for unknown.
+        The value and its error, in the same unit; an error that is nan is unknown.
     sign
         Sign between them.
     """

@@ -94,9 +94,9 @@ class Column:
     array
         The array.
     part
-        Selected part of its last axis, if it has three.
+        Index or slice of the array's third axis; None for arrays with two axes.
     is_sum
-        Whether its elements are summed.
+        Whether the values are summed over the array's second axis.
     what
         Docstring with shape and unit.
     """
@@ -137,7 +137,7 @@ def columns_of(kind: Kind) -> Iterator[tuple[str, Column]]:
 
 
 class Label:
-    """A property with the text of an object in an array of the archive, or with its texts in several."""
+    """A property that returns the text of an object from an array of the archive, or its texts from several arrays."""
 
     def __init__(self, arrays: Sequence[Array]):
         self.paths = [array.path for array in arrays]
@@ -454,9 +454,9 @@ class Impacts:
     Attributes
     ----------
     time
-        Times of the impacts, and of the ends of geometric sequences that are left out, (I,), s.
+        Times of the impacts, (I,), s. A geometric sequence of impacts that is left out has one entry, at its end.
     contact
-        Name of the contact of each, (I,).
+        Name of the contact of each impact, (I,).
     normal_impulse, tangential_impulse
         Impulses on the second body, (I,), N s; 0 at the end of a sequence.
     energy_lost
@@ -554,7 +554,7 @@ class Histories(ReadOnlyDict[str, V]):
     Parameters
     ----------
     kind
-        Their kind.
+        Kind of the objects, such as bodies or joints.
     run
         The run.
     """
@@ -579,7 +579,7 @@ class Histories(ReadOnlyDict[str, V]):
         return f"<{len(self)} of {self.kind.one}: {few}{', ...' if len(self) > 8 else ''}>"
 
 
-# One class a kind, because completion in notebooks reads the class of the histories from its definition.
+# Each kind has a class, because completion in notebooks reads the class of the histories from its definition.
 
 
 class BodyHistories(Histories[BodyHistory]):

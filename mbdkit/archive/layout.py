@@ -15,7 +15,7 @@ from mbdkit.quantities.table import BY_GROUP, KINDS, RECORDED, sizes_of
 
 FORMAT = "mbdkit-run"
 
-#: Attribute of the group ``trajectory`` while the run is under way: the rows of the tables up to the last flush.
+#: Attribute of the group ``trajectory`` while the run is under way: numbers of rows of the tables at the last flush.
 ROWS_FLUSHED = "rows_flushed"
 
 
@@ -121,7 +121,7 @@ CONTACTS = tuple(array.path for array in LAYOUT if array.group == "contacts")
 #: Paths of the arrays of friction in joints; all of them are present if a joint has friction.
 FRICTION = ("joints/value_row_units", "joints/friction")
 
-#: Paths of those that inverse dynamics does not have.
+#: Paths of the arrays of muscles that inverse dynamics does not record.
 MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
 
 #: Paths of the arrays of estimated errors; all of them are present after a check of accuracy.
@@ -150,7 +150,7 @@ def is_hashed(path: str) -> bool:
 
 
 def is_in(array: Array, version: str) -> bool:
-    """Whether archives of a `version` 1.x have the array; all of them in versions later than `FORMAT_VERSION`."""
+    """Whether archives of a `version` 1.x have the array; those later than `FORMAT_VERSION` count as having all."""
     return _minor(array.since) <= _minor(version)
 
 

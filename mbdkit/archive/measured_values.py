@@ -26,7 +26,7 @@ def compared_json(compared: ComparedMeasures) -> str:
 
 
 def compared_from_json(text: str) -> ComparedMeasures:
-    """Return the values in this attribute; raise ValueError if the text is not such an attribute."""
+    """Return the values in the attribute ``compared_measures``; raise ValueError if the text is not valid."""
     try:
         return {name: tuple(map(_number, x)) for name, x in json.loads(text).items()}
     except (AttributeError, TypeError) as error:

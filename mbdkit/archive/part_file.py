@@ -72,7 +72,7 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
     """
     path = Path(path)
     check_not_input(path, source)
-    if path.suffix != SUFFIX and (os.path.isfile(path) or not os.path.lexists(path)):  # not a device, a folder
+    if path.suffix != SUFFIX and (os.path.isfile(path) or not os.path.lexists(path)):  # devices, folders: see below
         raise SpecError(f"the name of an archive ends in .h5: write {path.with_suffix(SUFFIX)}", file=path)
     check_output(path, overwrite=overwrite, source=source, suffix=SUFFIX)
     return path
@@ -86,7 +86,7 @@ class Target:
     overwrite
         Whether publishing replaces an existing file.
     part
-        Name of the file until it is published, or until `take_place_of` another ``.part``.
+        Name of the file until `publish` or `take_place_of` renames it.
 
     Raises
     ------
@@ -106,7 +106,7 @@ class Target:
         self.file = self._create()
         self._handle: int | None = os.open(self.part, os.O_RDWR)
         self._lock()
-        remove_checkpoint(self.part)  # removes that removes that of an earlier file of this name
+        remove_checkpoint(self.part)  # that of an earlier file of this name
 
     @property
     def path(self) -> Path:
@@ -127,7 +127,7 @@ class Target:
     def _end_if_forked(self) -> None:
         """End the process if it is a fork of the one that writes the archive, and has returned from a plugin.
 
-        Two processes that write one file damage it, and the copy of a run is not what anybody asked for.
+        Two processes that write one file damage it.
         """
         if os.getpid() != self._process:
             os._exit(1)
@@ -274,7 +274,9 @@ class Target:
             self._handle = None
 
     def _unlock(self, handle: int) -> None:
-        """Unlock an open file; closing it would not if a fork has it open, such as a process that a plugin has left."""
+        """Unlock an open file. Closing it does not unlock it while a forked process, such as one that a plugin has
+        started, has it open.
+        """
         if sys.platform != "win32":
             import fcntl
 
@@ -291,7 +293,8 @@ class Target:
         """Rename the flushed .part to `part`, which it replaces with its checkpoint; `drop` no longer removes them."""
         self.sync()
         try:
-            # A checkpoint names its file, so that a kill between the two can be recognized, see `finish_replacement`.
+            # A checkpoint contains the inode number of its file: if the process is killed between the two renamings,
+            # `mbdkit.runs.resuming` recognizes it.
             os.replace(checkpoint_path(self.part), checkpoint_path(part))
             os.replace(self.part, part)
         except OSError as error:

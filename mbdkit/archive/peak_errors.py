@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 PARABOLA, SPLINE = 2.0, 1.5
 """Factors on the heights by which a parabola through three rows, and a cubic spline through all, exceed the rows.
 
-Of random sums of three sines, the larger of the two covers the true peak in 93 % with 4 rows a period of the highest
-frequency, in 99 % with 6, and in all with 10."""
+For random sums of three sines, the larger of the two heights covers the true peak in 93 % of the cases with 4 rows per
+period of the highest frequency, in 99 % with 6, and in all with 10."""
 
 _ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
 _LARGEST = re.compile(
@@ -28,9 +28,9 @@ _LARGEST = re.compile(
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
     """Return the errors (J,) of the largest values of the joints in the first rows; None without a check.
 
-    In a simulated run it is the largest error of the method in these rows, as the true peak may be elsewhere, plus the
-    height by which a peak between rows may exceed the recorded one. In inverse dynamics, values belong to the frames of
-    the data; see `errors_of_frames`.
+    In a simulated run, the error is the largest error of the method in these rows, because the true peak may be
+    elsewhere, plus the height by which a peak between rows may exceed the recorded one. In inverse dynamics, values
+    belong to the frames of the data; see `errors_of_frames`.
 
     Parameters
     ----------

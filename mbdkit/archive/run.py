@@ -71,7 +71,7 @@ class Run(HtmlView):
     Parameters
     ----------
     contents
-        Where its data are; an HDF5 file in memory, or other contents.
+        The data of the run, or an HDF5 file in memory that holds them.
     """
 
     def __init__(self, contents: RunContents | h5py.File):
@@ -109,8 +109,9 @@ class Run(HtmlView):
     def verdict(self) -> Level:
         """The verdict on the results: ``good``, ``unknown``, ``doubtful`` or ``bad``.
 
-        ``good`` needs an estimate of the error. ``unknown`` means that nothing suspicious was seen. Runs that crashed
-        and archives of versions without verdicts are ``unknown`` as well, see `is_judged`.
+        ``good`` needs an estimate of the error. ``unknown`` means that nothing suspicious was seen, but that the error
+        is not known. Runs that crashed and archives of versions without verdicts are ``unknown`` as well, see
+        `is_judged`.
         """
         return next((level for level in LEVELS if level == self._header.verdict), "unknown")
 
@@ -157,7 +158,7 @@ class Run(HtmlView):
 
     @property
     def data_sha256(self) -> str:
-        """SHA-256 of all arrays except timings; empty if the run crashed."""
+        """SHA-256 of all arrays except timings and estimated errors; empty if the run crashed."""
         return self._header.attributes["data_sha256"]
 
     @cached_property
@@ -285,7 +286,8 @@ class Run(HtmlView):
     def measure_errors(self) -> Mapping[str, float]:
         """Estimated errors of the measures by name, each in its unit; nan where unknown, as in runs without check.
 
-        In inverse dynamics, bounds that hold with a probability of 95 %, by noise, cutoff and properties of muscles.
+        In inverse dynamics, they are bounds that hold with a probability of 95 %, given the noise of the data and the
+        uncertainties of cutoff and muscle properties.
         """
         return self.measures.errors
 
@@ -293,8 +295,8 @@ class Run(HtmlView):
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
         """Derivatives of the measures by the parameters that the spec names under `gradients`, by name of the measure.
 
-        Each has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs, or a ``reason``
-        why there are none; empty without `gradients` in the spec.
+        Each measure has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs, or a
+        ``reason`` why there are no derivatives. The mapping is empty without `gradients` in the spec.
         """
         return self._contents.gradients()
 
@@ -390,7 +392,7 @@ class Run(HtmlView):
     def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
         """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.
 
-        The other coordinates that actuators act on by default, those of the joints, are constant.
+        The coordinates of the other joints, on which actuators act by default, are held constant.
 
         Parameters
         ----------
@@ -402,7 +404,7 @@ class Run(HtmlView):
         Returns
         -------
         np.ndarray
-            (T,) [m]; without unit for lengths.
+            (T,) [m]; dimensionless if the coordinate is a length.
 
         Raises
         ------
@@ -496,7 +498,9 @@ class Run(HtmlView):
 
     @cached_property
     def accuracy(self) -> Accuracy | None:
-        """Estimated errors of the recorded rows; None if the run was not checked (``check: true``) or keeps none."""
+        """Estimated errors of the recorded rows; None if the run was not checked (``check: true``), or if a study does
+        not keep the errors.
+        """
         return self._contents.accuracy()
 
     @cached_property
@@ -567,7 +571,8 @@ class Run(HtmlView):
         Returns
         -------
         h5py.Dataset or ndarray
-            The dataset; an ndarray if the run crashed while it wrote the array, with the rows written before.
+            The dataset; an ndarray if the arrays of the run are in memory, or if the run crashed while it wrote the
+            array, which then has the rows written before.
 
         Raises
         ------
@@ -582,7 +587,7 @@ class Run(HtmlView):
 
     @property
     def file(self) -> h5py.File:
-        """The open HDF5 file; of a run whose arrays are in memory, one that is made of them.
+        """The open HDF5 file; if the arrays of the run are in memory, a file in memory that is made of them.
 
         Raises
         ------
@@ -712,7 +717,7 @@ class Run(HtmlView):
         ResourceError
             If the disk is full.
         MbdkitError
-            If the run is closed.
+            If the run is closed, or a study does not keep all of its arrays.
 
         Examples
         --------

@@ -80,11 +80,11 @@ class RunContents(ABC):
     path
         Path of the archive; None without a file.
     run_spec
-        The validated spec, if it is at hand.
+        The validated spec; None if it has to be read from `header`.
     cause
         The exception of a plugin that ended the run in this process.
     whole_rows
-        Number of rows that every array of a crashed run has, by the first axis.
+        For a crashed run, the number of rows that all arrays along a growing axis have, by name of the axis.
     """
 
     header: Header
@@ -281,11 +281,11 @@ class Heading:
     Parameters
     ----------
     spec
-        Its spec.
+        Spec of the run.
     run_id
-        Its identifier.
+        Identifier of the run.
     created_utc
-        Time at which it was stored, ISO 8601.
+        Time at which the run was stored, ISO 8601.
     provenance
         Attributes of ``/provenance``.
     """

@@ -76,7 +76,7 @@ _MAPPINGS = ("model", "integrator", "time", "output")
 _OPTIONAL_MAPPINGS = ("limits", "events")
 
 LONGEST = 4 * LONGEST_NAME
-"""Longest name that is read [characters]: some are made of several, such as those of constraints and residuals."""
+"""Longest name that is read [characters]. Some names, such as those of constraints, are composed of several others."""
 
 
 def check_shapes(file: h5py.File) -> None:
@@ -165,7 +165,7 @@ def spec_of(text: str) -> dict[str, Any]:
 
 
 def _integer(digits: str) -> int:
-    """Return an integer of a spec; raise ValueError if it is larger than any float, which no number of a spec is."""
+    """Return an integer of a spec; raise ValueError if it exceeds the largest float, as no number of a spec may."""
     if math.isinf(float(digits)):
         raise ValueError(f"it has an integer of {len(digits)} digits")
     return int(digits)

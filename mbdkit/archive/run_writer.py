@@ -185,8 +185,8 @@ class RunWriter(ABC):
         Parameters
         ----------
         ending
-            Results known at the end. This method adds ``finish_s`` to its `stats`, the time that it takes itself up to
-            the renaming.
+            Results known at the end. This method adds ``finish_s`` to `Ending.stats`: the time [s] that it takes itself
+            up to the renaming.
         measured
             Takes the measures of the run from the file, in which all else is written, and returns the attribute
             ``measures``; not called without a file.

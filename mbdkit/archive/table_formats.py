@@ -52,8 +52,8 @@ class ExportedTable(Protocol):
 def write_csv(table: ExportedTable, path: Path) -> None:
     """Write comma-separated values in UTF-8: one line with names and units, such as ``knee.force_x [N]``, then rows.
 
-    Numbers have all their digits, so that reading returns the same values; ``nan`` and ``inf`` are not finite. Cells of
-    text that spreadsheets would take for formulas begin with an apostrophe.
+    Numbers have all their digits, so that reading returns the same values; those that are not finite are written as
+    ``nan`` and ``inf``. An apostrophe precedes cells of text that spreadsheets would take for formulas.
     """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

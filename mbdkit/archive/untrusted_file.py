@@ -149,7 +149,9 @@ class _Inspection:
                     )
 
     def links(self, path: str, group: h5g.GroupID) -> list[tuple[bytes, int]]:
-        """Return names and kinds of the members of a group; refuse every link but the only one to an object."""
+        """Return names and kinds of the members of a group; refuse soft and external links, and second links to an
+        object.
+        """
         links: list[tuple[bytes, int]] = []
         words = {h5l.TYPE_SOFT: "a soft link", h5l.TYPE_EXTERNAL: "a link to another file"}
         if len(self.seen) + group.get_num_objs() > self.objects:

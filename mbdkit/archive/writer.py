@@ -147,7 +147,7 @@ class ArchiveWriter(RunWriter):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The lines of the rows written, for `data_sha256`, sorted."""
+        """The lines of the arrays with the rows written so far, of which `data_sha256` is the hash, sorted."""
         grown = (series.line() for table in self._tables.values() for series in table.series)
         return tuple(sorted(filter(None, grown)))
 
@@ -171,7 +171,7 @@ class ArchiveWriter(RunWriter):
             checkpoint.write(self._target.part)
 
     def copy_rows(self, checkpoint: Checkpoint, part: BinaryIO) -> None:
-        """Append the rows of a checkpoint from the ``.part`` that has them, with the time of its creation."""
+        """Append the rows of a checkpoint from its ``.part``, and take over the creation time of the latter."""
         self._file.attrs.modify("created_utc", checkpoint.head["created_utc"])
         for dim, table in self._tables.items():
             rows = checkpoint.rows[dim]
@@ -188,7 +188,7 @@ class ArchiveWriter(RunWriter):
             self._write_more()
 
     def take_place_of(self, part: Path) -> None:
-        """Rename the file to `part`, which it replaces and which an abandoned run leaves."""
+        """Rename the file to `part`, and replace the ``.part`` of that name, which an interrupted run has left."""
         assert self._target is not None
         self._target.take_place_of(part)
 
@@ -213,8 +213,8 @@ class ArchiveWriter(RunWriter):
                 file.attrs.modify("status", ending.status)  # written last, because it declares everything else valid
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
-                # read back from the file, so that it covers all attributes and arrays; only those that every array of
-                # this path has are known
+                # computed from the file, so that it covers everything in it; attributes that the layout prescribes are
+                # not read
                 set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, layout_lines()))
             if self._target is None:
                 self._end(started)

@@ -35,7 +35,7 @@ class Refused:
 
 
 CHUNK = 8 * WIDTH
-"""Number of runs that are prepared before they are advanced; similar ones are vectorized in one loop."""
+"""Number of runs that are prepared before any of them is advanced; similar ones are then vectorized together."""
 
 
 def simulate_batch(
@@ -47,9 +47,9 @@ def simulate_batch(
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
-    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs of explicit
-    methods, and with fixed steps of Gauss and Radau IIA methods, on index-1 equations are vectorized
-    (`mbdkit.runs.lane_runs`), all others are computed one after another.
+    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs on index-1
+    equations with explicit methods, or with fixed steps of Gauss and Radau IIA methods, are vectorized; see
+    `mbdkit.runs.lane_runs` for the exceptions. All others are computed one after another.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def simulate_batch(
         Called with the index of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
         runs are prepared before the first result is yielded.
     measures
-        As for `simulate`. Runs whose measures have time integrals are advanced one after another.
+        As for `simulate`. Runs whose measures contain time integrals are not vectorized.
     lanes
         Loops and compiled mechanisms of earlier batches, made for the same `measures`; by default, new ones.
     """

@@ -1,4 +1,4 @@
-"""Integrals, extrema and values of the motion between the ends of the steps of a run, block by block during the run."""
+"""Integrals, extrema and values of the motion between the ends of steps, computed during a run in blocks of steps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 BLOCK = 256
-"""Number of steps that are evaluated together. It is fixed for the same reason as that of nodes."""
+"""Number of steps in a block, which are evaluated together. It is fixed for the reason given in `integrals.BLOCK`."""
 BESIDE = NODES_WITHOUT_ACCELERATIONS // 2
 """Number of ends of steps on both sides of a block that its polynomials use."""
 
@@ -61,9 +61,9 @@ class ContinuousFunctionals:
     Parameters
     ----------
     workspace
-        The mechanism at its start. Accelerations and reactions are computed with pivots of their own.
+        The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
     functionals
-        The integrals, extrema and values.
+        The integrals, extrema and values to compute.
     timetable
         The times of the run.
     uses_accelerations
@@ -97,14 +97,14 @@ class ContinuousFunctionals:
         return part
 
     def _beside_stop(self, time: float, side: float) -> float:
-        """Return the time on one side of the discontinuity at `time`, +-inf if there is none."""
+        """Return the time before (`side` -1) or after (1) the discontinuity at `time`; without one, -side * inf."""
         for stop, margin in zip(self._table.stops, self._table.stop_margins, strict=True):
             if abs(time - stop) <= SAME_TIME * margin:
                 return stop + side * margin
         return -side * math.inf
 
     def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
-        """Add the ends (T,) of further steps, of a run without discontinuities."""
+        """Add the ends (T,) of further steps of a run whose motions and loads have no discontinuities."""
         for row in range(len(time)):
             if time[row] > self._ends.time[-1]:
                 self._ends.add(time[row], q[row], v[row], z[row])
@@ -125,12 +125,14 @@ class ContinuousFunctionals:
         self._take(whole=True)
 
     def _close(self) -> None:
-        """End the part at a discontinuity."""
+        """Evaluate the remaining steps before a discontinuity, at which this part of the motion ends."""
         self._ends.end = self._beside_stop(self._ends.time[-1], -1.0)
         self._take(whole=False)
 
     def _take(self, *, whole: bool) -> None:
-        """Evaluate the steps of the part; if `whole`, only those of whole blocks, and with ends beside them."""
+        """Evaluate the waiting steps of this part of the motion; if `whole`, only blocks that are complete and followed
+        by `BESIDE` further ends.
+        """
         ends = self._ends
         while True:
             left = len(ends.time) - 1 - ends.done
@@ -148,7 +150,7 @@ class ContinuousFunctionals:
                 ends.drop(ends.done - BESIDE)
 
     def _part(self, ends: _Ends, first: int, count: int) -> MotionPart:
-        """Return the motion over `count` steps, with ends beside them."""
+        """Return the motion over `count` steps, with up to `BESIDE` further ends on both sides."""
         begin, end = max(0, first - BESIDE), min(len(ends.time), first + count + 1 + BESIDE)
         some = slice(begin, end)
         time, q, v, z = (np.array(x[some]) for x in (ends.time, ends.q, ends.v, ends.z))
@@ -162,7 +164,7 @@ class ContinuousFunctionals:
         return MotionPart(self._observer, self._names, StepEnds(time, q, v, accelerations), steps, sides)
 
     def _is_within(self, one: Functional, span: tuple[float, float]) -> bool:
-        """Return whether the time of a value is within a span, and the value unknown."""
+        """Return whether the time of a value is within a span of times, and the value is not yet known."""
         return span[0] <= self._times[one.text] <= span[1] and bool(np.isnan(self._values[one.text]).any())
 
     def _add(self, one: Functional, part: MotionPart) -> None:
@@ -253,7 +255,7 @@ def value_at(part: MotionPart, one: Functional, known: Integrals, duration: floa
 
 
 def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
-    """Return the extremum over a part of the motion and what precedes it, of which `before` is the extremum.
+    """Return the extremum over a part of the motion and the motion before it, whose extremum is `before`.
 
     The time of `before` is nan if nothing precedes it.
     """

@@ -1,9 +1,10 @@
-"""Quantities of the motion between the ends of the steps of a run: integrals that are split, and extrema.
+"""Integrals and extrema of quantities of the motion between the ends of the steps of a run.
 
 The states between the ends of steps are those of the polynomials of degree 11 of `step_interpolation`, whose error is
 below that of the steps. An integrand with `abs`, `min`, `max` or another operation that changes its form is integrated
-by Gauss-Legendre quadrature between the points at which that happens, and an extremum is searched on the same samples,
-with these points among them. Otherwise a measure with such a point in a step would be of first or second order.
+by Gauss-Legendre quadrature between the points at which its form changes, and an extremum is searched on the samples of
+the quadrature and at these points. Otherwise a measure with such a point within a step would be of first or second
+order.
 """
 
 from __future__ import annotations
@@ -24,22 +25,23 @@ from mbdkit.quantities.states import States
 from mbdkit.runs.step_interpolation import StepEnds
 
 POINTS = 8
-"""Nodes of Gauss-Legendre quadrature between two points of a step: order 16, for steps of a fourth of a period."""
+"""Number of nodes of Gauss-Legendre quadrature between two points of a step. Its order 16 suffices for steps of a
+fourth of a period."""
 _NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(POINTS)[0], leggauss(POINTS)[1]))
 _PLACES = np.array([0.0, *_NODES, 1.0])
-"""Shares of a step at which quantities are sampled."""
+"""Times at which quantities are sampled in a step, from 0 at its start to 1 at its end (shares of the step)."""
 _INNER = slice(1, -1)
 
 AT_ROOT = 1e-14
-"""Share of a step to which the points at which an operation changes its form are located."""
+"""Accuracy with which the points at which an operation changes its form are located, as a share of the step."""
 MOST_ITERATIONS = 60
-"""Iterations of this search: regula falsi with bisection needs about ten."""
+"""Largest number of iterations of this search; regula falsi with bisection needs about ten."""
 
 POTENTIAL = 0.5
-"""Largest rise of a quantity above the ends of a step, as a multiple of its second differences there: four times that
-of a parabola."""
+"""Largest rise of a quantity within a step above its values at both ends, as a multiple of the second differences of
+the values at ends: four times the rise of a parabola."""
 RISE = 0.25
-"""The same above samples within a step: twice that of a parabola."""
+"""Largest rise above the samples within a step, as a multiple of their second differences: twice that of a parabola."""
 NOISE = 1e-12
 """Second differences below this share of the values are rounding errors."""
 EQUAL = 1e-9
@@ -47,11 +49,12 @@ EQUAL = 1e-9
 FEW = 64
 """Number of steps up to which all of them are searched for an extremum, whatever the second differences."""
 PEAK = 1e-3
-"""Share of a step to which the time of an extremum is located by a search; the root of the rate of a polynomial through
-`PEAK_POINTS` values up to `AROUND` steps away is then exact up to rounding errors, unlike the argument of a minimum."""
+"""Accuracy of the time of an extremum in a first search, as a share of the step. The time is then the root of the
+derivative of a polynomial through `PEAK_POINTS` values up to `AROUND` steps away, which is exact up to rounding errors;
+a search for the largest value would be exact to half the digits only."""
 AROUND, PEAK_POINTS = 0.02, 7
 SAME = 1e-14
-"""Share of a value by which another one near it must be larger, in order not to be the same up to rounding errors."""
+"""Two values near each other whose relative difference is smaller than this are equal up to rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,12 @@ class Peak:
     Attributes
     ----------
     value
-        Its value; nan if the quantity is undefined somewhere.
+        Value of the extremum; nan if the quantity is undefined somewhere.
     time
-        Its time [s].
+        Time of the extremum [s].
     switch
-        Number of the operation that changes its form there; -1 if it is smooth there, or at an end of the motion.
+        Index of the operation that changes its form at this time; -1 if the quantity is smooth there, or if the time is
+        an end of the motion.
     """
 
     value: float
@@ -91,8 +95,8 @@ class MotionPart:
     names
         Names of the elements.
     ends
-        The ends of the steps (N,), and more of them on both sides if there are more; positions are followed by
-        first-order states, and velocities by their rates.
+        The ends of these steps, and further ends on both sides if there are any (N,). In the columns, positions are
+        followed by first-order states, and velocities by the rates of the states.
     steps
         The steps, as indices of their starts in `ends`.
     sides
@@ -115,7 +119,7 @@ class MotionPart:
         return np.diff(self.ends.time[self.steps.start : self.steps.stop + 1])
 
     def times(self, steps: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the times [s] at shares of steps, whose numbers count from the first of `steps`."""
+        """Return the times [s] at the shares `places` of steps; index 0 is the first step of this part."""
         begin = self.ends.time[self.steps.start + steps]
         return np.asarray(begin + places * (self.ends.time[self.steps.start + steps + 1] - begin))
 
@@ -149,7 +153,8 @@ def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.
 
 @dataclass(frozen=True)
 class Sampled:
-    """A functional over some steps of a part: samples, and the points at which an operation changes its form.
+    """Samples of a functional over some steps of a part of the motion, and the points at which an operation changes its
+    form.
 
     Parameters
     ----------
@@ -158,9 +163,9 @@ class Sampled:
     steps
         (S,) numbers of the steps.
     values
-        Samples (S, P) at the shares `_PLACES` of each step, (2, S, P) of a vector.
+        (S, P) samples at the shares `_PLACES` of each step; (2, S, P) for a vector.
     roots
-        (R, 3) step, share of it, and number of the operation, in order of time.
+        (R, 3) step, share of the step, and index of the operation that changes its form there, in order of time.
     """
 
     part: MotionPart
@@ -201,7 +206,7 @@ class Sampled:
     def peak(self, best: float = -np.inf) -> Peak:
         """Return the extremum over the steps; nan if the quantity is undefined somewhere.
 
-        `best` is the largest value found so far, of ``-x`` for a minimum; rises that do not reach it are not searched.
+        `best` is the largest value found so far (for a minimum, of ``-x``); peaks that cannot reach it are skipped.
         """
         if np.isnan(self.values).any():
             return Peak(np.nan, np.nan)
@@ -209,7 +214,7 @@ class Sampled:
         return max(self.peaks(best), key=lambda one: sign * one.value)
 
     def peaks(self, best: float = -np.inf) -> list[Peak]:
-        """Return the extremum over the steps, and other local ones that are, or may be, equally large."""
+        """Return the extremum over the steps, and other local extrema that may be equally large."""
         sign = -1.0 if self.functional.reduction == "min" else 1.0
         steps, places = np.repeat(self.steps, len(_PLACES)), np.tile(_PLACES, len(self.steps))
         kind, values = np.full(len(steps), -1), sign * self.values.ravel()
@@ -281,7 +286,7 @@ def sampled(
     duration
         Duration of the run [s].
     steps
-        Numbers of the steps, from 0; by default all of the part.
+        Indices of the steps in the part; by default all.
     """
     steps = np.arange(len(part.steps)) if steps is None else steps
     count = len(steps)
@@ -305,14 +310,15 @@ def sampled(
 def steps_of_extremum(
     part: MotionPart, functional: Functional, known: Integrals, duration: float, best: float
 ) -> tuple[np.ndarray, float]:
-    """Return the numbers of the steps in which an extremum may lie, and the largest value at the ends of all steps.
+    """Return the indices of the steps in which an extremum may lie, and the largest of `best` and the values at the
+    ends of all steps.
 
     Parameters
     ----------
     known, duration
         See `sampled`.
     best
-        The largest value found so far, of ``-x`` for a minimum.
+        The largest value found so far (for a minimum, of ``-x``).
     """
     sign = -1.0 if functional.reduction == "min" else 1.0
     values = sign * functional.values(part.at_ends(), known, duration)
@@ -329,7 +335,7 @@ def steps_of_extremum(
 
 
 _At = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""A scalar at shares of steps: of their indices (G,) and the shares (G,)."""
+"""A scalar at shares of steps (G,), as a function of the indices of the steps (G,) and the shares (G,)."""
 
 
 def _beside(share: np.ndarray) -> np.ndarray:
@@ -338,10 +344,11 @@ def _beside(share: np.ndarray) -> np.ndarray:
 
 
 def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return groups, shares before and after, and values there, between which a scalar (G, P) changes sign.
+    """Return brackets of the roots of a scalar (G, P): index of the row, shares before and after the root, and values
+    at these shares.
 
-    Where it approaches zero between three samples without a change of sign, the vertex of the parabola through them is
-    sampled as well.
+    Where three samples approach zero without a change of sign, the vertex of the parabola through them is sampled as
+    well.
     """
     a, b, c = values[:, :-2], values[:, 1:-1], values[:, 2:]
     dips = (a * b > 0.0) & (b * c > 0.0) & (np.abs(b) <= np.abs(a)) & (np.abs(b) <= np.abs(c)) & (a != c)
@@ -371,7 +378,7 @@ def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.n
 def _roots(
     group: np.ndarray, a: np.ndarray, b: np.ndarray, fa: np.ndarray, fb: np.ndarray, at: _At
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return groups and shares of roots between `a` and `b`, by the Illinois method with bisection for all at once."""
+    """Return rows and shares of the roots between `a` and `b`, by the Illinois method with bisection, all at once."""
     a, b, fa, fb = a.copy(), b.copy(), fa.copy(), fb.copy()
     for iteration in range(MOST_ITERATIONS):
         open_ = np.flatnonzero((b - a > AT_ROOT) & (fa != 0.0) & (fb != 0.0))

@@ -35,8 +35,10 @@ OVERSHOOT = 0.1
 
 @dataclass(frozen=True)
 class Stops:
-    """Times at which steps end [s], their margins [s], and those of them at which the velocity of a driver is
-    discontinuous, or what a controller holds changes.
+    """Times [s] at which steps end.
+
+    `margins` [s] are the uncertainties of `times`. `impacts` are those times at which the velocity of a driver is
+    discontinuous, and `samples` those at which the output of a controller changes.
     """
 
     times: tuple[float, ...] = ()
@@ -79,7 +81,7 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
 
 
 def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
-    """Yield time and margin of every change of what controllers hold."""
+    """Yield time and margin of every change of the outputs of controllers."""
     start, end = spec.time.start, spec.time.final
     controllers = spec.mechanism().controllers
     for name, one in controllers.items():
@@ -109,7 +111,7 @@ def check_jumps(spec: RunSpec) -> None:
     Raises
     ------
     SpecError
-        With the key path of the first motion that is not.
+        With the key path of the first motion that violates this.
     """
     for name, joint in spec.mechanism().joints.items():
         for key, motion in joint.motions():
@@ -178,9 +180,8 @@ def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
     """Return whether steps have to end at a discontinuity.
 
     Fixed steps need not end at points of tables that are close to the grid, nor, for methods of up to order 4, at
-    points of quintic splines. Only the fifth derivative is discontinuous there. It is the third derivative of
-    accelerations if a driver follows the spline, and a step across a discontinuous third derivative has an error of
-    order 4.
+    points of quintic splines. At these points only the fifth derivative is discontinuous. If a driver follows the
+    spline, it is the third derivative of accelerations, and a step across its discontinuity has an error of order 4.
     """
     step = spec.time.step
     if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):
@@ -194,8 +195,8 @@ def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
 
 
 def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: str) -> None:
-    """Raise SpecError if a motion is discontinuous exactly at the start or end of the run and its value there is that
-    outside of the run.
+    """Raise SpecError if a motion is discontinuous at the start or end of the run and has, exactly at this time, the
+    value that holds outside of the run.
     """
     is_start = corner.time - start <= end - corner.time
     inner = corner.after if is_start else corner.before

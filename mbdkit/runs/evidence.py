@@ -56,7 +56,7 @@ def evidence_of_run(
     recorder
         The recorder, with all rows written.
     steps
-        Quantities observed over all steps, recorded or not; None if the method could not be started.
+        Quantities observed over all steps, including those that are not recorded; None if the method could not start.
     ending
         Status and reason.
     misalignment_max

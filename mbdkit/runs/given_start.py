@@ -19,20 +19,20 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import RunSpec
 
 RATES = {"vx": "x", "vy": "y", "angular_velocity": "angle"}
-"""Names of velocities of bodies and markers, and of the coordinates that they are the rates of."""
+"""Coordinates of bodies and markers, by the names of their velocities."""
 LONGEST = 0.2
-"""Largest change at once, of an angle [rad] or as a share of the length of the mechanism, so that loops stay on their
-branch."""
+"""Largest change of a given value in one iteration of the path: angles in rad, lengths as a share of the length of the
+mechanism. Small changes keep closed loops in their configuration."""
 MOST_ITERATIONS = 30
 MET = 1e-12
-"""Largest residual of given values and joints [m, rad, m/s, rad/s], relative to the largest number."""
+"""Largest residual of given values and joints [m, rad, m/s, rad/s], relative to the largest coordinate or velocity."""
 
 
 def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: Starts) -> RunSpec:
     """Return a spec with the mechanism written out at a start in which some quantities have given values.
 
-    Of all states that satisfy the joints, it is the one nearest to the start of the spec in the mass metric, found
-    along a path on which the values change gradually.
+    Of all states that satisfy the joints and the given values, the new start is the one nearest to the start of the
+    spec in the mass metric. It is found along a path on which the values change gradually.
 
     Parameters
     ----------

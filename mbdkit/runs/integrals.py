@@ -5,8 +5,8 @@ equation ``z' = f(t, q, v)``, so that an integral has the order of the method fo
 Integrands with `abs`, `min` or `max`, extrema, and values at given times are those of the motion between the ends of
 the steps; see `mbdkit.runs.continuous_motion`.
 
-The values of a quantity that contains other integrals, as in ``rms(x - mean(x))``, are known only at the end of the
-run. Until then, the quantities that it reads at all nodes are kept, or the ends of all steps.
+The values of an integrand that contains other integrals, as in ``rms(x - mean(x))``, are known only at the end of the
+run. Until then, the values of the quantities in it are kept at all nodes (times of stages), or the ends of all steps.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class RunIntegrals:
     Parameters
     ----------
     workspace
-        The mechanism at its start. Accelerations and reactions are computed with pivots of their own.
+        The mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does not use.
     functionals
         The integrals and extrema.
     timetable
@@ -99,7 +99,7 @@ class RunIntegrals:
 
     @property
     def needs_nodes(self) -> bool:
-        """Whether it needs the stages of the steps."""
+        """Whether any of the integrals needs the states at the stages of the steps."""
         return bool(self._direct or self._nested)
 
     def add(self, nodes: Nodes) -> None:

@@ -1,4 +1,7 @@
-"""Vectorized runs: prepares specs, advances those that differ only in numbers together, and finishes them."""
+"""Vectorized runs: prepares specs, advances those that differ only in numbers together, and finishes them.
+
+Each run is a lane, one element of the SIMD vectors with which a loop computes the steps of several runs at once.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 _LOG = logger_of(__name__)
 
 MOST_GROUPS = 8
-"""Number of loops (for one mechanism and method each) that are kept for the next batch."""
+"""Number of loops, each for one mechanism and method, that are kept for the next batch."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class LaneMember:
 
 @dataclass(frozen=True)
 class _Started:
-    """A run at its start, which may or may not suit lanes."""
+    """A run at its start, which may turn out not to be suited to vectorization."""
 
     spec: RunSpec
     method: Method
@@ -158,8 +161,8 @@ class LaneRuns:
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
 
     def members(self, specs: Iterable[RunSpec]) -> list[LaneMember | None]:
-        """Prepare runs for vectorization; None for a run that cannot be vectorized, or whose preparation fails, and is
-        then run alone.
+        """Prepare runs for vectorization; None for a run that has to be computed alone, because it cannot be vectorized
+        or its preparation fails.
         """
         begin = time.perf_counter()
         started = []
@@ -280,7 +283,7 @@ class _RecordedRun:
 
 
 def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
-    """Return the indices of similar runs sorted by their initial energy, without that of springs.
+    """Return the indices of similar runs, sorted by their initial kinetic and gravitational energy.
 
     A loop ends with the lane that has the most steps, so that the numbers of steps in its lanes should be similar. In
     ensembles of double pendulums with different starts, lanes are busy in 83 to 87 % of all iterations of the loop;
@@ -391,7 +394,9 @@ class _Group:
         return np.ascontiguousarray(shaped, self.types[key])
 
     def _beyond_limits(self, results: LaneResults, limits: Sequence[Guards]) -> np.ndarray:
-        """Return (W,) whether a recorded state is near a limit of misalignment, so that each joint must be checked."""
+        """Return (W,) whether a recorded state of a run may exceed a limit of misalignment, so that each joint must be
+        checked.
+        """
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in limits])
         return np.asarray(~(largest <= smallest / 4))  # a joint has at most three rows
@@ -457,7 +462,7 @@ class _Group:
         steps: StepEvidence,
         counters: Mapping[str, int],
     ) -> FinishedRun:
-        """Compute the verdict on a run and return the run; its `stats` lack the times of its steps."""
+        """Compute the verdict on a run and return the run; its `stats` do not yet contain the times of its steps."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""

@@ -1,8 +1,8 @@
 """Watches whether the force laws of a run are used within the ranges that they declare.
 
-Known are length and rate of every pathway at the ends of all steps, recorded or not (implicit methods: at the stages,
-if not every step is recorded), and between them the cubic with these lengths and rates, whose extremes count. An
-excursion within one step is therefore seen if the step resolves the motion.
+Length and rate of every pathway are evaluated at the ends of all steps, recorded or not; for implicit methods, at the
+stages if not every step is recorded. Between these times, the extremes of the cubic with these lengths and rates count.
+An excursion within one step is therefore seen if the step resolves the motion.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 ROUNDING = 1e-9
-"""Share of the largest bound by which an argument may pass it."""
+"""Share of the larger of its bounds by which an argument may exceed a bound."""
 
 BULGE = 0.02
 """An extreme of the cubic within a step counts if it passes the bound by more than this share of its distance to the
@@ -46,18 +46,18 @@ def steps_are_rows(spec: RunSpec) -> bool:
 
 @dataclass(frozen=True)
 class WatchedLaw:
-    """A force element whose law holds in a part of the values of its arguments only.
+    """A force element whose law holds only for a range of values of its arguments: length, rate and time.
 
     Attributes
     ----------
     name, law
         Kind and name of the element, and long name of its law.
     column
-        Its index among the force elements and muscles.
+        Index of the element among the force elements and muscles.
     unit
-        Unit of its length.
+        Unit of the length of the element.
     bounds
-        Lowest and highest length, rate and time.
+        Lowest and highest length, rate and time for which the law holds.
     """
 
     name: str
@@ -67,7 +67,7 @@ class WatchedLaw:
     bounds: tuple[tuple[float, float], ...]
 
     def held(self, argument: int) -> str:
-        """Return for which values of an argument the law holds, as a clause."""
+        """Return a clause that says for which values of an argument the law holds."""
         (low, high), unit = self.bounds[argument], self.units[argument]
         if math.isinf(low):
             return f"its law {self.law} holds, up to {high:.6g} {unit}"
@@ -122,7 +122,7 @@ class LawRanges:
     def of(
         cls, model: Mechanism, mechanism: CompiledMechanism, workspace: Workspace | None = None, *, stops: bool = False
     ) -> LawRanges | None:
-        """Return what watches the laws of a mechanism; None if none of them declares a range. Raises the errors of
+        """Return the `LawRanges` of a mechanism; None if none of its laws declares a range. Raises the errors of
         `has_ranges`.
         """
         if not has_ranges(model):
@@ -200,7 +200,7 @@ class LawRanges:
         return None if np.all(np.isinf(self._first)) else float(self._first.min())
 
     def _note(self, values: np.ndarray, margins: np.ndarray, times: np.ndarray, cubics: np.ndarray) -> None:
-        """Note the values (T, K, 3) that pass their bounds by more than margins, with their times."""
+        """Store the first and the worst of the values (T, K, 3) that exceed their bounds by more than `margins`."""
         for side, sign in enumerate(self._sides):
             outside = sign * values - margins > self._limits[..., side]
             for k, argument in zip(*np.nonzero(outside.any(axis=0)), strict=True):

@@ -22,8 +22,8 @@ from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.spec.varied_specs import VariedSpecs
 
 LONG = 15_000
-"""Evaluations times bodies from which single runs are not vectorized: vectorized steps take up to twice as long if all
-lanes but one are empty, but their preparation takes 1 to 2 ms less."""
+"""Single runs with fewer evaluations times bodies than this are computed by the vectorized loop. Its steps take up to
+twice as long as those of the other loop if all lanes but one are empty, but their preparation takes 1 to 2 ms less."""
 
 
 Numbers = Mapping[str, float | str]

@@ -23,14 +23,15 @@ def _versions() -> dict[str, str]:
 
 
 _EMULATING = ("NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")
-"""Environment variables that let libraries behave as on another processor."""
+"""Environment variables that make libraries use the code for another processor."""
 
 
 @cache
 def _processor() -> str:
-    """Return what the last bits of results depend on: instruction set and model of the processor, and its extensions.
+    """Return instruction set, model and extensions of the processor, and environment variables that emulate others.
 
-    Libraries of linear algebra and compilers select their code by these.
+    Libraries of linear algebra and compilers select their code by these, so that the last bits of results depend on
+    them.
     """
     content = {}
     with suppress(OSError):  # elsewhere than on Linux, the name alone

@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from mbdkit.stepping.contact_state import ContactImpact
 
 APART = 1e-6
-"""Residual of a redundant row that round-off can explain, as a share of the characteristic length; for angles, in
-radians.
+"""Residual of a redundant constraint row that round-off can explain, as a share of the characteristic length; for
+angles, in radians.
 
-A start is assembled to 1e-11 of the largest coordinate."""
+It exceeds the residuals of assembly, which are at most 1e-11 of the largest coordinate."""
 
 SECOND_ORDER = 1.0
-"""Multiple of the uncertainty returned by `unexplained_gaps` that the residual of a redundant row must also exceed.
+"""Multiple of the uncertainty returned by `unexplained_gaps` that the residual of a redundant row must also exceed, in
+order to count as a contradiction.
 
 Measured on parallelograms with redundant rods, with seven methods and steps up to 0.3 s: while the joints are
 consistent, residuals stay below 0.1 of the uncertainty, near singular positions below 0.3; for drivers whose motions
@@ -186,7 +187,8 @@ class Recorder:
         inconsistent.
 
         Joints count as redundant only if they are consistent at the start and in its neighborhood. They are then
-        consistent on the whole branch, unless drivers move them.
+        consistent in all positions on the branch (the continuous set of positions that contains the start), unless
+        drivers move them.
         """
         mechanism = self.workspace.mechanism
         joint, names = mechanism.joints[self._joints.joint[pair]], mechanism.redundancy.not_unique
@@ -230,7 +232,7 @@ class Recorder:
         return first
 
     def _out_of_range(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state after a force law has left its range, and the failure, if that stops."""
+        """Return the row of the first state after a force law has left its range, and the failure if it stops runs."""
         left = None if self.ranges is None else self.ranges.add(stretch.time, observed.forces)
         if self.ranges is None or left is None or not self.ranges.stops:
             return None

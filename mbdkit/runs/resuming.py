@@ -184,8 +184,8 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
 
 
 def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any]) -> RunSpec:
-    """Return the spec of a run; raise SpecError if it began with other versions, because results may then differ
-    bitwise.
+    """Return the spec of a run; raise SpecError if the run began with other versions, because its results might then
+    not be bitwise identical to those of an uninterrupted run.
     """
     check_plugins_of(part, then)
     try:
@@ -214,7 +214,7 @@ class _Unfinished:
     path
         Final name of the archive.
     stream
-        The bytes of the file `part`, by which a file is recognized that has replaced it.
+        The open file `part`, which shows whether another file has replaced it meanwhile.
     """
 
     def __init__(self, part: Path, checkpoint: Checkpoint, path: Path, overwrite: bool, stream: BinaryIO):
@@ -261,7 +261,7 @@ class _Unfinished:
             part=_replacement(self.part),
             shared=shared_forces(workspace.mechanism),
         )
-        # Another call may have resumed the run, and ended, since this one opened the file.
+        # Another call may have resumed and finished the run since this call opened the file.
         if not (self.part.exists() and os.path.samestat(os.fstat(self.stream.fileno()), os.stat(self.part))):
             writer.abandon()
             raise _still_going(self.part)

@@ -73,8 +73,8 @@ class Parts:
         Raises
         ------
         SpecError
-            If the state is not valid for the run. The hash of a checkpoint excludes damage, so that the state must have
-            been modified on purpose.
+            If the state is not valid for the run. Since the hash of a checkpoint detects damage, such a state has been
+            modified on purpose.
         """
         try:
             kept, workspace = state["workspace"], self.workspace
@@ -102,9 +102,9 @@ class Continuation:
     state
         The state of the run.
     rows
-        Returns states and reactions of the rows up to it, for the estimate of their errors.
+        Returns states and reactions of the rows before the checkpoint, for the estimate of their errors.
     restored
-        Called when the state is restored.
+        Called once the state is restored.
     """
 
     state: Mapping[str, Any]
@@ -160,7 +160,7 @@ class Checkpoints:
 
 
 def _kept(bundle: Any) -> dict[str, np.ndarray]:
-    """Return the arrays of the bundle of a run or method that a checkpoint holds."""
+    """Return those arrays of the working data of a run or method that a checkpoint contains."""
     return kept(bundle, STATE, RECORD)
 
 

@@ -1,4 +1,4 @@
-"""A run in progress: its steps in stretches, the recording, and the end of the run."""
+"""A run in progress: its stretches of steps, the recording, and the end of the run."""
 
 from __future__ import annotations
 
@@ -107,13 +107,13 @@ class SimulatedRun:
     Parameters
     ----------
     spec
-        Its validated spec.
+        The validated spec of the run.
     workspace
         The mechanism at its start.
     method
         The method of integration.
     writer
-        The archive, begun.
+        Takes the rows; an archive that has been begun, or arrays in memory.
     begin
         When the run began, by `time.perf_counter` [s].
     warnings
@@ -139,7 +139,7 @@ class SimulatedRun:
         self.warnings, self.choice = warnings, choice
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
-        #: Whether a `Run` is wanted, which Ctrl-C ends early; otherwise, only the arrays in its writer.
+        #: Whether the run becomes a `Run`, which Ctrl-C ends early; otherwise, only the arrays in its writer are used.
         self.becomes_run = True
         self.created = utc_now()
         self.in_memory: Run | None = None
@@ -207,11 +207,11 @@ class SimulatedRun:
 
     @property
     def reached(self) -> float:
-        """Estimated error of positions in the measure of the requested accuracy; nan if it is not known to the end."""
+        """Estimated error of positions as a share of the mechanism's size; nan if it is not known to the end."""
         return self.accuracy.reached if self.accuracy is not None and self.accuracy.is_complete else math.nan
 
     def merit(self) -> tuple[float, float]:
-        """Return a key for comparing attempts: the time until which errors are known, and their negative size."""
+        """Return a key, larger for better attempts: the time until which errors are known, and the negative error."""
         if self.accuracy is None or math.isnan(self.accuracy.known_until):
             return -math.inf, -math.inf
         return self.accuracy.known_until, -self.accuracy.reached
@@ -251,7 +251,7 @@ class SimulatedRun:
         return integrals or (ranges is not None and ranges.needs_nodes)
 
     def take_steps(self, stepper: Advancing, stretch: Stretch) -> None:
-        """Pass on the states at the ends of the steps since the last call, and within them."""
+        """Pass the states of the steps since the last call, at their ends and within them, to integrals and ranges."""
         steps = [] if self.watch is None else self.watch.taken_steps()
         continuous = None if self.integrals is None else self.integrals.continuous
         if continuous is not None and self.watch is not None:
@@ -292,12 +292,12 @@ class SimulatedRun:
 
     @property
     def inner_stepper(self) -> Advancing | None:
-        """What takes the steps, without what watches for events."""
+        """The stepper of the method, without the watch for events that may wrap it."""
         return self.stepper if self.watch is None else self.watch.stepper
 
     @property
     def contacts(self) -> ContactState | None:
-        """What rigid contacts hold, with their impacts so far; None if there are none."""
+        """State of rigid contacts, with their impacts so far; None if there are none."""
         stepper = self.inner_stepper
         return stepper.contact_state if isinstance(stepper, PythonStepper) else None
 

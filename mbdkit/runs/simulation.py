@@ -186,7 +186,7 @@ def simulate_arrays(
 
 @dataclass(frozen=True)
 class _Preparation:
-    """What a simulation needs besides its spec.
+    """The arguments of a simulation besides its spec.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path, 
 
 
 def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
-    """Return what keeps the rows of a run in memory."""
+    """Return a writer that keeps the rows of a run in memory."""
     workspace, assembled = start
     return ArrayWriter(
         archive_names(workspace.mechanism),

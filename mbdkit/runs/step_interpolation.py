@@ -1,7 +1,7 @@
 """States between the steps of a run, by Hermite interpolation over several steps.
 
-Dense output of an explicit method of order 8 takes three more evaluations in each step. The ends of the steps are known
-anyway, with positions, velocities and accelerations: four of them define a polynomial of degree 11, whose error is far
+Dense output of an explicit method of order 8 takes three more evaluations in each step. Positions, velocities and
+accelerations at the ends of steps are known anyway. Four ends define a polynomial of degree 11, whose error is far
 below that of the steps (1e-5 of it for steps of an eighth of a period).
 """
 
@@ -19,12 +19,13 @@ from mbdkit.stepping.interface import SAME_TIME
 NODES = 4
 """Number of ends of steps of one polynomial; fewer next to a discontinuity of a motion."""
 NODES_WITHOUT_ACCELERATIONS = 6
-"""The same if accelerations are not used, for the same degree, 11."""
+"""Number of ends of one polynomial if accelerations are not used; its degree is also 11."""
 LEAST_DISTANCE = 0.05
-"""Smallest distance of two ends that one polynomial uses, as a share of its step, except those of the step itself.
+"""Smallest distance between two ends that one polynomial uses, as a share of the step for which it is made; the two
+ends of the step itself are always used.
 
-Rounding errors grow with the inverse of this share to the power of five: by 1e-4 of a step, such as a last one that is
-cut by an event, they reach 1e-6 of the accelerations, and all digits by 1e-7.
+Rounding errors grow with the inverse of this share to the power of five. At a share of 1e-4, as for a last step that is
+cut by an event, they reach 1e-6 of the accelerations; at 1e-7, no digit is right.
 """
 
 
@@ -37,8 +38,8 @@ class StepEnds:
     time
         (N,) times [s].
     q, v, a
-        (N, 3 (B + 1)) positions, velocities and accelerations; None: accelerations are not used, because in stiff
-        mechanisms they amplify the errors of positions. All may have a further last axis of derivatives.
+        (N, 3 (B + 1)) positions, velocities and accelerations. If `a` is None, accelerations are not used, because in
+        stiff mechanisms they amplify the errors of positions. All may have a further last axis of derivatives.
     """
 
     time: np.ndarray
@@ -130,7 +131,7 @@ class StepStates:
     workspace
         Workspace of the mechanism.
     time, q, v
-        (N,), (N, 3 (B + 1)) ends of all steps, with the start.
+        (N,) times [s], and (N, 3 (B + 1)) positions and velocities at the start and the ends of all steps.
     stops, margins
         Times of discontinuities of motions and loads, at which steps end [s], and their margins; see `Timetable`.
     """

@@ -39,8 +39,8 @@ _ANGLE = re.compile(r"\[(m or )?rad\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings of the model, and about angles in degrees, long steps, excitations, and
-    parameters.
+    """Return the warnings of the model, and those about unresolved beams, unused parameters, angles in degrees, long
+    steps and excitations.
     """
     return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_excitations(spec))
 
@@ -84,8 +84,8 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
 
 
 def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
-    """Return the warnings of a run that question its result: all but those about intended limits of model and step, and
-    about unused parameters, which affect no result.
+    """Return those warnings of a run that question its result: all but the warnings about intended limits of model and
+    step, and about unused parameters.
     """
     known: tuple[str, ...] = _known(spec) if warnings else ()
     return tuple(warning for warning in warnings if warning not in known)

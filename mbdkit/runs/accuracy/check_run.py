@@ -43,10 +43,11 @@ def check_run(
     progress: Callable[[float, float], None] | None = None,
     contacts: ContactState | None = None,
 ) -> Accuracy:
-    """Estimate the errors of a run by comparison runs.
+    """Estimate the errors of a run by comparison runs (companions).
 
-    A check takes 6 times the steps of the run (20 times for time-stepping methods), plus those of the guard (a run with
-    another method). If the spec limits wall time, the same limit applies to all companions together.
+    With fixed steps, a check takes 6 times as many steps as the run (20 times for time-stepping methods), plus those of
+    the guard (a run with another method). If the spec limits wall time, the same limit applies to all companions
+    together.
 
     Parameters
     ----------
@@ -61,7 +62,7 @@ def check_run(
     progress
         Called with (time reached, end time) [s] of each companion.
     contacts
-        What the rigid contacts of the run hold at the end; None if it has none.
+        State of the rigid contacts of the run at its end, with their impacts; None if the run has none.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
@@ -85,7 +86,8 @@ def check_run(
 
 
 def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
-    """Return the time until which runs have the same impacts in the same order [s], and why not longer, as a sentence.
+    """Return the time until which runs have the same impacts in the same order [s], and a sentence that says why they
+    differ later.
 
     Time-stepping methods, which do not locate impacts, are left out.
     """
@@ -103,13 +105,13 @@ def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
 
 
 def units_of(workspace: Workspace, rows: ObservedRows) -> Units:
-    """Return the natural units of the mechanism in a run with these rows, at least two."""
+    """Return the natural units of the mechanism in a run; it has at least two rows."""
     mass = float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))
     return Units.of(workspace.mechanism.length, mass, float(rows.time[-1] - rows.time[0]))
 
 
 def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: float) -> Accuracy:
-    """Return the estimates as they are stored."""
+    """Return the estimates in the form in which archives store them."""
     return Accuracy(
         rows.time,
         errors.position,
@@ -124,7 +126,7 @@ def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: f
 
 
 def _watch(spec: RunSpec) -> Callable[[Workspace, Stepper], Watch] | None:
-    """Return what sets states at events in companions; None if no event sets states."""
+    """Return a function that wraps the stepper of a companion to set states at events; None if no event sets states."""
     if not spec.settings():
         return None
     from mbdkit.runs.watched_events import watch_events
@@ -179,8 +181,8 @@ def _no_errors(rows: ObservedRows) -> ErrorEstimate:
 
 
 FIRST_STEPS = 5
-"""Number of steps after which runs with different tolerances differ. The first step is often the same, and the next
-ones grow by the same largest factor."""
+"""Number of steps after which runs with different tolerances differ. Their first steps are often equal, and the next
+ones grow by the same factor, the largest that step-size control allows."""
 
 
 def check_by_pilots(
@@ -232,7 +234,8 @@ AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
 
 
 def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:
-    """Return the estimates with the requested accuracy, the one reached, and the choice of method and step.
+    """Return the estimates, completed by the requested accuracy, the accuracy reached, and the choice of method and
+    step.
 
     Parameters
     ----------
@@ -241,7 +244,7 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
     spec, workspace
         The run, whose spec gives method and step.
     choice
-        How they were chosen; None if the spec gave them.
+        How method and step were chosen; None if the spec gave them.
     """
     if spec.accuracy is None:
         return accuracy

@@ -1,12 +1,13 @@
 """Chooses method and step for a requested accuracy, from pilot runs and a model of error and work.
 
-The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p near 1; C follows from
-the difference of two pilots; p is observed if the model is extrapolated far. Work is the number of evaluations.
+The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p near 1. C follows from
+the difference of two pilots, which are trial runs with larger steps or tolerances; p is observed if the model is
+extrapolated far. Work is the number of evaluations.
 
 Without a given integrator, DOP853 in adaptive steps is the first candidate. On smooth mechanisms no other built-in
 method needs less than about two thirds of its work, over all accuracies from 1e-3 to 1e-9, while pilots of many methods
-would cost more than they could save. If its steps hardly become shorter with the tolerance, they are limited by
-stability (stiff springs, dampers); Radau IIA of order 9 is then the second candidate.
+would cost more than they could save. If the steps of DOP853 hardly become shorter with a smaller tolerance, they are
+limited by stability (stiff springs, dampers); Radau IIA of order 9 is then the second candidate.
 
 All decisions use counts instead of times, so that equal specs lead to equal choices on every machine.
 """
@@ -40,12 +41,12 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.run_spec import FIRST_EXPLICIT, FIRST_IMPLICIT
 
 MARGIN = 0.3
-"""Target of the expected error, as a share of the requested accuracy. A third costs 15 % more work at order 8; errors
-of smooth motions follow the tolerance within this factor."""
+"""Target of the expected error, as a share of the requested accuracy. At order 8, one third costs 15 % more work than
+the requested accuracy itself; errors of smooth motions follow the tolerance within this factor."""
 
 SATURATED = 0.2
-"""Differences above this share of the size do not allow predictions for smaller steps. Those a little below are larger
-than the model expects, so that the choice is conservative."""
+"""Differences above this share of the mechanism's size do not allow predictions for smaller steps. Differences a little
+below this share are larger than the model expects, so that the choice is conservative."""
 
 FOLLOWS = 0.93
 """Expected exponent of the error of an adaptive method in its tolerance; below 1, because the prediction often spans
@@ -64,11 +65,11 @@ TENTH = 10.0
 """Factor between the tolerances of the first two pilots."""
 
 STIFF = 1.15
-"""Factor by which the number of steps grows if the tolerance is divided by ten; below this value, stability limits the
-steps of DOP853. If accuracy limits them, it is 10^(1/8) = 1.33."""
+"""Stability limits the steps of DOP853 if their number grows by less than this factor when the tolerance is divided by
+ten. If accuracy limits the steps, their number grows by 10^(1/8) = 1.33."""
 
 FIRST_STEPS = 20_000
-"""Largest number of steps of the first pilots of a candidate; those of stiff mechanisms exceed it."""
+"""Largest number of steps of the first pilots of a candidate; explicit pilots of stiff mechanisms exceed it."""
 
 IMPLICIT_STEP = 20.0 * IMPLICIT_WORK
 """Smallest work of a step of Radau IIA with 5 stages, with at least four iterations: 20 evaluations."""
@@ -77,20 +78,20 @@ MANY_STEPS = 2_000
 """Number of steps up to which a limit by stability is accepted, because they take only 0.1 s."""
 
 APART = 100.0
-"""Factor between the tolerances of the first two kept pilots. Errors of single runs scatter about the tolerance by a
-factor of up to 10, so that runs with closer tolerances may differ by less than their errors; a factor of 10 would cost
-15 % more."""
+"""Factor between the tolerances of the first two recorded pilots. Errors of single runs scatter about the tolerance by
+a factor of up to 10, so that runs with closer tolerances may differ by less than their errors; a factor of 10 would
+cost 15 % more."""
 
 AIM = 0.25
-"""Target of the estimated error of a kept pilot, as a share of the requested accuracy; if it is missed, another pilot
-is needed."""
+"""Target of the estimated error of a recorded pilot, as a share of the requested accuracy; if it is missed, another
+pilot is needed."""
 
 MOST_ATTEMPTS = 3
 """Largest number of runs of the chosen method, if the check does not confirm the accuracy at once."""
 
 FAR = {True: 1e5, False: 30.0}
-"""Largest ratio of errors over which the model is extrapolated from the last pilot without another pilot: for adaptive
-methods, whose errors follow the tolerance, and for fixed steps, whose observed order may be lower than that of the
+"""Largest ratio of errors over which the model is extrapolated from the last pilot without another pilot, for adaptive
+methods (True) and fixed steps (False). It is smaller for the latter, whose observed order may be below that of the
 method."""
 
 
@@ -103,9 +104,9 @@ class Candidate:
     integrator
         Name and options.
     adaptive
-        Whether the setting is a tolerance; otherwise it is the step [s].
+        Whether the setting, which is to be chosen, is a tolerance; otherwise it is the step [s].
     order
-        Expected exponent of the error in the setting.
+        Expected exponent p of the error, which is proportional to setting^p.
     """
 
     integrator: Mapping[str, Any]
@@ -121,7 +122,9 @@ class Candidate:
         )
 
     def applied_to(self, spec: RunSpec, setting: float, size: float) -> RunSpec:
-        """Return the spec with this method and a setting; absolute tolerances are relative to small mechanisms."""
+        """Return the spec with this method and a setting; for small mechanisms, the absolute tolerance is a share of
+        their `size` [m].
+        """
         has_default = isinstance(spec.integrator, ControlledOptions)  # follows rtol and the size of the mechanism
         if not self.adaptive:
             return spec.with_choice(dict(self.integrator), setting)
@@ -157,7 +160,7 @@ class Choice:
         The last pilots of the same method, from which the errors of the run are estimated; if empty, companions are
         used.
     final
-        The pilot that is accurate enough to serve as the run, or None.
+        The recorded pilot that is accurate enough to serve as the run; None if there is none.
     """
 
     candidate: Candidate
@@ -186,10 +189,10 @@ class Choice:
         spec
             The spec.
         asked, reached
-            Requested accuracy, and the one estimated by the check; nan if it was not known to the end.
+            Requested accuracy, and the accuracy estimated by the check, which is nan if it was not known to the end.
         """
         order, least = self.candidate.order, 3.0 if self.candidate.adaptive else 1.5
-        # a kept pilot also serves to check the next attempt; further attempts are checked by companions
+        # a recorded pilot also serves to check the next attempt; further attempts are checked by companions
         pilots = () if self.final is None else (*self.pilots[-1:], self.final)
         factor = TENTH if pilots else 100.0 if self.candidate.adaptive else 4.0
         if math.isfinite(reached):
@@ -233,10 +236,11 @@ def choose_method(
 
 
 def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice | None:
-    """Return the choice of a step of Gauss's method where rounding errors limit the tolerance of another one.
+    """Return the choice of Gauss's method with fixed steps after rounding errors have limited the tolerance of another
+    method; None if the spec gives the method, or if rounding errors are not the limit.
 
     Fixed steps of high order are far fewer than adaptive ones at the tightest tolerance, and collect fewer rounding
-    errors. None if the spec gives the method, or something else limits it.
+    errors.
     """
     if spec.choose != "method" or choice.limited != ROUNDING or choice.candidate.integrator["name"] == GAUSS["name"]:
         return None
@@ -266,10 +270,10 @@ class _Search:
         return pilot
 
     def ladder(self, candidate: Candidate) -> Choice | None:
-        """Return the choice of a tolerance by kept pilots with decreasing tolerances, until one is accurate enough.
+        """Return the choice of a tolerance by recorded pilots with decreasing tolerances, until one is accurate enough;
+        None if the steps are limited by stability, or are too many to be recorded.
 
-        The last one serves as the run, and its error is estimated from the previous ones. None if the steps are limited
-        by stability, or are too many to be kept.
+        The last pilot serves as the run, and its error is estimated from the previous ones.
         """
         runs: list[RecordedPilot] = []
         setting = min(max(_rounded(self.asked), APART * TIGHTEST), LOOSEST)
@@ -308,16 +312,16 @@ class _Search:
             setting = _setting(candidate, self.next_tolerance(compared, differences, error))
 
     def difference(self, other: RecordedPilot, run: RecordedPilot) -> float:
-        """Return the largest difference of two kept pilots as a share of the size; inf if one has failed."""
+        """Return the largest difference of two recorded pilots as a share of the size; inf if one has failed."""
         share = self.measure.share(other.positions(run.time) - run.positions(run.time))
         return float(np.nan_to_num(np.max(share), nan=math.inf))
 
     def is_stiff(self, runs: list[RecordedPilot]) -> bool:
-        """Return whether stability limits the steps of the last pilots, and their number is relevant."""
+        """Return whether stability limits the steps of the last pilots, and they are more than `MANY_STEPS`."""
         return runs[-1].steps > MANY_STEPS and runs[-1].steps <= STIFF * runs[-2].steps
 
     def next_tolerance(self, runs: list[RecordedPilot], differences: list[float], error: float) -> float:
-        """Return the tolerance of the next kept pilot."""
+        """Return the tolerance of the next recorded pilot."""
         if not differences[-1] <= SATURATED:
             return runs[-1].setting / APART
         if len(differences) == 1:  # the difference is the error of the coarser run
@@ -327,7 +331,7 @@ class _Search:
         return float(min(wanted, runs[-1].setting / 4))  # runs with closer tolerances would hardly differ
 
     def why_last(self, runs: list[RecordedPilot], differences: list[float], error: float) -> str:
-        """Return the sentence on the last of the kept pilots."""
+        """Return the sentence on the last of the recorded pilots."""
         size = f"of the mechanism's size of {self.measure.size:.3g} m"
         return (
             f"Pilot runs with tolerances {runs[-2].setting:.3g} and {runs[-1].setting:.3g} differ by "
@@ -454,7 +458,7 @@ def _shorter(step: float, *, up: bool = False) -> float:
 
 
 def _dividing(steps: float) -> int:
-    """Return the next larger number of steps that is a multiple or a divisor of the number of samples."""
+    """Return a number of steps that is at least `steps`, and a multiple or a divisor of the number of samples."""
     if steps >= SAMPLES:
         return SAMPLES * math.ceil(steps / SAMPLES - 1e-9)
     return 1 << max(3, math.ceil(math.log2(steps)))

@@ -1,13 +1,14 @@
 """Estimates errors of a run from coarser runs of the same method; arrays only.
 
-Runs with tolerances a > b > c have the errors C a^p, C b^p and C c^p. Their differences from the last one determine C
-and p, for every body and every joint, and thereby the error of the last one, ``d x / (1 - x)`` with d the difference of
-the last two and x = (c / b)^p. With a single coarser run p is not observed, and `ASSUMED` is used. It is smaller than p
-of methods that control the error of each step, which is near 1, so that the estimate tends to be too large.
+Runs with tolerances a > b > c have the errors C a^p, C b^p and C c^p. The differences of the first two runs from the
+last one determine C and p, for every body and every joint, and thereby the error of the last run, ``d x / (1 - x)``,
+with d the difference of the last two runs and x = (c / b)^p. With a single coarser run, p is not observed, and
+`ASSUMED` is used. Methods that control the error of each step have p near 1; `ASSUMED` is smaller, so that the estimate
+tends to be too large.
 
 This is weaker evidence than that of `error_estimate`, but costs nothing, since the coarser runs were needed to choose
-the tolerance. The error is smaller than the observed differences, so that the estimate is wrong by at most their ratio
-if the last run is the more accurate one. An error that all runs share, such as a pulse between two evaluations, is
+the tolerance. If the last run is the most accurate one, its error is smaller than the observed differences, so that the
+estimate is too small by at most their ratio. An error that all runs share, such as a pulse between two evaluations, is
 detected in the loads themselves (`resolved_loads`).
 """
 
@@ -31,19 +32,20 @@ from mbdkit.runs.accuracy.error_estimate import (
 from mbdkit.runs.recorded_states import ObservedRows
 
 LEAST, ASSUMED = 0.25, 0.8
-"""Smallest exponent of the error in the tolerance for which differences count as decreasing; and the exponent that is
-used if none is observed, or if the observed one is larger, as with an exceptionally inaccurate coarse run."""
+"""`LEAST` is the smallest observed exponent of the error in the tolerance for which differences count as decreasing.
+`ASSUMED` is used if no exponent is observed, or if the observed one is larger, as with an exceptionally inaccurate
+coarse run."""
 
 EXPECTED = 10.0
 """Differences up to this many times the requested accuracy need not decrease at all times: such a difference is
 expected for a run whose tolerance is larger by a factor of 10 or more."""
 
 SAFETY = 4.0
-"""Factor of all estimates. Errors of single runs scatter about the tolerance: in 99 % of the pairs of runs of 21
-mechanisms, tolerances 1e-2 to 1e-13, true errors are at most 4.1 times the estimate without this factor, for any ratio
-of the tolerances. With `ASSUMED` nearer to 1 this would grow with the ratio. This holds for the largest error over a
-run; at single times, and for forces, true errors exceed the estimates more often, mostly at tolerances of 1e-6 and
-above, by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust)."""
+"""Factor by which all estimates are multiplied. Errors of single runs scatter about the tolerance: in 99 % of the pairs
+of runs of 21 mechanisms with tolerances from 1e-2 to 1e-13, the largest true error over a run is at most 4.1 times the
+estimate without this factor, for any ratio of the tolerances. With `ASSUMED` nearer to 1, this number would grow with
+the ratio. At single times, and for forces, true errors exceed the estimates more often, mostly at tolerances of 1e-6
+and above, by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust)."""
 
 
 def estimate_from_coarser(
@@ -61,9 +63,10 @@ def estimate_from_coarser(
     main
         The run.
     coarser
-        One or two runs of larger tolerance at its times, the coarsest first. Rows that they did not reach are nan.
+        Values of one or two runs of larger tolerance at the times of `main`, the coarsest first. Rows that they did not
+        reach are nan.
     tolerances
-        Their tolerances, and that of the run.
+        Tolerances of the coarser runs, and that of the run.
     units
         Natural units of the mechanism.
     asked

@@ -41,8 +41,8 @@ class Companion:
     create
         Creates the method.
     timetable
-        Its times. If `within_steps`, the rows are computed by steps to the times of the main run; otherwise, the
-        timetable records rows at these times.
+        Times of the companion. If `within_steps`, each row at a time of the main run is computed by a shorter step from
+        the start of the step in which it lies; otherwise, the timetable records rows at these times.
     formulation, stabilization
         Formulation and stabilization of the equations.
     within_steps
@@ -66,7 +66,7 @@ class Companion:
 
 @dataclass(frozen=True)
 class CompanionRows:
-    """Rows of a companion at the times of the main run, nan where it has none.
+    """Rows of a companion at the times of the main run; nan where the companion has none.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class CompanionRows:
     failure
         Why the companion stopped early, as the rest of a sentence; empty if it did not.
     contacts
-        What rigid contacts hold at the end, with their impacts; None if there are none.
+        State of the rigid contacts at the end, with their impacts; None if there are none.
     """
 
     rows: ObservedRows
@@ -96,7 +96,7 @@ def run_companion(
     Parameters
     ----------
     companion
-        What is run.
+        The companion.
     workspace
         Workspace of the main run. Its mechanism and start are shared; working arrays and pivots are not.
     times
@@ -111,7 +111,7 @@ def run_companion(
     Returns
     -------
     CompanionRows
-        Its rows. Exceptions of a plugin are reported as a failure.
+        Rows of the companion. An exception of a plugin is reported as a failure.
     """
     if companion.treatment is not None:
         workspace = replace(workspace, mechanism=replace(workspace.mechanism, contact_treatment=companion.treatment))
@@ -147,7 +147,7 @@ class _States:
         self.done = 1
 
     def take(self, stretch: Stretch) -> None:
-        """Take recorded states; those at times other than the next ones of the main run are ignored."""
+        """Take the recorded states at the next times of the main run; those at other times are ignored."""
         for row, at in enumerate(stretch.time):
             if self.done < len(self.times) and _equal(at, self.times[self.done], self.times):
                 self.q[self.done], self.v[self.done] = stretch.q[row], stretch.v[row]
@@ -173,8 +173,8 @@ class _States:
 
 
 def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times of rows (T,), with those at a stop shifted to the side that they show, and a mask of the
-    latter.
+    """Return the times of rows (T,), and a mask of those at a stop, which are shifted to the side of the stop whose
+    state the rows show.
     """
     table = companion.timetable
     moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
@@ -266,7 +266,7 @@ def finer(timetable: Timetable, times: np.ndarray, factor: int) -> Timetable:
 
 
 def row_interval(timetable: Timetable) -> float:
-    """Return the distance of the recorded rows of a fixed-step run [s]; the last one may be shorter."""
+    """Return the interval between the recorded rows of a fixed-step run [s]; the last interval may be shorter."""
     if timetable.interval is not None:
         return timetable.interval
     assert timetable.step is not None

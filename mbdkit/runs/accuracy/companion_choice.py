@@ -21,8 +21,8 @@ HALVINGS = (2, 4)
 """Factors by which the steps of a fixed-step run are divided for its companions."""
 
 OF_TIME_STEPPING = (4, 16)
-"""The same for time-stepping methods, whose errors are below a constant times the step, but do not decrease steadily,
-because impacts fall between the ends of steps."""
+"""The same factors for time-stepping methods. Their errors are below a constant times the step, but do not decrease
+steadily with it, because impacts fall between the ends of steps."""
 
 EVENT_DRIVEN_GUARDS = {"dop853": 4, "dopri5": 16}
 """Guards of runs with rigid contacts, with the factors by which their steps are smaller than that of the run."""
@@ -31,8 +31,8 @@ TENTHS = (10.0, 100.0)
 """Factors by which the tolerances of an adaptive run are divided for its companions."""
 
 OTHER_TENTHS = (1e3, 1e5)
-"""The same for companions with another method than the run: SciPy's Radau is up to 100 times more accurate than its
-tolerance."""
+"""The same factors for companions with another method than the run: SciPy's Radau is up to 100 times more accurate than
+its tolerance."""
 
 TIGHTEST = 1e-13
 """Smallest tolerance of a companion; below it, rounding errors dominate."""
@@ -49,7 +49,7 @@ GUARD_STEPS = (20_000, 40)
 stiff problems, and the next guard is tried. A limit on wall time would make the result depend on the machine."""
 
 SINGLE_STEPS = (5_000, 10)
-"""The same for companions that stop after each step, each of which takes about 0.1 ms more."""
+"""The same limit for companions that return after each step, which takes about 0.1 ms more per step."""
 
 
 LOOKS = 2_000
@@ -68,9 +68,9 @@ class Chosen:
     guards
         Runs by other methods; the first one that reaches the end is used.
     refinement
-        Factor between their steps or tolerances; base of the observed order.
+        Factor between the steps or tolerances of successive runs; base of the logarithms of the observed order.
     what
-        What is divided by that factor: ``step`` or ``tolerance``.
+        What is divided by `refinement`: ``step`` or ``tolerance``.
     """
 
     finer: tuple[Companion, Companion]
@@ -197,9 +197,9 @@ def _guards(
     """Return guards with other methods than the run: explicit first, then implicit.
 
     Guards solve the index-1 equations and are projected onto the constraints, so that they also differ in drift, and
-    pass singular positions on the right branch. The last one, for stiff methods, solves the index-2 equations: index-1
-    accelerations of stiff beams consist of round-off, so that adaptive steps become ever smaller. It may be of the same
-    family as the method of the run, but has another order.
+    pass singular positions on the right branch. If the method of the run is for stiff mechanisms, the last guard solves
+    the index-2 equations: index-1 accelerations of stiff beams consist of round-off, so that adaptive steps become ever
+    smaller. This guard may be of the same family as the method of the run, but has another order.
     """
     tableau, stiff = method.traits.tableau, method.traits.suits_stiff
     name = "" if tableau is None else tableau.name

@@ -1,7 +1,7 @@
 """Measures of comparison runs, from which the errors of the measures of a run are estimated.
 
-Unlike the companions of `companion_choice`, which are compared at the recorded times, these are complete runs: their
-integrals, extrema, events and recorded rows are their own, so that no error of a measure is shared.
+Unlike the companions of `companion_choice`, which are compared at the recorded times, these are complete runs. Each has
+integrals, extrema, events and recorded rows of its own, so that measures share no error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mbdkit.runs.accuracy.companion_choice import (
 from mbdkit.spec import RunSpec
 
 Measure = Callable[[RunSpec], Sequence[float] | None]
-"""Returns the values of all expressions in a run of another spec; None if that fails."""
+"""Returns the values of all expressions in a run of another spec; None if this run fails."""
 
 
 def compared_measures(
@@ -48,7 +48,7 @@ def compared_measures(
     steps
         Number of its steps.
     interrupted
-        Whether the user has asked to stop; then the values are unknown.
+        Whether the user has asked to stop; the values are then nan.
     """
     unknown: Sequence[float] = [float("nan")] * len(expressions)
     found = [unknown if interrupted() else measure(one) or unknown for one in _finer(spec, method)]
@@ -88,7 +88,7 @@ def other_methods(
 ) -> list[RunSpec]:
     """Return the specs of runs by other methods, explicit first; see `companion_choice`.
 
-    They record every step, or at an interval [s].
+    The runs record every step or, if `interval` is given, states at this interval [s].
     """
     if spec.has_rigid_contacts:
         assert spec.time.step is not None
@@ -134,11 +134,11 @@ def _varied(
     step
         Step [s]; None: chosen by the method.
     factor
-        Factor by which it may take more steps than the run.
+        Factor by which ``limits.max_steps`` of the run is multiplied.
     most_steps
-        Largest number of its steps, if it is limited.
+        Largest number of steps, if it is given instead of `factor`.
     interval
-        Interval of its recorded states [s]; None: every step is recorded.
+        Interval of the recorded states [s]; None: every step is recorded.
     """
     limits = canonical(spec.limits) | {"max_steps": most_steps or factor * spec.limits.max_steps}
     output = canonical(spec.output) | {"every": 1 if interval is None else None, "interval": interval}

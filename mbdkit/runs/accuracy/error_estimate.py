@@ -30,17 +30,17 @@ LARGEST_RATIO = 0.6
 """Largest d12 / d01 of differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
 
 CONFIRMED = 0.25
-"""Largest distance of the most accurate run from the guard, relative to that of the first one, that replaces an
-observed order: that of a method of order 1."""
+"""An observed order is not needed if the distance of the most accurate run from the guard is at most this share of the
+distance of the first run from it. The value is that of a method of order 1."""
 
 ROUND_OFF = 1e-9
 """Differences from the guard below this share of the size of a quantity are explained by its own tolerance, and not
 included in the estimate."""
 
 AGREED = 1e-5
-"""Differences of all four runs below this share need not decrease. The step has no influence where rounding errors
-dominate; chaotic motions amplify them, from 1e-13 at the start. The largest difference is then the estimate. For the
-same reason, the guard may then be less accurate than the run, and the difference from it widens the estimate."""
+"""Differences of all four runs below this share of the size need not decrease. The step has no influence where rounding
+errors dominate, which chaotic motions amplify from 1e-13 at the start. The largest difference is then the estimate. For
+the same reason, the guard may be less accurate than the run; the estimate then includes its difference from the run."""
 
 AT_REST = 1e-12
 """The same share of the natural unit of the quantity (`Units`), for mechanisms that hardly move."""
@@ -94,7 +94,7 @@ class ErrorEstimate:
     torque
         (T, J) errors of reaction torques [N m].
     known_until
-        Time [s] until which all of these are known; nan if not even at the first row.
+        Time [s] until which all of these errors are known; nan if they are unknown already at the first row.
     order
         Observed exponent of the error of positions in the step, or in the tolerance of an adaptive run, at the last
         known row: log(d01 / d12) over the logarithm of the factor between the runs; nan if only rounding errors were
@@ -120,7 +120,7 @@ def estimate_errors(
         The run, and two companions of increasing accuracy, with values at the times of the run. Rows that a companion
         did not reach are nan.
     guard
-        The same by another method.
+        A run by another method, at the same times.
     units
         Natural units of the mechanism.
     refinement
@@ -139,11 +139,11 @@ def estimate_errors(
 
 
 class Estimated(Protocol):
-    """Estimates for one quantity of all bodies or joints (U), which have K components each."""
+    """Estimates for one quantity of all U units, which are bodies or joints, with K components each."""
 
     @property
     def known(self) -> np.ndarray:
-        """(T,) whether the error of every unit is known."""
+        """(T,) whether the errors of all units are known."""
         ...
 
     def errors(self) -> np.ndarray:
@@ -151,7 +151,7 @@ class Estimated(Protocol):
         ...
 
     def norm_errors(self, part: slice) -> np.ndarray:
-        """Return the errors of the norm of some of the components, (T, U)."""
+        """Return the errors of the norm of the components in a slice, (T, U)."""
         ...
 
     def order(self, count: int) -> float:
@@ -212,7 +212,7 @@ def size_of_motion(position: np.ndarray, length: float) -> float:
 
 
 class _Quantity:
-    """One quantity in three runs and by the guard; implements `Estimated`.
+    """One quantity in three runs and the guard; implements `Estimated`.
 
     Parameters
     ----------

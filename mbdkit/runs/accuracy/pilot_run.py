@@ -1,7 +1,7 @@
 """Pilot runs: trial runs of a spec with candidate methods.
 
-Some positions of a pilot are kept. A recorded pilot keeps the ends of all steps: it can be compared with another one
-at any time, and the last one is used as the run.
+A `PilotRun` keeps its positions at some times only. A `RecordedPilot` keeps the ends of all steps, so that it can be
+compared with another one at any time; the last recorded pilot is used as the run.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, S
 from mbdkit.stepping.start import start_method
 
 SAMPLES = 16
-"""Intervals of equal length between the kept positions; fixed steps of pilots divide them. Dense output takes further
-evaluations in every adaptive step with a sample, so that more samples would not be worth their cost."""
+"""Number of equal intervals between the positions of a `PilotRun` (samples); fixed steps of pilots divide them. Dense
+output takes further evaluations in every adaptive step with a sample, so that more samples are not worth their cost."""
 
 IMPLICIT_WORK = 2.0
-"""Work of an implicit method for each of its evaluations, in evaluations of an explicit one: its linear systems cost as
-much again. Measured on mechanisms of 1 to 6 bodies, 1.8 to 2.3. A constant instead of measured times, so that the same
-spec always leads to the same choice."""
+"""Cost of an evaluation of an implicit method, including linear systems, relative to one of an explicit method. It is
+1.8 to 2.3 on mechanisms of 1 to 6 bodies. A constant is used instead of measured times, so that the same spec always
+leads to the same choice."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PilotRun:
     setting
         Its tolerance, or its step [s].
     position
-        (SAMPLES + 1, B, 3) positions [m] and angles [rad], nan where it has none.
+        (SAMPLES + 1, B, 3) positions [m] and angles [rad]; nan at times that the pilot did not reach.
     steps
         Number of accepted steps.
     work
@@ -197,11 +197,11 @@ class RecordedPilot:
         return StepStates(self.workspace, self.time, self.q, self.v, table.stops, table.stop_margins)
 
     def positions(self, times: np.ndarray) -> np.ndarray:
-        """Return the positions of the bodies (T, B, 3) at times of another run [s]; nan where it has none."""
+        """Return positions [m] and angles [rad] of the bodies (T, B, 3) at times [s]; nan at times not reached."""
         return self._states.at(times)[0][:, :-3].reshape(len(times), -1, 3)
 
     def rows(self, times: np.ndarray) -> ObservedRows:
-        """Return states and reactions at times of another run [s]; nan where it has none."""
+        """Return states and reactions at times (T,) [s]; nan at times not reached."""
         return ObservedRows.at(self.workspace, times, *self._states.at(times))
 
 
@@ -221,7 +221,7 @@ def can_be_recorded(spec: RunSpec) -> bool:
 
 
 class Replay:
-    """Returns the stretches of a finished pilot that serves as the run; implements `Advancing`."""
+    """Implements `Advancing` by the stretches of steps of a finished pilot, which serves as the run."""
 
     def __init__(self, pilot: RecordedPilot):
         self._pilot = pilot

@@ -17,15 +17,16 @@ from mbdkit.spec import RunSpec
 class PositionMeasure:
     """Measures errors of positions.
 
-    The error of a body is that of its centre of mass, or the error of its angle times its `arm` if that is larger, so
-    that the ends of a rod are included, and a disc that rotates about its centre has an error.
+    The error of a body is that of its centre of mass or, if it is larger, the error of its angle times its `arm`. The
+    errors of the ends of a rod and of the rotation of a disc about its centre are thereby included.
 
     Parameters
     ----------
     size
         Size of the mechanism at its start [m].
     arm
-        (B,) largest distance of a joint point from the centre of mass of each body [m]; the size if that is 0.
+        (B,) largest distance of a joint point from the centre of mass of each body [m]; `size` for bodies where that is
+        0.
     """
 
     size: float

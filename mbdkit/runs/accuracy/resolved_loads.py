@@ -1,4 +1,4 @@
-"""Until when the steps of a run resolve its motions and loads: the expressions and tables of time in its spec.
+"""Finds the time until which the steps of a run resolve its motions and loads, which are functions of time in its spec.
 
 All runs of one method can pass over the same short pulse. A pulse between the evaluations of a step can be detected
 without integration: the polynomial through the values of a motion at `NODES` times of a step must reproduce it between
