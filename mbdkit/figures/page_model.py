@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -153,6 +153,10 @@ class Figure:
     guides: tuple[Guide, ...] = ()
     equal: bool = False
 
+    def __post_init__(self) -> None:
+        if self.y.log:
+            object.__setattr__(self, "lines", tuple(map(_told_if_zero, self.lines)))
+
     @property
     def needs_key(self) -> bool:
         """Whether the lines need names: there are several, or a single one that the title does not name."""
@@ -165,6 +169,17 @@ class Figure:
             if axis.log:
                 seen &= np.nan_to_num(values) > 0
         return seen
+
+
+_ZERO = " (exactly 0)"
+
+
+def _told_if_zero(line: Line) -> Line:
+    """Return a line whose label says that all its values are zero, so that a logarithmic axis does not show it."""
+    known = line.y[np.isfinite(line.y)]
+    if not known.size or np.any(known) or line.label.endswith(_ZERO):
+        return line
+    return replace(line, label=line.label + _ZERO, group=line.group or line.label)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def heading(figure: Figure, caption: Caption) -> float:
     room = int(width / 0.069)  # characters of 8.5 points
     lines = [
         (_cut(caption.title, int(width / 0.099)), 11.0, "bold", INK),
-        (_cut(caption.settings, room), 8.5, "normal", FAINT),
+        *((line, 8.5, "normal", FAINT) for line in wrap(caption.settings, room, max_lines=4, placeholder=" ...")),
     ]
     lines += [
         (line, 8.5, "bold", ALARM) for line in wrap(caption.alarm, int(0.88 * room), max_lines=3, placeholder=" ...")

@@ -12,7 +12,8 @@ import numpy as np
 from mbdkit.analysis.order import observed_order
 from mbdkit.figures.page_model import Axis, Column, Figure, Guide, Line
 from mbdkit.spec.key_words import key_words
-from mbdkit.studies.point_selection import METHOD, STEP, value
+from mbdkit.studies.cost_at_error import TIMED, TIMED_ONCE, is_timed
+from mbdkit.studies.point_selection import METHOD, OPERATIONS, STEP, value
 from mbdkit.studies.study_point import axis_unit, value_words
 
 if TYPE_CHECKING:
@@ -21,12 +22,7 @@ if TYPE_CHECKING:
 
 _DECADE = 8.0
 """Ratio of largest to smallest value above which an axis is logarithmic."""
-_ONCE = (
-    'Each run was timed once, in parallel with other work; use "repeats: 5" in a study to measure the spread of times.'
-)
-_SPREAD = "Wall time is the median of the timings; bands show the range between their quartiles."
-OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
-"""Counters whose sum is the cost of a run in operations."""
+_SPREAD = f"{TIMED} Bands reach to the upper quartile."
 
 
 @dataclass(frozen=True)
@@ -120,10 +116,10 @@ def _measure_words(name: str) -> str:
 
 
 def _wall_time(points: Sequence[StudyPoint]) -> Quantity:
-    axis = Axis("wall time", "s", log=True)
-    if any(value(point, "wall_median_s") > 0 for point in points):
-        return Quantity(("wall_median_s",), "Wall time", axis, ("wall_q1_s", "wall_q3_s"), _SPREAD)
-    return Quantity(("wall_s",), "Wall time", axis, caption=_ONCE)
+    if is_timed(points):
+        axis = Axis("wall time, shortest", "s", log=True)
+        return Quantity(("wall_min_s",), "Wall time", axis, ("wall_min_s", "wall_q3_s"), _SPREAD)
+    return Quantity(("wall_s",), "Wall time", Axis("wall time, timed once", "s", log=True), caption=TIMED_ONCE)
 
 
 def is_wide(values: np.ndarray) -> bool:

@@ -10,6 +10,7 @@ from mbdkit.analysis.order import observed_order
 from mbdkit.analysis.verdict import MARGIN, Cell, Column, Table, Verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
+from mbdkit.studies.cost_at_error import cost_at_error
 from mbdkit.studies.point_selection import STEP, Points, value
 from mbdkit.studies.sample_groups import measured
 from mbdkit.studies.study_point import point_words, value_words
@@ -33,7 +34,8 @@ def general_verdict(study: Study) -> Verdict:
         f"{len(complete)} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else "."),
         _extremes(complete),
     ]
-    tables = tuple(table for table in (_orders(study),) if table.rows)
+    cost = cost_at_error(study)
+    tables = tuple(table for table in (cost, _orders(study)) if table is not None and table.rows)
     return Verdict("general", study.spec.title or "Study", " ".join(filter(None, sentences)), tables=tables)
 
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 
 MODEL, METHOD, STEP = "model", "integrator", "time.step"
+OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
+"""Counters whose sum is the cost of a run in operations."""
 
 
 class Points:

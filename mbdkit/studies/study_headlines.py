@@ -9,6 +9,7 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
 from mbdkit.spec.key_words import key_words
+from mbdkit.studies.cost_at_error import error_headlines
 from mbdkit.studies.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit.studies.study_point import axis_unit, point_words
 
@@ -26,10 +27,14 @@ ROUND_OFF = 1e-12
 
 
 def headlines(study: Study) -> list[tuple[str, str]]:
-    """Return the name of each measure that the study or its base defines, with sentences on its values."""
+    """Return the name of each measure that the study or its base defines, with sentences on its values.
+
+    Before them are the errors of runs with a reference, and their cost.
+    """
     names = [measure.name for measure in study.spec.defined_measures()][:MOST]
+    of_errors = [] if study.spec.has_table else error_headlines(study)
     groups = sample_groups(study)[:MOST] if study.spec.has_table else [SampleGroup("", {}, range(len(study.points)))]
-    return [
+    return of_errors + [
         (f"{name} ({group.words})" if group.words else name, told)
         for name in names
         for group in groups

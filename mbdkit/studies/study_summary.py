@@ -34,7 +34,7 @@ def summary(study: Study) -> str:
     lines = [
         ("study", " ".join(study.spec.title.split())),
         ("runs", f"{len(study.points)}: {runs}{beside}"),
-        ("verdicts", verdicts),
+        ("verdicts", verdicts + (" (of runs by themselves, without the reference)" if study.references else "")),
         *(("answer", f"{name}: {told}") for name, told in headlines(study)),
         ("computed", f"{study.computed} now" if study.computed else "nothing now"),
         ("folder", str(study.folder)),

@@ -12,7 +12,9 @@ from PIL import Image
 
 from mbdkit.archive.history import NotRecordedError
 from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.figures.page_model import Axis, Figure, Line
 from mbdkit.plot import energy_plot, save_plot
+from mbdkit.plot.charts import chart_image
 from mbdkit.plot.plot_kinds import PLOT_KINDS
 from mbdkit.plot.save_plot import figure, plot
 
@@ -268,3 +270,12 @@ def test_axes_end_at_the_limits(make_run, tmp_path, monkeypatch):
         plot(make_run(), "drift", tmp_path / "a.png", x_limits=(1.0, 1.0))
     with pytest.raises(SpecError, match="the y axis is logarithmic"):
         plot(make_run(), "drift", tmp_path / "a.png", size=(85.0, 60.0), y_limits=(0.0, 1.0))
+
+
+def test_a_curve_that_is_exactly_zero_is_named_on_a_logarithmic_axis_and_long_captions_are_wrapped() -> None:
+    x = np.array([0.0, 1.0])
+    lines = (Line("closed", x, 0 * x), Line("open", x, 1e-6 + x))
+    chart = Figure("drift", "Drift", "word " * 60, Axis("time", "s"), Axis("misalignment", "m", log=True), lines)
+    assert [line.label for line in chart.lines] == ["closed (exactly 0)", "open"]
+    drawn = [text.get_text() for text in chart_image(chart).texts]
+    assert sum(text.count("word") for text in drawn) == 60
