@@ -366,6 +366,15 @@ class ContactHistory(View, of="contacts"):
     bodies: tuple[str, str]
 
 
+class GroundReactionHistory(View, of="ground_reactions"):
+    """Force of the ground on one body [N], and its centre of pressure [m], nan where the body is in the air."""
+
+    # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
+    force: np.ndarray
+    normal_force: np.ndarray
+    center_of_pressure: np.ndarray
+
+
 class LoadHistory(View, of="loads"):
     """One measured load, in inverse dynamics; force and point of application are in the global frame."""
 
@@ -624,6 +633,10 @@ class MuscleHistories(Histories[MuscleHistory]):
 
 class ContactHistories(Histories[ContactHistory]):
     """The contacts of a run by name."""
+
+
+class GroundReactionHistories(Histories[GroundReactionHistory]):
+    """Forces of the ground on the bodies of a run that may touch it, by name of the body."""
 
 
 class LoadHistories(Histories[LoadHistory]):

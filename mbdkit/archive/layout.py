@@ -118,6 +118,9 @@ MUSCLES = tuple(
 #: Paths of the arrays of contacts; all of them are present if the mechanism has contacts.
 CONTACTS = tuple(array.path for array in LAYOUT if array.group == "contacts")
 
+#: Paths of the arrays of bodies that touch the ground; all of them are present if the mechanism has any.
+GROUND_REACTIONS = tuple(array.path for array in LAYOUT if array.group == "ground_reactions")
+
 #: Paths of the arrays of friction in joints; all of them are present if a joint has friction.
 FRICTION = ("joints/value_row_units", "joints/friction")
 

@@ -25,6 +25,7 @@ from mbdkit.archive.history import (
     Energy,
     Events,
     ForceHistories,
+    GroundReactionHistories,
     Histories,
     Impacts,
     JointHistories,
@@ -388,6 +389,11 @@ class Run(HtmlView):
     def contacts(self) -> ContactHistories:
         """Gaps, forces, slip and modes of the contacts by name; a polygon has one contact for each corner, `NAME.i`."""
         return ContactHistories(BY_WORD["contacts"], self)
+
+    @cached_property
+    def ground_reactions(self) -> GroundReactionHistories:
+        """Force and centre of pressure of each body that may touch the ground, by name of the body."""
+        return GroundReactionHistories(BY_WORD["ground_reactions"], self)
 
     def moment_arms(self, muscle: str, coordinate: str) -> np.ndarray:
         """Return the moment arm of a muscle about a coordinate, -dL/dq, at the recorded rows.

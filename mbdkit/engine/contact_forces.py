@@ -146,9 +146,10 @@ def contact_values(
     contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, z: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Return the recorded quantities (T, C) of contacts at positions and velocities (T, 3 (B + 1)) and first-order
-    states (T, Z).
+    states (T, Z), and the points at which their forces act and normals (T, C, 2) in the global frame.
     """
     found = {name: np.zeros((len(q), len(contacts))) for name in ("gap", "slip", *HELD)}
+    found |= {name: np.zeros((len(q), len(contacts), 2)) for name in ("point", "normal")}
     alike: dict[Form, list[int]] = {}
     for i, one in enumerate(contacts):
         alike.setdefault(one.form, []).append(i)
@@ -157,8 +158,11 @@ def contact_values(
         bodies, numbers = np.array([one.bodies for one in some]).T, np.array([one.numbers for one in some]).T
         state = [x[:, 3 * side + axis] for side in bodies for x in (q, v) for axis in range(3)]
         with np.errstate(all="ignore"):
-            gap, normal, friction, slip = _function(form)(*state, *numbers)[:4]
+            gap, normal, friction, slip, *_, x, y, nx, ny = _function(form)(*state, *numbers)
         found["gap"][:, places], found["slip"][:, places] = gap, slip
+        for name, pair in (("point", (x, y)), ("normal", (nx, ny))):
+            for axis, values in enumerate(pair):
+                found[name][:, places, axis] = values
         if form.law == "none":
             first = np.array([one.first_state for one in some])
             for i, name in enumerate(HELD):

@@ -187,6 +187,7 @@ class RunCompiler(Compiler):
         self.known = {word: list(getattr(mechanism, word)) for word in _KINDS if hasattr(mechanism, word)}
         self.known["states"] = [*mechanism.state_names(), *mechanism.held_names()]
         self.known["contacts"] = mechanism.contact_names()
+        self.known["ground_reactions"] = mechanism.feet()
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:

@@ -28,6 +28,7 @@ class StateCompiler(RunCompiler):
         "beams": (),
         "muscles": ("length", "rate", "force"),
         "contacts": (),
+        "ground_reactions": (),
         "states": ("value",),
     }
     wanted = (

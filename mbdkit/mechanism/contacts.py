@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
@@ -480,6 +480,11 @@ def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
         size = math.hypot(bx - ax, by - ay)
         found += [ax, ay, (by - ay) / size, (ax - bx) / size]
     return tuple(found)
+
+
+def feet(pairs: Iterable[Sequence[str]]) -> list[str]:
+    """Return the names of the bodies that may touch the ground, from the two bodies of each contact."""
+    return list(dict.fromkeys(name for pair in pairs if GROUND in pair for name in pair if name != GROUND))
 
 
 def check_contacts(contacts: Mapping[str, Contact], joints: Mapping[str, Joint]) -> None:

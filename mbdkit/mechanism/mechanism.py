@@ -17,7 +17,7 @@ from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element, Marker
 from mbdkit.mechanism.checks import check_centers, check_known, check_mechanism, check_name, check_names, check_tables
-from mbdkit.mechanism.contacts import Contact, Treatment, check_contacts
+from mbdkit.mechanism.contacts import Contact, Treatment, check_contacts, feet
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joint_friction import JointFriction
 from mbdkit.mechanism.joints import Distance, Driver, Joint, PointOnLine, Prismatic, Revolute, Weld
@@ -862,6 +862,10 @@ class Mechanism(HtmlView):
     def contact_names(self) -> list[str]:
         """Return the names of all contacts, those of polygons with the number of each corner, ``contact.corner``."""
         return [pair.name for name, one in self.contacts.items() for pair in one.pairs(name, self.joints)]
+
+    def feet(self) -> list[str]:
+        """Return the names of the bodies that may touch the ground."""
+        return feet(pair.ordered for name, one in self.contacts.items() for pair in one.pairs(name, self.joints))
 
     def description(self) -> str:
         """Return a line of text with the numbers of elements and of constraint rows."""

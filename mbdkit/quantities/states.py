@@ -14,6 +14,7 @@ from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
 from mbdkit.engine.contact_forces import contact_values
+from mbdkit.engine.ground_reactions import ground_reactions
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.mechanism.muscles import Muscle
@@ -165,8 +166,14 @@ class States:
         """Quantities (T, C) of the contacts by name."""
         return contact_values(self.mechanism.contacts, self.q, self.v, self.z)
 
-    def of_contacts(self, name: str) -> np.ndarray:
-        """Return a quantity (T, C) of the contacts; empty if there are none.
+    @cached_property
+    def _ground_reactions(self) -> dict[str, np.ndarray]:
+        """Quantities of the bodies that may touch the ground by name."""
+        return ground_reactions(self.mechanism.contacts, self._contacts)
+
+    def of_contacts(self, name: str, *, of_ground: bool = False) -> np.ndarray:
+        """Return a quantity (T, C) of the contacts, or (T, F) or (T, F, 2) of the bodies that may touch the ground;
+        empty if there are no contacts.
 
         Raises
         ------
@@ -177,7 +184,7 @@ class States:
             return NONE
         if self.q.ndim > 2:
             raise SpecError(f"derivatives of {name} of contacts by parameters are not known")
-        return self._contacts[name]
+        return (self._ground_reactions if of_ground else self._contacts)[name]
 
     def of_muscles(self, name: str) -> np.ndarray:
         """Return an array (T, M) of `Muscles`, or the excitations of a run; empty if there are no muscles.

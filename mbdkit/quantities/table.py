@@ -79,6 +79,14 @@ def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
     )  # fmt: skip
 
 
+def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
+    dims = ("time", "foot", "axis") if "components" in more else ("time", "foot")
+    return Recorded(
+        name, dims, units, what, take=lambda s: s.of_contacts(name, of_ground=True),
+        no_derivative="the derivatives of quantities of contacts by parameters are not known", **more,
+    )  # fmt: skip
+
+
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
     """Return a kind of arrays without the group in their paths; `since` and `optional` hold for all of them."""
     placed = (
@@ -289,6 +297,22 @@ KINDS = (
         _of_contacts("mode", "1", "0: open, 1: sticks, 2: slips"),
         since="1.1", optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
         is_optional=True, unit_of=lambda mechanism, name: "m",
+    ),
+    _kind(
+        "ground_reactions",
+        _TIME,
+        _texts("foot", "foot", "name of the body that may touch the ground", lambda names: names.feet),
+        _AXIS,
+        _of_ground("force", "N", "force of all contacts with the ground on the body, global frame",
+            vector="force", components=("force_x", "force_y"), has_norm=True),
+        _of_ground("normal_force", "N", "sum of the normal forces of these contacts", is_not_negative=True,
+            charts=(Chart("ground-reactions", "Ground reactions", "Normal force of the ground on each body.", "force",
+                "N"),)),
+        _of_ground("center_of_pressure", "m",
+            "mean of the points of contact with the normal forces as weights, global frame; nan where none is closed",
+            vector="center_of_pressure", components=("center_of_pressure_x", "center_of_pressure_y")),
+        since="1.1", optional=True, word="ground_reactions", one="body that touches the ground", example="force_y",
+        axis="foot", is_optional=True, may_be_unknown=True,
     ),
     _kind(
         "constraints",

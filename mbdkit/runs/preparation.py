@@ -7,7 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
-from mbdkit.archive.layout import CONTACTS, CORRECTIONS, EVENTS, FRICTION, IMPACTS, MUSCLES, STATES, recorded_by
+from mbdkit.archive.layout import (
+    CONTACTS,
+    CORRECTIONS,
+    EVENTS,
+    FRICTION,
+    GROUND_REACTIONS,
+    IMPACTS,
+    MUSCLES,
+    STATES,
+    recorded_by,
+)
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -169,6 +179,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         *(MUSCLES if mechanism.muscles else ()),
         *(FRICTION if mechanism.friction else ()),
         *(CONTACTS if mechanism.contacts else ()),
+        *(GROUND_REACTIONS if archive_names(mechanism).feet else ()),
         *(IMPACTS if mechanism.contact_treatment.is_rigid else ()),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],

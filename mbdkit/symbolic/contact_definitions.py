@@ -41,6 +41,8 @@ takes minutes for polygons."""
 VALUES = ("gap", "normal_force", "friction_force", "slip")
 WRENCHES = ("x1", "y1", "torque1", "x2", "y2", "torque2")
 """Force (x, y) and torque at the centre of mass, on the first and on the second body."""
+PLACES = ("point_x", "point_y", "normal_x", "normal_y")
+"""The point P at which forces act, and the normal, in the global frame."""
 
 
 def numbers_of(kind: tuple[str, int]) -> tuple[sp.Symbol, ...]:
@@ -185,7 +187,7 @@ class Definition:
     steps
         Intermediate quantities in terms of `FIRST`, `SECOND`, the numbers of the kind, `LAW` and earlier ones.
     quantities
-        Those of `VALUES`, followed by those of `WRENCHES`.
+        Those of `VALUES`, followed by those of `WRENCHES` and of `PLACES`.
     """
 
     steps: tuple[tuple[sp.Symbol, sp.Expr], ...]
@@ -226,7 +228,8 @@ def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definitio
     friction = step(friction_force(law, normal, slip)) if has_friction else sp.Integer(0)
     fx, fy = step(normal * nx + friction * ny), step(normal * ny - friction * nx)
     wrenches = (-fx, -fy, oy * fx - ox * fy, fx, fy, px * fy - py * fx)
-    return Definition(tuple(step.named), (gap, normal, friction, slip, *wrenches))
+    places = (x2 + px, y2 + py, nx, ny)
+    return Definition(tuple(step.named), (gap, normal, friction, slip, *wrenches, *places))
 
 
 class _Printer(NumPyPrinter):

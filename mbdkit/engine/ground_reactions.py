@@ -1,0 +1,51 @@
+"""Forces of the ground on the bodies that touch it, and where they act."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mbdkit.engine.contact_forces import ActingContact
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.contacts import OPEN, feet
+
+
+def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the reactions of the ground on each body that may touch it.
+
+    Parameters
+    ----------
+    contacts
+        All contacts of the mechanism.
+    values
+        Their quantities; see `mbdkit.engine.contact_forces.contact_values`.
+
+    Returns
+    -------
+    dict
+        ``force`` (T, F, 2) and ``normal_force`` (T, F), sums over the contacts of a body [N], and
+        ``center_of_pressure`` (T, F, 2), the mean of their points with the normal forces as weights [m]; nan where no
+        contact is closed.
+    """
+    pairs = [one.pair.ordered for one in contacts]
+    names = feet(pairs)
+    push, normal = values["normal_force"], values["normal"]
+    turned = np.stack([normal[..., 1], -normal[..., 0]], axis=-1)
+    on_second = push[..., None] * normal + values["friction_force"][..., None] * turned
+    shape = len(push), len(names)
+    found = {
+        "force": np.zeros((*shape, 2)),
+        "normal_force": np.zeros(shape),
+        "center_of_pressure": np.zeros((*shape, 2)),
+    }
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for place, name in enumerate(names):
+            own = [i for i, pair in enumerate(pairs) if GROUND in pair and name in pair]
+            signs = np.array([1.0 if contacts[i].pair.bodies[1] == name else -1.0 for i in own])
+            found["force"][:, place] = np.sum(signs[:, None] * on_second[:, own], axis=1)
+            found["normal_force"][:, place] = np.sum(push[:, own], axis=1)
+            pressed = np.where(values["mode"][:, own] != OPEN, push[:, own], 0.0)
+            moments = np.sum(pressed[..., None] * values["point"][:, own], axis=1)
+            found["center_of_pressure"][:, place] = moments / np.sum(pressed, axis=1)[:, None]
+    return found
