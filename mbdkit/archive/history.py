@@ -470,6 +470,13 @@ class Impacts:
         Impulses on the second body, (I,), N s; 0 at the end of a sequence.
     energy_lost
         Kinetic energy that all impacts at this time lose, (I,), J.
+    joint
+        Names of the joints, drivers included, (J,).
+    reaction_impulse
+        Impulse of the first body of each joint on the second in all impacts at this time, (I, J, 2), N s, global frame;
+        nan in archives that lack it.
+    reaction_torque_impulse
+        Impulse of the torque at the second's joint point, (I, J), N m s.
     """
 
     time: np.ndarray
@@ -477,14 +484,24 @@ class Impacts:
     normal_impulse: np.ndarray
     tangential_impulse: np.ndarray
     energy_lost: np.ndarray
+    joint: np.ndarray
+    reaction_impulse: np.ndarray
+    reaction_torque_impulse: np.ndarray
 
     @classmethod
     def of(cls, run: Source) -> Impacts:
         """Return the impacts recorded by a run; none if its contacts are not rigid."""
-        names = [item.name for item in fields(cls)]
-        if run.records("impacts/time"):
-            return cls(*(run.array(f"impacts/{name}") for name in names))
-        return cls(*(np.zeros(0, dtype=object if name == "contact" else float) for name in names))
+        joints = run.array("joints/joint")
+        count = len(run.array("impacts/time")) if run.records("impacts/time") else 0
+        absent = {
+            "contact": np.zeros(count, dtype=object),
+            "joint": joints,
+            "reaction_impulse": np.full((count, len(joints), 2), np.nan),
+            "reaction_torque_impulse": np.full((count, len(joints)), np.nan),
+        }
+        none = np.zeros(count)
+        paths = {item.name: f"impacts/{item.name}" for item in fields(cls)}
+        return cls(*(run.array(x) if run.records(x) else absent.get(name, none) for name, x in paths.items()))
 
     def __len__(self) -> int:
         return len(self.time)

@@ -14,12 +14,15 @@ from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.iteration_matrix import IterationMatrix, Pivots, chosen_pivots, classes_of, vector
+from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.equations import MASS
+from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
 from mbdkit.engine.kernels.observe import baumgarte_at
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
+from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -317,6 +320,27 @@ class EquationsOfMotion:
         pairs = np.zeros((len(self._workspace.mechanism.topology.pairs), 2))
         equations.pair_multipliers_of(self.address, float(t), vector(q, self.n), vector(lam, self.m), pairs)
         return np.array([pairs[row.pair, row.place] for row in rows])
+
+    def reactions(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
+        """Return the reactions (J, 3) of the joints on their second bodies, of multipliers `lam` (m,).
+
+        They are forces (x, y) and the torque at the joint point [N, N m], or impulses if the multipliers are; redundant
+        joints share theirs evenly.
+        """
+        workspace, times, none = self._workspace, np.array([t]), np.zeros(self.n)
+        mechanism = workspace.mechanism
+        found = Reactions.zeros(1, len(mechanism.topology.pairs))
+        given = vector(q, self.n), none, vector(lam, self.m)
+        reactions_in_frames(self.address, times, *(x[None] for x in given), found)
+        reactions = found.reactions
+        if len(mechanism.topology.spare):
+            observer, none = StateObserver(workspace), with_ground(none)[None]
+            observed = observer.arrays(1)
+            forces = GivenForces(none, found.lam, found.reactions)
+            states = np.zeros((1, len(mechanism.states)))
+            observer.observe(times, with_ground(vector(q, self.n))[None], none, observed, forces, states)
+            reactions = observed.reactions
+        return joint_sums(mechanism).sum(reactions)[0]
 
     def relative_change(self, q: np.ndarray, dq: np.ndarray) -> float:
         """Return the largest change of a coordinate relative to the largest coordinate of the same kind.

@@ -397,6 +397,12 @@ KINDS = (
         Array("tangential_impulse", _I, "N s",
             "impulse of friction on the second body, along the normal turned by -90 degrees"),
         Array("energy_lost", _I, "J", "kinetic energy that all impacts at this time lose"),
+        _JOINT,
+        _AXIS,
+        Array("reaction_impulse", ("impact", "joint", "axis"), "N s",
+            "impulse of the first body of the joint on the second in all impacts at this time, global frame"),
+        Array("reaction_torque_impulse", ("impact", "joint"), "N m s",
+            "impulse of the torque of the first body on the second, at the second's joint point"),
         optional=True, word="impacts", one="impact", example="time", since="1.1",
     ),
     _kind(

@@ -33,6 +33,8 @@ def run_tables(run: Run) -> tuple[Table, ...]:
     tables = [_joints(run)] if run.joint_names else []
     if len(run.contacts):
         tables.append(_contacts(run))
+    if run.joint_names and len(run.impacts) and np.any(np.isfinite(run.impacts.reaction_impulse)):
+        tables.append(_impulses(run))
     if run.accuracy is not None and run.accuracy.rows_known:
         tables.append(_errors(run, run.accuracy))
     if run.spec.get("events"):
@@ -99,6 +101,22 @@ def _contacts(run: Run) -> Table:
     if len(rows) > JOINTS:
         note += f" The {JOINTS} of {len(rows)} contacts with the largest overlap."
     return Table("contacts", "Overlap and creep of the contacts", columns, tuple(rows[:JOINTS]), note)
+
+
+def _impulses(run: Run) -> Table:
+    """Return the table of the largest impulses of joints at impacts of contacts."""
+    impacts, bodies = run.impacts, [joint.bodies for joint in run.joints.values()]
+    size, torque = np.linalg.norm(impacts.reaction_impulse, axis=2), np.abs(impacts.reaction_torque_impulse)
+    order = np.sort(np.argsort(-np.max(size, axis=0), kind="stable")[:JOINTS])
+    rows: list[tuple[Cell, ...]] = []
+    for i in order.tolist():
+        first = int(np.argmax(size[:, i]))
+        largest = float(size[first, i]), float(impacts.time[first]), float(np.max(torque[:, i]))
+        rows.append((str(impacts.joint[i]), " - ".join(bodies[i]), *largest))
+    columns = columns_of("joint; between; largest impulse [N s]; at [s]; largest impulse of the torque [N m s]")
+    left = len(bodies) - len(rows)
+    note = f"The {JOINTS} of {len(bodies)} joints with the largest impulses." if left else ""
+    return Table("impulses", "Impulses of the joints at impacts", columns, tuple(rows), note)
 
 
 def _errors(run: Run, accuracy: Accuracy) -> Table:

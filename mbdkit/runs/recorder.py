@@ -299,7 +299,7 @@ class Recorder:
         """Write impacts of contacts."""
         if not impacts:
             return
-        time, contact, normal, tangential, lost = zip(*impacts, strict=True)
+        time, contact, normal, tangential, lost, reactions = zip(*impacts, strict=True)
         names = [one.pair.name for one in self.workspace.mechanism.contacts]
         self.writer.append_impacts(
             {
@@ -308,6 +308,8 @@ class Recorder:
                 "normal_impulse": np.array(normal),
                 "tangential_impulse": np.array(tangential),
                 "energy_lost": np.array(lost),
+                "reaction_impulse": np.array(reactions)[:, :, :2],
+                "reaction_torque_impulse": np.array(reactions)[:, :, 2],
             }
         )
 

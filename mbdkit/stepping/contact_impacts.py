@@ -15,11 +15,14 @@ SMALL_RESTITUTION = 1e-3
 
 
 class Struck(NamedTuple):
-    """Velocities (n,) after an impact, impulses (C,) [N s], and whether the impact law was that of the run."""
+    """Velocities (n,) after an impact, impulses (C,) of contacts [N s], impulses (m,) of the constraints of joints, and
+    whether the impact law was that of the run.
+    """
 
     v: np.ndarray
     normal: np.ndarray
     tangent: np.ndarray
+    multipliers: np.ndarray
     is_as_asked: bool
 
 
@@ -52,7 +55,8 @@ def struck(
         impulses = _impulses(contacts, "poisson", response, before, own, some)
     normal, tangent = np.zeros(len(touching)), np.zeros(len(touching))
     normal[some], tangent[some] = np.split(impulses, 2)
-    return Struck(v + contacts.answers(t, q, both)[0] @ impulses, normal, tangent, is_asked)
+    moved, loaded = contacts.answers(t, q, both)
+    return Struck(v + moved @ impulses, normal, tangent, loaded @ impulses, is_asked)
 
 
 def _gains(response: np.ndarray, before: np.ndarray, impulses: np.ndarray) -> bool:

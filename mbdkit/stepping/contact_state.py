@@ -17,13 +17,16 @@ SOLVED = 1e-6
 
 
 class ContactImpact(NamedTuple):
-    """An impact of a contact: time [s], number of the contact, impulses [N s], energy lost by all contacts [J]."""
+    """An impact of a contact: time [s], number of the contact, impulses [N s], energy lost by all contacts [J], and
+    impulses (J, 3) of the joints by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
+    """
 
     time: float
     contact: int
     normal_impulse: float
     tangential_impulse: float
     energy_lost: float
+    reactions: np.ndarray
 
 
 @dataclass(frozen=True)

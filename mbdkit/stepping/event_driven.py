@@ -415,8 +415,9 @@ class _Step:
         tails = self._cut(touching, approach)
         lost = 0.5 * float((now.v - self.now.v) @ (self.p.mass * (now.v + self.now.v)))
         self.now = replace(self.now, dissipated=now.dissipated + lost)
+        reactions = self.p.reactions(now.t, now.q, result.multipliers)
         new = [
-            ContactImpact(now.t, i, float(result.normal[i]), float(result.tangent[i]), lost)
+            ContactImpact(now.t, i, float(result.normal[i]), float(result.tangent[i]), lost, reactions)
             for i in np.flatnonzero(touching & (result.normal > 0)).tolist()
         ]
         changed = [] if result.is_as_asked else [self.contacts.names[one.contact] for one in new]
@@ -450,4 +451,5 @@ class _Step:
         e = np.where((approach < 0) & (contacts.restitution > 0), contacts.restitution, 1.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = now.t - 2.0 * np.where(rests, after / curve, 0.0) / (1.0 - e)
-        return [ContactImpact(float(ends[i]), i, 0.0, 0.0, 0.0) for i in np.flatnonzero(rests).tolist()]
+        none = 0.0 * self.p.reactions(now.t, now.q, forced.multipliers)
+        return [ContactImpact(float(ends[i]), i, 0.0, 0.0, 0.0, none) for i in np.flatnonzero(rests).tolist()]

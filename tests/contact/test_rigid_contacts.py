@@ -9,6 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.report.run_tables import run_tables
 from mbdkit.stepping.complementarity import coulomb, coupled_by_all, stronge, swept
 from tests.witness.pit import pit
 
@@ -358,10 +359,57 @@ def test_a_block_that_rocks_comes_to_rest_on_both_corners() -> None:
 
 
 def test_the_report_has_overlap_force_and_impulse_of_each_contact() -> None:
-    from mbdkit.report.run_tables import run_tables
-
     found = run(ball(0.5), 0.6, 0.05)
     table = next(one for one in run_tables(found) if one.name == "contacts")
     # expected: no overlap, no force in flight, and the impulse of an impact with sqrt(2 g h)
     assert table.rows[0][:6] == ("floor", "ground - ball", pytest.approx(0.0, abs=1e-15), 0.0, 0.0, 1)
     assert table.rows[0][6] == pytest.approx(3.0 * np.sqrt(2 * G), rel=1e-12)
+
+
+def test_impulses_of_joints_balance_the_momenta_of_all_bodies_at_an_impact() -> None:
+    """A driven rod carries a second one, which strikes the floor with friction.
+
+    The momenta are those of two runs, which end just before and after the impact.
+    """
+    rod = {"mass": 2.0, "inertia": 0.06}
+    floor = {"line": {"point": [0.0, -0.5], "normal": [0.0, 1.0]}}
+    model = {
+        "name": "mechanism",
+        "bodies": {"upper": {**rod, "position": [0.3, 0.0]}, "lower": {**rod, "position": [0.9, 0.0]}},
+        "joints": {
+            "hip": {"type": "revolute", "bodies": ["ground", "upper"], "at": [0.0, 0.0]},
+            "motor": {"type": "driver", "bodies": ["ground", "upper"], "coordinate": "angle", "motion": "0.1*sin(3*t)"},
+            "knee": {"type": "revolute", "bodies": ["upper", "lower"], "at": [0.6, 0.0]},
+        },
+        "contacts": {
+            "heel": {
+                "bodies": ["ground", "lower"], "shapes": [floor, {"point": [0.3, 0.0]}],
+                "restitution": 0.4, "friction": 0.3,
+            }
+        },
+    }  # fmt: skip
+    whole = run(model, 0.6, 0.01)
+    impacts = whole.impacts
+    time, near = impacts.time[0], 1e-8
+    before, after = (run(model, end, 0.01) for end in (time - near, time + near))
+    heel = np.array([impacts.tangential_impulse[0], impacts.normal_impulse[0]])
+    own = {name: impacts.reaction_impulse[0, impacts.joint == name][0] for name in impacts.joint}
+    torque = dict(zip(impacts.joint, impacts.reaction_torque_impulse[0], strict=True))
+    assert np.hypot(*own["knee"]) > 1.0
+    loads = {  # impulses on each body, and the points at which they act
+        "upper": ([own["hip"], own["motor"], -own["knee"]], [[-0.3, 0.0], [-0.3, 0.0], [0.3, 0.0]], torque["motor"]),
+        "lower": ([own["knee"], heel], [[-0.3, 0.0], [0.3, 0.0]], 0.0),
+    }
+    for name, (impulses, points, moment) in loads.items():
+        gain = after[name].velocity[-1] - before[name].velocity[-1]
+        assert 2.0 * gain == pytest.approx(np.sum(impulses, axis=0), abs=2e-6)
+        c, s = np.cos(after[name].angle[-1]), np.sin(after[name].angle[-1])
+        arms = np.array(points) @ [[c, s], [-s, c]]
+        turn = sum(arm[0] * one[1] - arm[1] * one[0] for arm, one in zip(arms, impulses, strict=True))
+        change = after[name].angular_velocity[-1] - before[name].angular_velocity[-1]
+        assert 0.06 * change == pytest.approx(turn + moment, abs=2e-6)
+    assert torque["hip"] == torque["knee"] == pytest.approx(0.0, abs=1e-12)
+    table = next(one for one in run_tables(whole) if one.name == "impulses")
+    assert [row[0] for row in table.rows] == ["hip", "motor", "knee"]
+    sizes = np.linalg.norm(impacts.reaction_impulse[:, 2], axis=1)
+    assert table.rows[2][2:4] == (np.max(sizes), impacts.time[np.argmax(sizes)])
