@@ -39,12 +39,12 @@ The source paper is
 
 It asks which integrator keeps the joints of a mechanism together, and at what cost, as a step towards the design of
 devices that support human joints. Its *misalignment* is the distance between the two points of a pinned joint, which
-numerical error makes drift apart. It measures it for pendulums of one and two rods, and predicts it for a knee linkage
-with four joints.
+numerical error makes drift apart. The paper measures the misalignment of pendulums of one and two rods, and predicts
+that of a knee linkage with four joints.
 
-`mbdkit study paper -o paper --report` repeats it within one to three minutes on two cores. The sentences below are
-those of its report, which also has tables and figures; "this machine" is the one that made this page. In BibTeX, with
-no author and no DOI known to us:
+`mbdkit study paper -o paper --report` repeats the comparison within one to three minutes on two cores. The sentences
+below are those of its report, which also has tables and figures; "this machine" is the one that made this page. In
+BibTeX, with no author and no DOI known to us:
 
 ```bibtex
 {bibtex}
