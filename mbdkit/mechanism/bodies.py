@@ -115,7 +115,7 @@ class AtPoint(Element):
     """An element at a point of one body.
 
     The point is given either in the frame of the body or in the global frame; `placed` converts the latter, so that
-    `point` is None only before.
+    `point` is None only before that.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("at",)
@@ -183,7 +183,7 @@ class BetweenPoints(Between):
     """An element between a point of one body and a point of another.
 
     The points are given either in the frames of the bodies or in the global frame; `placed` converts the latter, so
-    that `points` is None only before.
+    that `points` is None only before that.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "at", "from_", "to")

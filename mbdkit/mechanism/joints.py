@@ -174,7 +174,7 @@ class Revolute(PointJoint, At):
         return [Constraint(kind, 0, 2, self.flat_points, center=self.center)]
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
-        """Return the joint with its points in the frames of the bodies; with `at`, the displaced point is there."""
+        """Return the joint with its points in the frames of the bodies; `at` is the position of the displaced point."""
         joint = super().placed(bodies, key)
         if self.at is None or self.center is None:
             return joint

@@ -31,7 +31,9 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
             f"force law {name}: its parameter '{clash[0]}' has the name of an argument of the law; rename it"
         )
     if missing := [state.name for state in law.states if state.name not in names]:
-        raise PluginError(f"force law {name}: its state '{missing[0]}' is no parameter, whose value is the initial one")
+        raise PluginError(
+            f"force law {name}: its state '{missing[0]}' needs a parameter of this name, its initial value"
+        )
     if law.states and law.potential not in (None, False):
         raise PluginError(f"force law {name} has states, so that its force has no potential")
     if not all(isfinite(value) for value in values):
@@ -50,7 +52,7 @@ def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, 
     Raises
     ------
     PluginError
-        If the law fails to compute its range, or if this is not one.
+        If the law fails to compute its range, or if the result is not a range.
     """
     with blaming(f"force law {name} failed to compute its valid range"):
         given: Any = law.valid_range(options) if callable(law.valid_range) else law.valid_range

@@ -80,8 +80,8 @@ class Mechanism(HtmlView):
     contact_treatment : Treatment
         How contacts act in a run.
     warnings : tuple of str
-        Warnings for every run of the mechanism, such as parts of a file that were ignored. It does not change the
-        verdict, and is not part of a spec.
+        Warnings for every run of the mechanism, such as parts of a file that were ignored. They do not change the
+        verdict, and are not part of a spec.
 
     Examples
     --------
@@ -242,8 +242,8 @@ class Mechanism(HtmlView):
             Alternative to `at`: position of the joint in the frames of a and of b, ((x, y), (x, y)) [m].
         center
             Displacement of a's point in a's frame as a function of angle_b - angle_a, ``{"x": ..., "y": ...}`` [m]:
-            numbers, expressions of `angle`, or tables ``{"table": [[angle, ...], [value, ...]]}``. With `at`, the
-            displaced point is there at the initial positions.
+            numbers, expressions of `angle`, or tables ``{"table": [[angle, ...], [value, ...]]}``. `at` is then the
+            displaced point at the initial positions.
         friction
             Dry friction of the pin, such as ``{"coefficient": 0.1, "radius": 0.01}``.
 

@@ -43,7 +43,7 @@ class NamedCoordinate(StrictModel):
 
 
 def _named(value: Any) -> Any:
-    """Accept the quantity alone."""
+    """Convert the name of a quantity alone to a mapping."""
     return {"of": value} if isinstance(value, str) else value
 
 

@@ -224,7 +224,7 @@ class Affine(Quantity):
 
     @property
     def scale(self) -> float:
-        """Size of the factor."""
+        """Magnitude of the factor."""
         return abs(self.factor)
 
     def value(self, q: np.ndarray) -> np.ndarray:
@@ -278,7 +278,7 @@ class Quantities:
         return len(self.quantities)
 
     def only(self, places: Sequence[int]) -> Quantities:
-        """Return some of the quantities."""
+        """Return the quantities at some indices."""
         return Quantities([self.quantities[place] for place in places])
 
     def values(self, q: np.ndarray) -> np.ndarray:

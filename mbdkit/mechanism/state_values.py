@@ -110,10 +110,10 @@ class Controller(StrictModel):
 
 
 def of_time(values: list[tuple[str, Motion]]) -> list[tuple[str, Motion]]:
-    """Return those of (key, value) that are functions of time."""
+    """Return the pairs (key, value) whose value is a function of time."""
     return [(key, value) for key, value in values if not is_of_state(value)]
 
 
 def of_state(values: list[tuple[str, Motion]]) -> list[tuple[str, str]]:
-    """Return those of (key, value) that are expressions of the state."""
+    """Return the pairs (key, value) whose value is an expression of the state."""
     return [(key, value) for key, value in values if isinstance(value, str) and is_of_state(value)]

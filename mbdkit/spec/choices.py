@@ -84,7 +84,7 @@ class Choice:
 
 
 def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
-    """Return a schema of a plugin's options that raises PluginError if their validation fails in another way."""
+    """Return a schema of a plugin's options that raises PluginError for all errors but ValidationError."""
     if item.origin.distribution == "mbdkit":
         return schema
 

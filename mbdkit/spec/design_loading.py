@@ -82,7 +82,7 @@ def _document(source: Any) -> tuple[Document, FilePath]:
 
 
 Given = dict[str, tuple[Path, Any]]
-"""Key paths and values, by the key of the design that says so."""
+"""Key paths and values, by the key of the design that gives them."""
 
 
 def _scenario_spec(
@@ -130,7 +130,7 @@ def _scenario_spec(
 
 
 def _put_all(data: dict[str, Any], given: Given) -> None:
-    """Set key paths of a base, by the key of the design that says so."""
+    """Set values in a base; `given` has them by the key of the design that gives them."""
     for where, (path, value) in given.items():
         try:
             put(data, path, value)
@@ -139,7 +139,7 @@ def _put_all(data: dict[str, Any], given: Given) -> None:
 
 
 def _check_variable(name: str, data: Mapping[str, Any]) -> None:
-    """Raise SpecError if a variable is no parameter of its base, and no key of an element that this has."""
+    """Raise SpecError if a variable is neither a parameter of its base nor a key of one of its elements."""
     path, place = variable_path(name), dict(data)  # type: Path, Any
     for depth, part in enumerate(path):
         if not isinstance(place, Mapping):

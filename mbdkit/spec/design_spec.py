@@ -129,11 +129,11 @@ class Scenario(Section):
 
     base: Base | None = None
     """The spec of its run, or of inverse dynamics: the name of a packaged example, a file, or a mapping; by default,
-    that at the top level."""
+    the `base` at the top level of the design."""
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base."""
     weight: Positive = 1.0
-    """Weight of its goals in the sum over the scenarios."""
+    """Weight of the goals of this scenario in the sum over the scenarios."""
 
 
 class LocalOptimizer(Section):

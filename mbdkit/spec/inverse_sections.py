@@ -294,17 +294,18 @@ class Actuator(Section):
 
 
 class MuscleDeviations(Section):
-    """How well properties of the muscles are known: standard deviations of their logarithms, about their shares.
+    """How well properties of the muscles are known: standard deviations of their logarithms.
 
-    Each property of each muscle varies by itself.
+    These are about the relative standard deviations of the properties. Each property of each muscle varies
+    independently.
     """
 
     max_force: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Of the isometric force."""
+    """Relative standard deviation of the isometric force."""
     optimal_length: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Of the optimal length of the fibres."""
+    """Relative standard deviation of the optimal length of the fibres."""
     tendon_length: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Of the length of the tendon."""
+    """Relative standard deviation of the length of the tendon."""
     samples: Annotated[Count, Field(ge=20)] = 100
     """Number of samples."""
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:
     for name in sections:
-        if name != GROUND:  # allowed, because it is allowed, because it is a natural name of a load
+        if name != GROUND:  # allowed, because it is a natural name of a load
             check_name(name, name)
     return sections
 

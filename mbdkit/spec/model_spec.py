@@ -137,7 +137,7 @@ class ModelSpec(StrictSpec):
     @property
     @abstractmethod
     def span(self) -> tuple[float, float] | None:
-        """Start and end of the motion [s]; None if the spec does not tell."""
+        """Start and end of the motion [s]; None if the spec does not give them."""
 
     @property
     @abstractmethod

@@ -102,7 +102,7 @@ def read_file(path: FilePath) -> Document:
 
 
 def _content(path: FilePath) -> bytes:
-    """Return the content of a file, or of a pipe, as shells make them of ``<(command)``, up to what is too large."""
+    """Return the content of a file, or of a pipe such as a shell makes of ``<(command)``, up to the largest size."""
     first = b""
     waits_not = getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | waits_not)) as stream:

@@ -226,7 +226,7 @@ class RunSpec(ModelSpec):
 
     @property
     def has_rigid_contacts(self) -> bool:
-        """Whether the mechanism has contacts, of rigid bodies."""
+        """Whether the mechanism has contacts, which the run treats as contacts of rigid bodies."""
         return self.contact.treatment != "compliant" and bool(self.mechanism().contacts)
 
     @property

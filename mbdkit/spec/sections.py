@@ -48,8 +48,8 @@ class ContactTreatment(Section):
     explicit methods with fixed steps. `time-stepping`: rigid bodies, whose velocities may jump in every step; by
     `moreau-jean` or `nonsmooth-generalized-alpha`."""
     impact_law: Literal["newton", "poisson"] = "newton"
-    """Law of impacts of rigid bodies, `restitution` of a contact being a ratio of velocities or of impulses; of
-    `event-driven`."""
+    """Law of impacts with `event-driven`: `restitution` of a contact is a ratio of velocities (`newton`) or of impulses
+    (`poisson`)."""
     rest_energy: Annotated[float, Field(gt=0, lt=1, allow_inf_nan=False)] = 1e-12
     """Kinetic energy of a rebound, as a share of the mechanism's largest kinetic energy so far, below which
     `event-driven` keeps the contact closed."""

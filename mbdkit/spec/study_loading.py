@@ -33,8 +33,8 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, a document
         that was read, or a `StudySpec`. The file name of a base is relative to the folder of the study file.
     assignments
-        Assignments with values in YAML: such as ``"time.end=5"``, set in the base of every run, after the `overrides`
-        of the study; or such as ``"sample.n=64"``, set in the sample.
+        Assignments with values in YAML. Those of keys of runs, such as ``"time.end=5"``, are set in the base of every
+        run, after the `overrides` of the study; those such as ``"sample.n=64"`` are set in the sample.
 
     Returns
     -------

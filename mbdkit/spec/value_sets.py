@@ -261,7 +261,7 @@ def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
 
 
 def _hashable(value: Any) -> Hashable:
-    """Return an object that is equal to that of another value if the values are equal."""
+    """Return a hashable object; those of equal values are equal."""
     match value:
         case Mapping():
             return frozenset((key, _hashable(item)) for key, item in value.items())
