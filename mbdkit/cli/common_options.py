@@ -131,7 +131,7 @@ class Printing:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command for which the fields of its parameters that are dataclasses are options of their own."""
+    """Return a command in which each field of a parameter that is a dataclass is an option of its own."""
     signature = inspect.signature(command, eval_str=True)
     groups: dict[str, Any] = {
         name: one.annotation for name, one in signature.parameters.items() if is_dataclass(one.annotation)

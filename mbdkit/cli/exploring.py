@@ -30,7 +30,7 @@ def explore(
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address only.")] = False,
     debug: Debug = False,
 ) -> None:
-    """Turn sliders in the browser, which motion and forces follow.
+    """Show sliders in the browser; motion and forces follow them.
 
     The page is served on this machine only, to those who know the token in its address,
     until Ctrl-C. Needs `pip install "mbdkit[explore]"`.

@@ -65,8 +65,8 @@ def workload(
 ) -> None:
     """Print the workload of joints: peaks, impulses and work.
 
-    With --load, also of each contact, swing and cycle; --json has the cycles from 0
-    to 100 % with their mean and deviation. Drivers of a forward run count as actuators.
+    With --load, it is also printed for each contact, swing and cycle; --json has the cycles from 0 to 100 % with their
+    mean and deviation. Drivers of a forward run count as actuators.
     """
     from mbdkit.analysis.workload import workload as of
     from mbdkit.archive.archive_check import blaming_damage

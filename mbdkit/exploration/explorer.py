@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mbdkit.spec.run_spec import RunSpec
 
 NUMBERS = 20_000
-"""Pose values of a motion."""
+"""Largest number of pose values of a motion."""
 ROWS = 300
 """Largest number of points of a curve."""
 CURVES = 6

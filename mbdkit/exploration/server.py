@@ -77,7 +77,7 @@ class Exploration:
 
 
 def explore(spec: Any, parameters: Sequence[str] | None = None, *, port: int = 0) -> Exploration:
-    """Serve a page on this machine with sliders, which the motion, the forces and the verdict of a spec follow.
+    """Serve a page on this machine with sliders; motion, forces and verdict of a spec follow them.
 
     Notebooks show the page in the output of the cell.
 
@@ -87,7 +87,7 @@ def explore(spec: Any, parameters: Sequence[str] | None = None, *, port: int = 0
         A run spec or an inverse spec: a file, the name of a packaged example, or a mapping.
     parameters
         Named parameters or dotted keys of numbers, such as ``model.springs.support.stiffness``; by default the named
-        parameters or, without any, numbers of the model. Ranges go from half to twice the value, those of angles 30
+        parameters or, without any, numbers of the model. A slider ranges from half to twice the value; for an angle, 30
         degrees to both sides.
     port
         Port of the page; by default a free one.

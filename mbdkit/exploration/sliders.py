@@ -57,7 +57,7 @@ def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]
     ----------
     names
         Named parameters or dotted keys of numbers; by default all named parameters or, without any, numbers of the
-        model, angles of which only those of bodies and of the model.
+        model. Of angles, these are only the angles of bodies and of the model itself.
 
     Raises
     ------

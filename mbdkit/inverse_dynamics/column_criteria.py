@@ -16,16 +16,16 @@ UNEVEN = 0.01
 """Relative variation of the intervals between rows from which their times are examined."""
 
 EVEN, CERTAIN = 0.5, 6.0
-"""The times are implausible if the columns agree better with evenly spaced ones: if the share of the difference between
-both that the columns contain is above the first (0 for right times, 1 for even samples), and above the second times its
-standard deviation due to noise."""
+"""The columns are compared with the given times and with evenly spaced ones. The result is a share: 0 if the given
+times are right, 1 if the even ones are. The given times are implausible if the share exceeds the first limit, and the
+second one times the standard deviation of the share due to noise."""
 
 CERTAIN_OF_GRID = 3.0
-"""The same as the second if the given times are evenly spaced ones that are rounded: all are multiples of a grid, and
-within 3/4 of it of a straight line, which uneven samples are by chance only."""
+"""Replaces the second limit if the given times are rounded, evenly spaced times: all are multiples of an interval of
+`GRIDS`, and deviate from a straight line by less than 3/4 of it, as uneven samples do by chance only."""
 
 GRIDS = tuple(10.0**-digits for digits in range(1, 7))
-"""Multiples [s] of which rounded times consist."""
+"""Intervals [s] of which rounded times are multiples."""
 
 SPIKE, LEAST_SPIKE = 8.0, 0.005
 """A sample is an outlier if it deviates from its neighbours by more than the first times the robust standard deviation

@@ -54,7 +54,7 @@ class Dynamics:
 def solve_dynamics(
     fitter: Fitter, motion: Motion, loads: Loads, actuators: Sequence[NamedActuator], *, report: bool = False
 ) -> tuple[Dynamics, Balance, np.ndarray]:
-    """Return the forces that produce a motion, the balance, and the generalized forces (T, n) that it has to supply.
+    """Return the forces that produce a motion, the balance, and the generalized forces (T, n) that it supplies.
 
     Parameters
     ----------

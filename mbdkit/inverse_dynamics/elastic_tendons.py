@@ -1,13 +1,14 @@
 """Recruitment of muscles with elastic tendons: fibres and tendons are in equilibrium, frame after frame.
 
-The tension F of a muscle stretches its tendon, which leaves fibres of the length l(F); their velocity is the change of
-this length since the frame before, over the time between. The activation with which they exert the tension is
+The tension F of a muscle determines the length of its tendon, and thus the length l(F) of its fibres. The velocity of
+the fibres is the change of l since the previous frame, divided by the time between both frames. The activation with
+which they exert the tension is
 
     a(F) = (F / (max_force cos(alpha)) - f_passive(l)) / (f_active(l) f_velocity(v))
 
 The optimum of each frame is that of the tensions a(F). It is found by convex programmes in which F is linear in a, with
-the slope at the activations of the programme before; where these agree, the conditions of optimality are those of the
-problem itself. In the first frame, tendons have constant lengths.
+the slope at the activations that the previous programme found. Once two programmes find the same activations, the
+conditions of optimality are those of the problem itself. In the first frame, tendons have constant lengths.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.force_curves import CURVES
 
 ITERATIONS = 60
-"""Programmes of one frame; 4 to 8 are usual."""
+"""Largest number of programmes of one frame; 4 to 8 are usual."""
 SETTLED = 1e-12
 """Change of the tensions, in `max_force`, at which the programmes of a frame end."""
 FARTHEST = 0.2
@@ -34,7 +35,7 @@ WEAK = 1e-6
 SMALLEST = 0.05
 """Smallest share of a change of the tensions that is made."""
 SLOWEST, STRONGEST = 0.05, 1.5
-"""Least factor of force by velocity, and largest activation, with which programmes are made."""
+"""Least factor of force by velocity, and largest activation, that programmes use."""
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ Noise is Gaussian and independent from sample to sample. Samples of it, passed t
 smoothing, give the covariance of coordinates, rates and accelerations in each frame; derivatives of the dynamics by
 central differences give the covariance of the forces. Loads are not smoothed, so that their noise is added to this
 covariance unchanged. The effect of the cutoff is added by root sum of squares: the mean of the squared changes of the
-result with a lower and a higher cutoff, minus the mean square change caused by noise alone. So is that of the choice of
-independent coordinates, unless these are the measured quantities: the squared change of the result where others are
-smoothed, minus its mean square due to noise. Properties of muscles that are not known exactly are drawn at random; the
-mean squares of the changes are added.
+result with a lower and a higher cutoff, minus the mean square change caused by noise alone. The effect of the choice of
+independent coordinates is added in the same way, unless they are the measured quantities: the squared change of the
+result if others are smoothed, minus the mean square of this change due to noise. Properties of muscles that are not
+known exactly are drawn at random; the mean squares of the changes are added.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class _Outcome:
 
 
 class _Response:
-    """The outcome of a series of independent coordinates, near that of a result."""
+    """Computes the outcome of series of independent coordinates that are near those of a result."""
 
     def __init__(self, result: Inverse, independent: Independent):
         self.result, self.independent = result, independent
@@ -162,7 +162,7 @@ def _covariances(
 ) -> list[np.ndarray]:
     """Return covariances (T, 3 U, 3 U), due to noise, of the coordinates, their rates and accelerations in each frame.
 
-    The first is that of the result; the others are those of the differences from it.
+    The first is that of the result; each further one is that of the change of the coordinates by one of `others`.
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
     for noise in path.samples(deviation, asked.samples, random):
@@ -195,7 +195,8 @@ def _with_loads(
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Return the derivatives of each part of the outcome, and the covariance, both including the noise of the loads.
 
-    Each of their C noisy components is one more variable in each frame, as independent of the others as of the motion.
+    Each of the C noisy components of loads is a further variable in each frame, independent of the others and of the
+    motion.
     """
     problem, base = result.problem, _outcome(result)
     deviations, columns = [], []
@@ -219,8 +220,8 @@ def _with_loads(
 def _muscle_squares(result: Inverse, random: np.random.Generator) -> list[np.ndarray] | None:
     """Return the squared bounds of all parts, in the order of `_bounds`, due to the properties of the muscles.
 
-    Samples with muscles that cannot produce a frame do not count there; where these are more than half of them, the
-    bounds are nan. None if the properties count as exact.
+    Samples with muscles that cannot produce a frame do not count there; where these are more than half of the samples,
+    the bounds are nan. None if the properties count as exact.
     """
     base, factor = _outcome(result), chi2.ppf(LEVEL, 1)
     unknown = tuple(np.full_like(part, np.nan) for part in base.parts)
@@ -297,7 +298,7 @@ class _Other:
 
     @classmethod
     def of(cls, name: str, noise: Callable[[np.ndarray], Smoothed], outcome: _Outcome, base: _Outcome) -> _Other:
-        """Return the other way of this outcome."""
+        """Return another way of smoothing, from its outcome and the outcome `base` of the result."""
         one = outcome.minus(base)
         force, torque = np.linalg.norm(one.reactions[..., :2], axis=2), one.reactions[..., 2]
         return cls(name, noise, [one.actuators, force, torque, one.position, one.velocity, one.muscles])

@@ -59,7 +59,7 @@ class Target:
     root_weight: np.ndarray
 
     def rows(self, part: slice | np.ndarray) -> Target:
-        """Return some of the frames."""
+        """Return the target in a selection of frames."""
         return Target(self.time[part], self.quantities, self.values[part], self.root_weight)
 
 

@@ -77,7 +77,7 @@ class LoadSeries:
 
     @property
     def acts(self) -> np.ndarray:
-        """(R,) whether the load acts, that is, its force or torque is not zero, unlike for a foot in the air."""
+        """(R,) whether the load acts: its force or torque is not zero. That of a foot in the air does not act."""
         return np.asarray(np.any(self.force != 0, axis=1) | (self.torque != 0))
 
     def at(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:

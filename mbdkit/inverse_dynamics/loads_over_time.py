@@ -1,6 +1,6 @@
-"""How muscles share loads if their activations change as fast as activation dynamics allow.
+"""How muscles share loads if activations change no faster than activation dynamics allow.
 
-The programmes of all frames are one convex programme then. First-order dynamics with time constants of rising and
+The programmes of all frames then form one convex programme. First-order dynamics with time constants of rising and
 falling activation, and excitations between 0 and 1, allow from one frame to the next, after the time h,
 
     a_next >= a exp(-h / fall),    1 - a_next >= (1 - a) exp(-h / rise),
@@ -54,7 +54,9 @@ class ActivationDynamics:
 
 @dataclass(frozen=True)
 class _Whole:
-    """Minimise the sum of ``|x|^p`` subject to ``equal x = right`` and ``less x <= most``, unknowns over weights."""
+    """Minimise the sum of ``|x|^p`` subject to ``equal x = right`` and ``less x <= most``; x are unknowns over
+    weights.
+    """
 
     equal: csr_array
     right: np.ndarray
@@ -97,7 +99,7 @@ def share_over_time(programme: Programme, exponent: float, dynamics: ActivationD
 
 
 def _whole(programme: Programme, exponent: float, dynamics: ActivationDynamics) -> _Whole:
-    """Return the programme of all frames, equations over their sizes."""
+    """Return the programme of all frames, with equations divided by their sizes."""
     frames, _, count = programme.matrix.shape
     weight = np.tile(programme.weight, frames)
     less, most = _between(programme, dynamics)
@@ -179,7 +181,7 @@ class _Iterate:
         return _System(stiff, self.whole.equal)
 
     def step(self, product: np.ndarray) -> _Iterate:
-        """Return Newton's change, with `product` instead of slack * z to be reduced to zero."""
+        """Return Newton's change, which reduces `product`, in place of slack * z, to zero."""
         (dual, equal, less), matrix = self._residuals, self.whole.less
         dx, dy = self._system.solved(-dual - matrix.T @ ((self.z * less - product) / self.slack), -equal)
         ds = -less - matrix @ dx
@@ -242,7 +244,7 @@ def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, fra
     """Return the largest violation (T,) of the conditions of optimality.
 
     That of a derivative of the Lagrangian is relative to the largest derivative of the cost, and that of an equation to
-    its size. Inequalities count with what they are violated, or their slack where they have a multiplier.
+    its size. Inequalities count by their violation or, where they have a multiplier, by their slack.
     """
     parts = whole.slope(x), whole.equal.T @ y, whole.less.T @ z
     size = max(float(np.max(np.abs(part), initial=0.0)) for part in parts) or 1.0

@@ -128,8 +128,7 @@ class Directions:
         rows
             (T, m) right side of the constraints.
         observed, values
-            (T, k, n) and (T, k); the the displacement has no component along free directions that do not affect
-            `observed`.
+            (T, k, n) and (T, k); the displacement has no component along free directions that do not affect `observed`.
         """
         x = self.displacement(rows)
         if self.free.shape[2]:

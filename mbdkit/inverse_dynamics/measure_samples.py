@@ -66,7 +66,7 @@ class SampledMeasures:
 
         Noise and muscles count with their mean squares, which include the bias of extrema, and cutoffs with their mean
         square change, by root sum of squares. Samples that muscles cannot produce do not count, unless they are more
-        than half of them.
+        than half of the samples.
         """
         square = np.zeros_like(self.value)
         for factor, samples in ((FACTOR, self.noisy), (FACTOR, self.muscles), (1.0, self.cutoffs)):

@@ -18,8 +18,8 @@ PROPERTIES = ("max_force", "optimal_length", "tendon_length")
 def with_drawn_muscles(problem: InverseProblem, random: np.random.Generator) -> Iterator[InverseProblem]:
     """Yield a problem with muscles whose properties are drawn from log-normal distributions.
 
-    Each property of each muscle is drawn by itself, about its value in the spec as median. There are as many problems
-    as `MuscleDeviations.samples` says, and none if the spec has no `recruitment.deviations`.
+    Each property of each muscle is drawn independently, with its value in the spec as median. There are as many
+    problems as `MuscleDeviations.samples` says, and none if the spec has no `recruitment.deviations`.
     """
     recruiter = problem.recruiter
     deviations = None if recruiter is None else recruiter.asked.deviations

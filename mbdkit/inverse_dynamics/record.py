@@ -100,7 +100,7 @@ def archive_of(
 
 
 def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the rows of ``/steps``: there is no integration, hence no steps."""
+    """Return the rows of ``/steps``, all zero but the times, because there is no integration."""
     none = np.zeros(len(time) - 1, dtype=np.int64)
     counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
     return {"time": time[1:], "size": np.zeros(len(time) - 1), **counted}

@@ -36,7 +36,7 @@ class Contraction:
 
 @dataclass(frozen=True)
 class Sharing:
-    """What muscles and reserves share in T frames, and how they can.
+    """What muscles and reserves share in T frames, and the programmes that determine their shares.
 
     Attributes
     ----------

@@ -192,7 +192,7 @@ class Recruiter:
         )
 
     def _over_time(self, sharing: Sharing, shared: Shared, time: np.ndarray, *, strict: bool) -> Shared:
-        """Return the solution with activation dynamics from those of the frames by themselves; see `recruited`."""
+        """Return the solution with activation dynamics, from the solutions of single frames; see `recruited`."""
         if not np.all(np.isfinite(shared.certificate)):
             return replace(shared, certificate=np.full_like(shared.certificate, np.inf))
         own = [muscle.activation for muscle in self.muscles.values()]

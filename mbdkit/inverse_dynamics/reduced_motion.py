@@ -114,10 +114,10 @@ def independent_coordinates(
 def other_coordinates(
     fitter: Fitter, measured: Measured, q: np.ndarray, candidates: Mapping[str, Quantity], chosen: Independent
 ) -> Independent | None:
-    """Return other quantities whose smoothing gives the motion as well, with which a choice can be compared.
+    """Return other quantities whose smoothing also gives the motion, for a comparison with the chosen ones.
 
-    These are all observed quantities, whose smoothed values the motion then fits best, if they determine it well, and
-    otherwise coordinates other than the chosen ones.
+    If the observed quantities determine the motion well, these are all of them, and the motion then fits their smoothed
+    values best. Otherwise, they are coordinates other than the chosen ones.
 
     Returns
     -------

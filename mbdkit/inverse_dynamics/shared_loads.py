@@ -68,7 +68,7 @@ class Programme:
         return np.where(size > 0, size, 1.0)
 
     def only(self, rows: np.ndarray) -> Programme:
-        """Return the programmes of some frames."""
+        """Return the programmes of a selection of frames."""
         return Programme(self.matrix[rows], self.right[rows], self.low[rows], self.high[rows], self.weight)
 
 
@@ -98,7 +98,7 @@ def share_loads(programme: Programme, exponent: float) -> Shared:
     Parameters
     ----------
     exponent
-        p: 1, 2, 3, ..., or infinity for the smallest largest share.
+        p: 1, 2, 3, ..., or infinity, which minimises the largest share.
     """
     # In units of weights, all weights are 1, and equations of size 1 have multipliers of the size of the cost.
     size, weight = programme.size, programme.weight

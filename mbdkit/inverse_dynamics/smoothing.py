@@ -95,7 +95,7 @@ def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothin
 
 
 def with_cutoff(how: Smoothing, factor: float) -> Smoothing | None:
-    """Return a smoothing with its cutoff multiplied by a factor; None if it has none.
+    """Return a smoothing with its cutoff multiplied by a factor; None if it has no cutoff.
 
     The cutoff of a smoothing spline, where it halves the amplitude, is proportional to parameter^(-1/4).
     """

@@ -116,7 +116,7 @@ def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1024)
 def expression_of(text: str) -> Expression:
-    """Return an expression of `angle`, with `t` in its program; raises SpecError with the position of an error."""
+    """Return an expression of `angle`, in whose program `t` is the angle; SpecError has the position of an error."""
     program = tuple(AngleCompiler(text).program())
     if kinks := sorted({name for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch}):
         raise AngleExpressionError(

@@ -10,7 +10,7 @@ from mbdkit.models._crossed_four_bar import CrossedFourBar, Pose
 from mbdkit.models._segments import Segment
 
 MOUNTING = 0.009 / 1.78
-"""Distance of the midpoint of the tibial link below the knee, of body height."""
+"""Distance of the midpoint of the tibial link below the knee, as a share of body height."""
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
     Raises
     ------
     SpecError
-        If there is a muscle already that has the name of a copy.
+        If another muscle already has the name of a copy.
     """
     found: dict[str, Muscle] = {}
     leg = {name for kind in first for name in kind}

@@ -42,10 +42,10 @@ GAIT2D = """@misc{gait2d,
 }"""
 
 HEEL_BEHIND_ANKLE, ANKLE_HEIGHT = 0.06 / 1.8, 0.039
-"""Of body height; for all tables."""
+"""Distance of the heel behind the ankle, and height of the ankle, as shares of body height; for all tables."""
 TRUNK_CENTRE, TRUNK_GYRATION = 0.3155 / 1.8, math.sqrt(3.1777 / 50.85) / 1.8
-"""Height above the hips of the centre of mass of head, arms and trunk, and radius of gyration, of body height, for all
-tables; from the segments that gait2d computes with Winter's fractions for 75 kg and 1.8 m."""
+"""Height above the hips of the centre of mass of head, arms and trunk, and radius of gyration, as shares of body
+height, for all tables; from the segments that gait2d computes with Winter's fractions for 75 kg and 1.8 m."""
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,13 @@ class Fractions:
     Attributes
     ----------
     mass
-        Of body mass.
+        Mass, as a share of body mass.
     length
-        Of body height.
+        Length, as a share of body height.
     centre
-        Distance of the centre of mass from the proximal end (foot: from the heel), of the length.
+        Distance of the centre of mass from the proximal end (foot: from the heel), as a share of the length.
     gyration
-        Radius of gyration about the centre of mass and the mediolateral axis, of the length.
+        Radius of gyration about the centre of mass and the mediolateral axis, as a share of the length.
     """
 
     mass: float

@@ -177,7 +177,7 @@ def acting_muscles(mechanism: Mechanism) -> dict[str, MuscleForce]:
 
 
 def check_acting(mechanism: Mechanism) -> None:
-    """Raise a SpecError for the first muscle with something that runs do not know, or without an excitation."""
+    """Raise a SpecError for the first muscle with a property that runs do not support, or without an excitation."""
     for name, muscle in mechanism.muscles.items():
         key = f"model.muscles.{quoted(name)}"
         if muscle.excitation is None:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 ITERATIONS = 80
-"""Bisection alone finds the parameter to the last bit in 55."""
+"""Largest number of iterations; bisection alone finds the parameter to the last bit in 55."""
 
 ROUNDING = 4 * np.finfo(float).eps
 """Changes of the parameter, and distances of x, that are rounding errors."""

@@ -124,7 +124,7 @@ def solved(p: Any, q: Any, r: Any) -> Any:
 
 
 TINY = 1e-100
-"""Added to a divisor that may be 0, which no other number notices."""
+"""Added to a divisor that may be 0; it does not change any other divisor."""
 
 
 class TableForm(NamedTuple):
@@ -138,7 +138,7 @@ class TableForm(NamedTuple):
 
 
 Form = Program | TableForm
-"""An excitation that is a function of time without its numbers, which are parameters; empty for other excitations."""
+"""Form of an excitation that is a function of time, without its numbers, which are parameters; else empty."""
 
 MOST_NUMBERS: Mapping[str, int] = {"de-groote-fregly": 440, "millard": 360}
 """Largest number of numbers of an excitation, by the curves of the muscle; programs of laws have
@@ -180,7 +180,8 @@ def _of_table(form: TableForm, time: Any, numbers: Sequence[Any]) -> Any:
 def muscle_law(tendon: str, curves: str, form: Form) -> TracedLaw:
     """Return the law of a muscle with a rigid or an elastic tendon, and with one of `CURVES`.
 
-    If the excitation is no function of time, the rate of the activation is none of the law either, and 0.
+    If the excitation is not a function of time, the law gives 0 for the rate of the activation, which is computed
+    elsewhere.
     """
     if isinstance(form, TableForm):
         count = form.pieces + 1 + form.pieces * form.terms

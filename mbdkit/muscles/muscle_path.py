@@ -27,8 +27,8 @@ from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.quantity_names import QuantityNames
 
 BEHIND = np.pi / 6
-"""A path sweeps an angle about the center of its circle from the point before to the point after. It is counted from
-minus this value to 2 pi minus this value. Negative angles are those of straight paths that pass the circle at a
+"""A path sweeps an angle about the center of its circle from the point before to the point after. This angle is counted
+from minus `BEHIND` to 2 pi minus `BEHIND`. Negative angles are those of straight paths that pass the circle at a
 distance on its other side; angles close to 2 pi are those of paths that turn by almost 2 pi around it."""
 
 WIDEST = np.pi

@@ -61,11 +61,11 @@ class _Quantity:
     Parameters
     ----------
     peaks, known
-        Largest values over the run, and until the time to which errors are known; None without a check.
+        Largest values over the run, and over the rows for which errors are known; `known` is None without a check.
     error
-        (J,) estimated errors until then.
+        (J,) estimated errors over these rows.
     known_until
-        That time [s].
+        Time of the last of these rows [s].
     """
 
     name: str

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.point import DesignPoint
 
 _NUMBERS = 60_000
-"""Pose values of each film."""
+"""Largest number of pose values of each film."""
 COSTS = 2
 """Largest number of loads in the headline that the design increases."""
 

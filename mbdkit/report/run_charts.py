@@ -64,7 +64,7 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
 
 
 def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
-    """Return the colours of curves, by name of the chart and of the curve; others take them in order."""
+    """Return the colours of curves by name of the chart and of the curve; other curves take colours in order."""
     drawing = draw_spec(run.spec, tuple(run.bodies))
     traces = choose_traces(drawing)
     paths = {trace.label: color for trace, color in zip(traces, trace_colors(drawing, traces), strict=True)}

@@ -30,10 +30,10 @@ def sensitivity_section(
     """
     sentence = (
         f"Change of each goal and limit, to first order, if one variable is increased from its best value by "
-        f"{100 * SHARE:g} % of the width of its bounds. Where neither bounds nor limits are active, the changes of a "
-        f"single goal add up to zero over "
-        "the scenarios, weighted. A goal with a corner at the best value has two changes, for an increase and for a "
-        "decrease, and no bar."
+        f"{100 * SHARE:g} % of the width of its bounds. Where neither bounds nor limits are active, the "
+        "changes of a single goal in the scenarios, times their weights, add up to zero for each variable. A goal "
+        "whose slope is discontinuous at the best value has two changes, for an increase and for a decrease, and no "
+        "bar."
     )
     wide, narrow = (_svg(found, words, units, width) for width in (WIDE, NARROW))
     text = "Changes to the right are increases. Each goal or limit has its own scale."

@@ -23,8 +23,8 @@ STEPS = 23
 START_TIMES = 0.0, 3.0, 1000.0, -8.0
 """Start times of runs that should be the same [s]."""
 SAME, SAME_ADAPTIVE = 1e-9, 1e-4
-"""Change of the final state by the start time that counts as rounding; that of adaptive methods, whose steps depend on
-rounding."""
+"""Largest change of the final state with the start time that counts as rounding, for methods with fixed steps and for
+adaptive methods, whose steps depend on rounding."""
 
 
 @check("contract.options")

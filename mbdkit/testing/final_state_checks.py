@@ -11,18 +11,19 @@ from mbdkit.testing.order_checks import ENDS, HIGH, NEAR_ROUNDING, PROBLEMS, err
 from mbdkit.testing.trial_models import COASTING_BODY, FORCED_PENDULUM, RESTING
 
 FALL, FALL_ADAPTIVE, FALL_STEPS = 1e-10, 1e-3, 100
-"""Error of free fall that counts as rounding [m, rad, per s], that of adaptive methods, which may begin with order 1,
-and number of steps before the last one."""
+"""Largest errors of free fall [m, rad, per s]: one that counts as rounding, and one for adaptive methods, which may
+begin with order 1. Number of steps before the last one."""
 LAST_STEPS = (0.97, 0.6, 0.3, 0.04, 1e-3, 1e-6)
 """Sizes of a last, shorter step, as shares of the others."""
 LAST_COUNT, LAST_TIMES = 24, 10.0
-"""Number of the others, and largest factor by which a shorter last step may increase the error."""
+"""Number of the other steps, and largest factor by which a shorter last step may increase the error."""
 RESTING_TOLERANCES, RESTING_TIMES = (1e-4, 1e-7), 1e3
-"""Tolerances of adaptive methods from starts at rest, and largest error as a multiple of them."""
+"""Tolerances of adaptive methods in runs from starts at rest, and largest error as a multiple of the tolerance."""
 FINER_RESTING = (1, 2, 4, 8, 16)
-"""Numbers of steps relative to the first one; the last two are used only if the order does not show before."""
+"""Factors of the number of steps; the last two are used only if the order does not show before."""
 FIRST_RESTING, STARTS_OF_FIXED = 24, 3
-"""Coarsest number of steps of other methods there, and number of starts, because they have no error control."""
+"""For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried; not all, because
+these methods have no error control."""
 
 
 @check("state.free-fall")

@@ -33,9 +33,9 @@ RANDOM = 8000
 """Number of further samples at random; half of them are close to the ends of the range, zero and the law's
 parameters."""
 RANDOM_OF_VARIANTS = 2000
-"""The same for other values of options."""
+"""Number of random samples for each other value of an option."""
 DECADES = 7.0
-"""Distances of those from these places, as shares of the range, are 1 to 10 to the power of minus this."""
+"""Samples close to these places are at distances of 1 to ``10**-DECADES`` of the range from them."""
 FINE = 4000
 """Intervals of the length in which the change of the potential is compared with the force."""
 CLIMBERS, ROUNDS = 16, 40
@@ -43,7 +43,8 @@ CLIMBERS, ROUNDS = 16, 40
 AGREE = 1e-5
 """Largest relative difference between a derivative and finite differences."""
 SMALL = 2e-4
-"""Slopes below this share of the largest value, over the range, need not agree better than this one."""
+"""Derivatives below this share of the largest value divided by the range are compared as if they had this size, because
+rounding may dominate smaller ones."""
 STEPS = 1e-6, 1e-7, 1e-8, 1e-9, 1e-10
 """Steps of the finite differences, as shares of the range of the argument."""
 ROUNDING = 1e-9

@@ -141,7 +141,9 @@ def energy_jointed(integrator: IntegratorUnderTest) -> Result:
 
 
 def energy_trend(integrator: IntegratorUnderTest, model: Model) -> tuple[Trend, float]:
-    """Return the trend of the energy balance over 1000 steps, half as large as the telling ones, and their time [s]."""
+    """Return the trend of the energy balance over 1000 steps, half as large as `coarse_step`, and their duration
+    [s].
+    """
     step = coarse_step(integrator) / 2
     duration = 1000 * step
     time = {"end": duration} if integrator.claims.adaptive else {"steps": 1000, "step": step}

@@ -33,8 +33,8 @@ OUTLINE = """\
 
 The verdict on a run, the estimates of its errors, their limits, and errors that were measured.
 
-Every run has a verdict. It is given at the top of the summary, in `run.verdict` and `run.verdict_reasons`, with
-`--json`, in the archive, in reports and in the table of a study.
+Every run has a verdict. The verdict is given at the top of the summary, in `run.verdict` and `run.verdict_reasons`,
+with `--json`, in the archive, in reports and in the table of a study.
 
 | verdict | meaning |
 |---|---|
@@ -54,23 +54,24 @@ that of a chaotic double pendulum after a few seconds.
 
 Energy errors below {rounding:g} units of round-off of the largest energy count as zero. A run is also `bad` if it turns
 sharply in a singular position: by an angle of at least {angle:g} rad and of at least {ratio:g} times the path there,
-measured in lengths of the mechanism's longest link. It has then probably left its *branch*, the family of positions
-that can be reached continuously from the start, and continues on another one that meets it there. If joints that are
-redundant and consistent at the start become inconsistent, the run has certainly left its branch; it stops with the
-reason `branch-left`. A run that stops before its end is `bad`. Warnings that question the result make it `doubtful`.
+measured in lengths of the mechanism's longest link. The run has then probably left its *branch*, the family of
+positions that can be reached continuously from the start, and continues on another one that meets it there. If joints
+that are redundant and consistent at the start become inconsistent, the run has certainly left its branch; it stops with
+the reason `branch-left`. A run that stops before its end is `bad`. Warnings that question the result make it
+`doubtful`.
 
 ## What you can ask for
 
 - **`mbdkit run SPEC --check`** (`check: true`) also runs *comparison runs*: the same method with half and a quarter of
-  the step, or with tighter tolerances, and another method. Their differences give an estimated error for every recorded
-  position, velocity, reaction force and reaction torque. Where the differences do not decrease, the estimate is nan,
-  and `run.accuracy.known_until` is the last recorded time before that. The summary says `largest force in J1 24.5250 N,
-  known to 1.1e-06 N`, plots draw bands, and the group `accuracy` of the archive holds the estimates. The error of a
-  largest force also covers a peak between recorded rows, estimated by parabolas and a spline through the rows: record
-  more rows, or use a measure such as `max(abs(joints.J1.force))`, to make it smaller. A check takes about ten times as
-  long as the run, and at least a second. In 504 runs of 21 mechanisms with known motions (6 methods, 4 steps or
-  tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their estimates
-  (`python -m tests.benchmarks.error_bars`).
+  the step, or with tighter tolerances, and another method. The differences of these runs give an estimated error for
+  every recorded position, velocity, reaction force and reaction torque. Where the differences do not decrease, the
+  estimate is nan, and `run.accuracy.known_until` is the last recorded time before that. The summary says `largest force
+  in J1 24.5250 N, known to 1.1e-06 N`, plots draw bands, and the group `accuracy` of the archive holds the estimates.
+  The error of a largest force also covers a peak between recorded rows, estimated by parabolas and a spline through the
+  rows: record more rows, or use a measure such as `max(abs(joints.J1.force))`, to make it smaller. A check takes about
+  ten times as long as the run, and at least a second. In 504 runs of 21 mechanisms with known motions (6 methods, 4
+  steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their
+  estimates (`python -m tests.benchmarks.error_bars`).
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) chooses method and step from short trial runs (*pilots*), so
   that positions are accurate to this fraction of the mechanism's size over the whole run, and confirms the accuracy by
   a check. Errors of angles are multiplied by the distance of the farthest joint point of the body. If the spec gives an
@@ -90,8 +91,8 @@ reason `branch-left`. A run that stops before its end is `bad`. Warnings that qu
   kinetic energy so far; `limits.law_range: stop`, where a force law leaves the range in which it holds;
   `limits.max_steps` and `limits.wall_time`.
 - **`stabilization: projection`** returns positions and velocities to the constraints after every step. Misalignments
-  are then of the order of round-off, and adaptive methods stay on their branch in singular positions. It does not make
-  the motion more accurate by itself.
+  are then of the order of round-off, and adaptive methods stay on their branch in singular positions. Projection does
+  not make the motion more accurate by itself.
 
 ## What is not promised
 
@@ -105,7 +106,7 @@ reason `branch-left`. A run that stops before its end is `bad`. Warnings that qu
   impulse.
 - **Singular positions.** Where several motions are possible, the equations do not determine which one is right. A sharp
   turn is reported; a smooth change of branch may remain unnoticed.
-- **Redundant joints.** Their reactions are not unique. Those of least norm are recorded.
+- **Redundant joints.** Their reactions are not unique. The reactions of least norm are recorded.
 - **The model.** All estimates concern the numerical solution of the equations of the model, not the model itself.
 
 An estimate is not a bound. On the mechanisms below, with six methods and four steps each, the true error is within 1/5

@@ -1,4 +1,4 @@
-"""CVODE and IDA keep their tolerances on mbdkit's equations, and stop as sentences say."""
+"""CVODE and IDA keep their tolerances on mbdkit's equations, and name the reason if they stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The walker's legs do what was measured, weigh what Winter says, and keep their energy balance."""
+"""The walker's legs follow measured angles, have the masses of Winter's table, and keep their energy balance."""
 
 from __future__ import annotations
 

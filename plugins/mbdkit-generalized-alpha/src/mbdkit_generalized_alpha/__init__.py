@@ -87,7 +87,7 @@ class GeneralizedAlpha(mbdkit.StepMethod):
     def step(
         self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float
     ) -> mbdkit.StepState:
-        """Take one step: Newton on the accelerations and multipliers at its end, until they change no more."""
+        """Take one step by Newton's method for the accelerations and multipliers at its end."""
         q, v = state.q, state.v
         if state.memory is not None and state.memory[0] == h:
             _, a, lam, aux = state.memory
@@ -125,7 +125,7 @@ def mbdkit_integrators() -> list[mbdkit.IntegratorPlugin]:
     return [
         mbdkit.IntegratorPlugin(
             name="generalized-alpha",
-            summary="Generalized-alpha: implicit, index 3, order 2, damps high frequencies as asked, fixed steps.",
+            summary="Generalized-alpha: implicit, index 3, order 2, adjustable high-frequency damping, fixed steps.",
             options=GeneralizedAlphaOptions,
             create=GeneralizedAlpha,
             claims=lambda options: mbdkit.Claims(

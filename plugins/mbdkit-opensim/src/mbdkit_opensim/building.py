@@ -32,7 +32,7 @@ LEFT_OUT = ("ForceSet", "ContactGeometrySet", "ControllerSet")
 """Sets of a model that are left out, with a warning."""
 
 MOST_NAMED = 6
-"""Components of a class that a warning names."""
+"""Largest number of components of a class that a warning names."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ FLAT = 1e-9
 """Sine of an angle between axes below which they are parallel."""
 
 DEEPEST = 50
-"""Frames that may be offset from each other in a row."""
+"""Largest number of frames that are offset from each other, one after another."""
 
 
 def turn(angles: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Read an `.osim` file: XML of a stranger, without entities and external references, as elements with typed access."""
+"""Read an `.osim` file: untrusted XML, without entities and external references, as elements with typed access."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of strangers: XML without entities, and numbers in attributes."""
+"""Untrusted files: XML without entities, and numbers in attributes."""
 
 from __future__ import annotations
 

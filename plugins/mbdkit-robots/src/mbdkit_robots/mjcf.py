@@ -19,7 +19,7 @@ REFUSED = ("balanceinertia", "boundmass", "boundinertia", "settotalmass", "strip
 
 
 def read_mjcf(file: str) -> SpatialModel:
-    """Return the model of an MJCF file; raise SpecError if it has what mbdkit does not read and needs."""
+    """Return the model of an MJCF file; raise SpecError if it contains something that matters and is not read."""
     return _Reader(read_xml(file, "mujoco")).model
 
 

@@ -19,7 +19,7 @@ Plane = Literal["xy", "xz", "yz"]
 PARALLEL = 1e-6
 """Largest sine of the angle between an axis and the direction that it should have."""
 MOST_NAMED = 6
-"""Names that a warning lists."""
+"""Largest number of names that a warning lists."""
 
 
 def refused(message: str) -> SpecError:
