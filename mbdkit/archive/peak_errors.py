@@ -55,9 +55,10 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
 def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Return the errors (E,) of the largest values of joints or actuators in inverse dynamics.
 
-    It is that of a measure ``max(abs(joints.NAME.force))`` if the run has one, so that a number has one error wherever
-    it is printed, and otherwise that of the frame. The first one is sampled for the maximum itself; the second one is
-    the bound of a vector, or belongs to a single frame.
+    If the run has the measure ``max(abs(joints.NAME.force))`` of this value, the error is that of the measure, so that
+    a number has the same error wherever it is printed. Otherwise it is the error of the frame with the largest value.
+    The error of the measure is sampled for the maximum itself; that of the frame is the bound of a vector, or belongs
+    to a single frame.
 
     Parameters
     ----------

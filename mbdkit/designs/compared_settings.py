@@ -34,7 +34,7 @@ class Comparison:
     is_feasible
         Whether it satisfies all limits with the settings of the design.
     reason
-        Reason why there is no point, or why it is not feasible with these settings either; empty otherwise.
+        Reason why there is no point, or why it violates limits even with these settings; empty otherwise.
     own_start, own_best
         The start and the best point of the design itself, computed with these settings; None if the start fails.
     """
@@ -60,7 +60,7 @@ class Comparison:
 
     @property
     def fails(self) -> bool:
-        """Whether a run with the design's own settings fails at the point."""
+        """Whether a run with the settings of the design fails at the point found with the other settings."""
         return self.actual is not None and any(map(np.isnan, self.actual.goals.values()))
 
     @classmethod
@@ -80,10 +80,11 @@ def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
 
 
 def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -> Comparison:
-    """Search for the best point of a design with the other settings of this name; its own `best` is computed, too.
+    """Search for the best point of a design with the other settings of this name, and compute `best`, the best point of
+    the design itself, with these settings.
 
-    The search begins at `best`, near which the other point is if both settings are accurate. Only if a run fails there
-    with these settings does it begin as the search of the design did.
+    The search begins at `best`: if both settings are accurate, the other point is near it. If a run fails there with
+    these settings, the search begins at the start of the design.
     """
     other = compared_with(evaluator, name)
     stages.begin(f"comparison with {name}", other)

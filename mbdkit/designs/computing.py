@@ -30,11 +30,12 @@ class Computer:
     spec
         The design.
     engine
-        Worker processes, or an executor. Processes of this machine are used when jobs have taken `PATIENCE` seconds.
+        Worker processes, or an executor. Worker processes of this machine are used only after jobs in this process have
+        taken `PATIENCE` seconds in all.
     notify
         Called once with each distinct message of the workers.
     place
-        A file in a folder that the workers of executors see.
+        A file in a folder to which the workers of executors have access.
     """
 
     def __init__(self, spec: DesignSpec, engine: Engine, notify: Callable[[str], None], place: Path):
@@ -52,7 +53,7 @@ class Computer:
         ResourceError
             If a resource is lacking, such as disk space, or the system refuses all processes.
         RunError
-            If a worker fails for other reasons than those of a run.
+            If a worker fails for a reason that does not lie in a run.
         """
         waiting = [piece for name in self._spec.specs for piece in self._pieces(name, jobs)]
         while waiting and not self._uses_workers:

@@ -26,7 +26,8 @@ STEP = 1e-4
 def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
     """Return the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,).
 
-    They are exact unless a scenario has no gradients (then noted by the evaluator) or a run fails at this point.
+    They are exact unless a scenario has no gradients, which `Evaluator.why_differences` then explains, or a run fails
+    at this point.
     """
     if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
         return differences(evaluator, x)
@@ -49,9 +50,9 @@ def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
 
 
 def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
-    """Return goals and limits whose exact derivatives at a point disagree with differences, one sentence for each.
+    """Return a sentence for each goal or limit whose exact derivatives at a point disagree with differences of runs.
 
-    This often occurs if a frame of a measured motion is at the point where a one-sided law begins to act.
+    They often disagree if a one-sided law begins to act exactly at a frame of a measured motion.
     """
     if evaluator.why_differences:
         return ()

@@ -30,10 +30,10 @@ class Design:
     Attributes
     ----------
     spec
-        Its spec.
+        Spec of the design.
     start, best
-        The start point and the best point. Of a Pareto front, the best point is the one that is closest to the smallest
-        values of all goals, each relative to its range on the front.
+        The start point and the best point. On a Pareto front, the best point is the one closest to the smallest values
+        of all goals, each goal relative to its range on the front.
     front
         Points of the Pareto front, in ascending order of the first goal; only `best` for a single goal.
     trust
@@ -43,7 +43,7 @@ class Design:
     runs, failures
         Number of runs, and of those that failed.
     searches
-        Number of searches that ended at the best point to 0.1 % of its goal, and of all searches.
+        Number of searches that ended within 0.1 % of the best goal, and number of all searches.
     message
         Why the best search ended.
     derivatives
@@ -51,7 +51,7 @@ class Design:
     unconfirmed
         Goals and limits whose exact derivatives at the best point disagree with differences of runs, as sentences.
     undetermined
-        Changes of variables by name, each of which does not change the goal at the best point, because only a
+        Simultaneous changes of variables, by name, that do not affect the goal at the best point, because only a
         combination of these variables is determined; empty for a Pareto front.
     compared
         Results of the design with other settings of the runs (`compare` of its spec); empty until they are computed.
@@ -217,7 +217,7 @@ def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> De
     Parameters
     ----------
     evaluator
-        One that has evaluated nothing yet, so that the number of runs does not depend on interruptions.
+        An evaluator that has evaluated nothing yet, so that the number of runs does not depend on interruptions.
     """
     best = evaluator.point(design.best.variables)
     evaluator.outcomes(np.array([evaluator.first, best]))  # known ones

@@ -41,7 +41,7 @@ class Outcome:
     values
         Goals and limits in their order; nan if the run failed.
     verdict, reason
-        Verdict on the run, or ``failed``; and why it failed, or is doubtful or bad.
+        Verdict on the run, or ``failed``; and the reason why the run failed, or is doubtful or bad.
     errors
         Estimated errors of the values; nan where unknown, empty without a check.
     """
@@ -88,7 +88,7 @@ class ScenarioRuns:
     Parameters
     ----------
     spec
-        Its spec; goals and limits are its measures.
+        Spec of the scenario, whose measures are the goals and limits.
     """
 
     def __init__(self, spec: RunSpec | InverseSpec):
@@ -189,7 +189,8 @@ def in_this_process(scenarios: Mapping[str, ScenarioRuns]) -> Source:
 
 
 class Evaluator:
-    """Evaluates a design at points of its variables, each coordinate of which is a share of the bounds, from 0 to 1.
+    """Evaluates a design at points of its variables. A coordinate of a point is 0 at the lower bound of a variable, and
+    1 at the upper bound.
 
     Parameters
     ----------
@@ -198,7 +199,7 @@ class Evaluator:
     source
         Source of outcomes; by default, they are computed in this process.
     compared
-        Name of the other settings in `compare` of the design; by default, its own ones.
+        Name of the settings in `compare` of the design; by default, the settings of the design itself.
 
     Attributes
     ----------
@@ -288,7 +289,7 @@ class Evaluator:
         return [np.frombuffer(key) for key in self._known]
 
     def exceeded(self, values: np.ndarray) -> tuple[str, ...]:
-        """Return the names of the limits that goals and limits (..., K) do not satisfy; nan satisfies none."""
+        """Return the names of the limits that values of goals and limits (..., K) violate; nan violates all."""
         found = []
         for name, limit in self.spec.subject_to.items():
             column = values[..., self.names.index(name)]
@@ -320,7 +321,7 @@ class Evaluator:
         return self.sums(self.values(x[None])[0])
 
     def sums(self, outcomes: np.ndarray) -> np.ndarray:
-        """Return the goals (G,) of goals and limits (S, K), as `totals`."""
+        """Return the goals (G,) from values (S, K) of goals and limits in all scenarios; see `totals`."""
         values, weights = outcomes[:, : len(self.spec.goals)], self.root_weights**2
         if self.spec.sums_squares:
             return np.array([weights @ np.sum(values**2, axis=1)])

@@ -24,8 +24,8 @@ def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> lis
 
     Each further goal is limited by values between its largest and its smallest value at the points where a single goal
     is minimal, and the first goal is minimised with all combinations of these limits (epsilon-constraint method).
-    Points that are worse than another one, or violate limits of the design, are left out; if all do, the first one
-    remains.
+    Points that are dominated by another one, or violate limits of the design, are left out. If no point is left, the
+    result is `first_end`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a design gains, and what it costs elsewhere."""
+"""The gains of a design in its goals, and its costs: larger loads of joints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ LEAST_CHANGE = 0.01
 
 @dataclass(frozen=True)
 class Gain:
-    """The change of a goal from the start to the best point; `error` is nan if unknown, `is_real` then None."""
+    """The change of a goal from the start to the best point.
+
+    `is_real` says whether the gain exceeds `error`. If the error is unknown, `error` is nan and `is_real` is None.
+    """
 
     name: str
     unit: str
@@ -53,7 +56,7 @@ class Cost:
 
     @property
     def share(self) -> float:
-        """Relative change; inf from zero."""
+        """Relative change; inf if the load is zero at the start."""
         return (self.best - self.start) / self.start if self.start else np.inf
 
     def text(self) -> str:
@@ -78,7 +81,7 @@ def measure_units(spec: DesignSpec) -> dict[tuple[str, str], str]:
 
 
 def goal_units(spec: DesignSpec) -> dict[str, str]:
-    """Return the units of what is minimised by name; empty for a sum of squares, or if scenarios differ."""
+    """Return the units of the goals by name; an empty text for a sum of squares, and where scenarios differ."""
     if spec.sums_squares:
         return dict.fromkeys(spec.totals, "")
     units = measure_units(spec)

@@ -1,8 +1,8 @@
 """Combinations of variables that are not determined, such as the stiffnesses of two springs in parallel.
 
 At an optimum, the first derivatives of a goal are zero, so that its second derivatives show which changes of the
-variables do not affect it; those of a sum of squares follow from the Jacobian of its terms. Limits that are active
-determine variables by their first derivatives, and bounds that are active fix their variable.
+variables do not affect the goal. The second derivatives of a sum of squares follow from the Jacobian of its terms.
+Active limits determine variables by their first derivatives, and an active bound fixes its variable.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ MOST = 10
 def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], ...]:
     """Return changes of variables, by name, that do not affect the goal and the active limits at the best point (n,).
 
-    Each is scaled such that its largest entry is 1 % of the bounds of its variable. Variables that do not take part are
-    omitted. The result is empty if a run near the best point fails, or for more variables than `MOST`.
+    Each change is scaled such that the largest change of a variable is 1 % of the width of its bounds. Variables that
+    do not take part are omitted. The result is empty if a run near the best point fails, or if more variables than
+    `MOST` are not at a bound.
     """
     free = np.flatnonzero((best > ACTIVE) & (best < 1 - ACTIVE))
     if not 0 < len(free) <= MOST:

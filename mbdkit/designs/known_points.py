@@ -37,13 +37,13 @@ def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
 
 
 NOT_READ = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
-"""Exceptions that data raise which are not those of a design."""
+"""Exceptions that are raised when data that are not those of a design are read."""
 
 VERSION = "mbdkit_points"
 """Name of the format version in the first line of the file."""
 FIRST = json.dumps({VERSION: 1}).encode()
 SUM = "crc32"
-"""Name of the check sum of a line: that of the JSON text without it."""
+"""Name of the check sum in a line; it is that of the JSON text of the line without the check sum."""
 
 Compute = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
 
@@ -53,9 +53,8 @@ class PointFile:
 
     A line has the ``scenario``, the ``settings`` of its keys, the ``values`` of goals and limits by name (null if the
     run failed), the ``verdict`` on the run, the ``reason`` of a failure, the ``errors`` of the values in their order if
-    they were estimated, and a check sum. Lines are added at the end,
-    so that a killed process leaves one unfinished line at most, which is removed by the next one. Damaged lines are
-    removed, too, so that their points are computed again.
+    they were estimated, and a check sum. Lines are added at the end, so that a killed process leaves at most one
+    unfinished line. The next process removes it, and all damaged lines, and computes their points again.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ class PointFile:
         Raises
         ------
         SpecError
-            If the file is not one of these, or that of a later version of mbdkit.
+            If the file is not a list of points of this design, or was written by a later version of mbdkit.
         ResourceError
             If the system refuses to read or write it.
         """
@@ -139,7 +138,7 @@ class KnownPoints:
     file
         File in which outcomes are stored; None if they are not stored.
     progress
-        Called with the number of known outcomes, and of failures among them.
+        Called with the number of known outcomes, and the number of failures among them.
     """
 
     def __init__(

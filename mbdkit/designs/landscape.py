@@ -24,7 +24,7 @@ class Cut:
     variable
         Name of the variable.
     values
-        (P,) its values.
+        (P,) values of the variable.
     goals
         (P, G) goals summed over the scenarios by their weights; nan where a run fails.
     """
@@ -53,8 +53,8 @@ SHARE = 0.01
 DISTANCES = (1e-4, 2e-4)
 """Distances from the best point at which goals and limits are compared, as shares of the bounds."""
 LEAST_GROWTH = 3.0
-"""Growth of second differences from the first distance to the second, below which there is a corner: it is 4 where a
-measure is smooth, and 2 at a corner."""
+"""If second differences grow by less than this factor from the first distance to the second, the measure has a corner
+(different slopes on both sides). The factor is 4 where a measure is smooth, and 2 at a corner."""
 LEAST_CORNER = 0.05
 """Smallest difference of the slopes on both sides of a corner, as a share of the larger one."""
 NOISE = 1e-9

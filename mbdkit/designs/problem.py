@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator
 
 FAILED = 1e3
-"""Cost at points where a run fails, relative to that at the start; so large that no search ends there."""
+"""Cost at points where a run fails, relative to the cost at the start. It is so large that no search ends there."""
 FEASIBLE = 1e-6
 """Violation of a limit that counts as zero, relative to the limit, or to the value at the start if that is larger."""
 
@@ -30,9 +30,9 @@ class Bound:
     Attributes
     ----------
     name
-        Name of the measure, and of the scenario before a colon if there are several.
+        Name of the measure; if there are several scenarios, preceded by the name of the scenario and a colon.
     weights
-        (S, K) the limited quantity is the sum of these times goals and limits.
+        (S, K) weights of the values of goals and limits, whose weighted sum is the limited quantity.
     low, high
         Limits, infinite where there is none.
     """
@@ -43,7 +43,7 @@ class Bound:
     high: float
 
     def of(self, values: np.ndarray) -> np.ndarray:
-        """Return the limited quantity (N,) of goals and limits (N, S, K), nan where a run failed."""
+        """Return the limited quantity (N,) from values of goals and limits (N, S, K); nan where a run failed."""
         return _weighted(values, self.weights)
 
 
@@ -110,7 +110,7 @@ class Problem:
         return np.asarray(np.nan_to_num(found / np.sqrt(self.scale), nan=np.sqrt(FAILED)))
 
     def residual_slopes(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives (R, n) of these terms."""
+        """Return the derivatives (R, n) of the terms of a sum of squares."""
         by_variable = np.moveaxis(self._derivatives(x), -1, 0)
         return np.asarray(self._terms(by_variable).T / np.sqrt(self.scale))
 

@@ -1,4 +1,4 @@
-"""How much of a design is left if its device is not built, or its user not measured, exactly."""
+"""Effect on a design of inexact numbers: of the device that is built, and of the user who was measured."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ MOVED = 0.002
 _ELEMENTS = ("forces", "springs")
 _POINTS = ("points", "point", "at", "from", "to")
 MOST = 12
-"""Number of masses that are varied, the largest ones, and of rows that are printed."""
+"""Largest number of masses that are varied, beginning with the largest mass, and of rows that are printed."""
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """Goals and limits of a design with one number of its best point off.
+    """Goals and limits of a design if one number deviates from its value at the best point.
 
     Attributes
     ----------
     words, size
         Name of the number, and its deviation, such as 5 % or 2 mm.
     goals
-        (2, G) goals with the smaller and with the larger number; nan where a run fails.
+        (2, G) goals with the number reduced and increased by the deviation; nan where a run fails.
     exceeds
-        Names of the limits that one of both does not satisfy.
+        Names of the limits that are violated with the reduced or the increased number.
     """
 
     words: str
@@ -53,8 +53,8 @@ class Deviation:
 
 
 def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
-    """Return goals and limits with each variable and each mass of the model 5 % off its value at the best point (n,),
-    and with each attachment of a force element 2 mm off along x and along y.
+    """Return goals and limits at the best point (n,) with each variable and each large mass of the model changed by
+    5 %, and with each attachment of a force element moved by 2 mm along x and along y.
     """
     settings = evaluator.settings(best)
     specs = [runs.at(settings) for runs in evaluator.scenarios]

@@ -55,7 +55,7 @@ def check_installed(spec: DesignSpec) -> None:
 
 
 def searches(problem: Problem, optimizer: Optimizer, first: np.ndarray) -> list[Search]:
-    """Return searches from all starts, the best one first: feasible ones by their cost, then others by violation.
+    """Return searches from all starts, the best one first: feasible ones by cost, then the others by violation.
 
     Parameters
     ----------

@@ -1,8 +1,10 @@
 """The folder of a design: its spec, the points it has evaluated, its result, and archives of the start and best point.
 
-design.yaml     the spec, with its bases written out points.jsonl    a line for each evaluated scenario and point, from
-which the next call continues design.json     the result start.h5        archives of the start and of the best point;
-with the name of the scenario if there are several best.h5 report.html     the page of `mbdkit design --report`
+- ``design.yaml``: the spec, with its bases written out;
+- ``points.jsonl``: a line for each evaluated scenario and point, from which the next call continues;
+- ``design.json``: the result;
+- ``start.h5``, ``best.h5``: archives of the start and of the best point, for each scenario if there are several;
+- ``report.html``: the page of ``mbdkit design --report``.
 """
 
 from __future__ import annotations

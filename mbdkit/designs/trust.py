@@ -32,12 +32,12 @@ class Trust:
     verdict
         Worst verdict of the runs at the best point, which estimate their errors (``check: true``).
     reason
-        Reason why this is doubtful or bad; empty otherwise.
+        Reason why this verdict is doubtful or bad; empty otherwise.
     failures
-        Why errors of runs are unknown, the first reason at the start and at the best point, as sentences.
+        Sentences that say why errors of runs are unknown: the first reason at the start, and at the best point.
     gain_errors
         Error of each gain by name: the sum of the errors of both points or, in inverse dynamics, the bound of the error
-        of the difference, because both points have the same data with the same noise; nan where it is unknown.
+        of the difference, because both points use the same data with the same noise; nan where it is unknown.
     is_of_data
         Whether errors are those of inverse dynamics, by noise, cutoff and deviations of muscles.
     """
@@ -134,7 +134,7 @@ def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:
 
 
 def check_of(spec: RunSpec | InverseSpec) -> Settings:
-    """Return the changes of a spec that enable error estimates of its measures, which inverse dynamics has none of."""
+    """Return the changes of a spec that enable error estimates of its measures; none for inverse dynamics."""
     return [(("check",), True)] if isinstance(spec, RunSpec) and not spec.check else []
 
 

@@ -24,16 +24,17 @@ _BLOCK = re.compile(r"block-[0-9]{6,}\.h5")
 
 @dataclass(frozen=True)
 class Work:
-    """What is done of a study or design.
+    """The progress of a study or design.
 
     Parameters
     ----------
     text
-        What is done, in words.
+        The progress in words.
     done, total
-        Numbers of runs or blocks; the total is nan for a design, which ends when its search does.
+        Numbers of runs or blocks that are done, and of all; the total is nan for a design, whose end depends on its
+        search.
     is_complete
-        Whether the result is there.
+        Whether the result exists.
     owners
         The processes that compute it, in words.
     """

@@ -36,7 +36,7 @@ class Value:
 
 
 def of_operands(operation: str, number: float, *operands: Value) -> Value:
-    """Return an operation of expressions on values with derivatives."""
+    """Return the result of an operation of expressions, with its derivatives."""
     x, *others = operands
     if operation == "norm":
         return _norm(x)

@@ -25,7 +25,9 @@ NO_MEASURES: Definitions = MappingProxyType({})
 
 
 def definitions_of(spec: RunSpec | InverseSpec, measures: Measures) -> Definitions:
-    """Return the definitions of measures, which may be names of those of a spec; raise SpecError if there are none."""
+    """Return the definitions of measures, where names of measures of a spec may stand for their expressions; raise
+    SpecError if there are no measures.
+    """
     known = {measure.name: measure for measure in spec.defined_measures()}
     if isinstance(measures, str):
         measures = [measures]

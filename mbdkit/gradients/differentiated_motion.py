@@ -29,7 +29,7 @@ class _Part:
     """Ends of consecutive steps between two discontinuities of motions, loads or force laws."""
 
     before: Corner | None = None
-    """The discontinuity of a force law at which it begins."""
+    """The discontinuity of a force law at which this part begins."""
     law_sides: np.ndarray | None = None
     sides: tuple[float, float] = (-np.inf, np.inf)
     """First and last time at which motions and loads are evaluated [s]."""
@@ -44,7 +44,7 @@ class _Part:
 
 
 class DifferentiatedMotion:
-    """The motion of a run by up to `DIRECTIONS` parameters.
+    """The motion of a run between the ends of its steps, with derivatives by up to `DIRECTIONS` parameters.
 
     Parameters
     ----------
@@ -84,7 +84,9 @@ class DifferentiatedMotion:
         self._parts.append(part)
 
     def _beside_stop(self, time: float, side: float) -> float:
-        """Return the time on one side of the discontinuity of a motion at `time`; +-inf if there is none."""
+        """Return the time before (`side` -1) or after (1) the discontinuity of a motion at `time`; -side * inf if there
+        is none.
+        """
         table = self._stepper.timetable
         for stop, margin in zip(table.stops, table.stop_margins, strict=True):
             if abs(time - stop) <= SAME_TIME * margin:
@@ -92,7 +94,7 @@ class DifferentiatedMotion:
         return -side * np.inf
 
     def add(self) -> None:
-        """Add what the stepper has advanced."""
+        """Add the corners and the end of the step by which the stepper has advanced."""
         reached = self._stepper.time
         for corner in [] if self._sided is None else self._sided.corners[self._corners :]:
             self._corners += 1
@@ -125,14 +127,14 @@ class DifferentiatedMotion:
 
 
 class DifferentiatedPart:
-    """A part of the motion.
+    """A part of the motion between two discontinuities of motions, loads or force laws.
 
     Attributes
     ----------
     plain
-        The same without derivatives.
+        This part without derivatives.
     corner
-        The discontinuity of a force law at which it begins; None if there is none.
+        The discontinuity of a force law at which this part begins; None if there is none.
     """
 
     def __init__(self, part: _Part, sided: SidedStepper | None, evaluator: StateEvaluator, uses_accelerations: bool):
@@ -148,7 +150,7 @@ class DifferentiatedPart:
 
     @property
     def plain(self) -> MotionPart:
-        """The same without derivatives, with the force laws of this part."""
+        """The motion without derivatives, with the sides of force laws that are valid in this part."""
         self._use()
         return self._plain
 
@@ -171,12 +173,12 @@ class DifferentiatedPart:
 
 
 def states_of(motions: Sequence[DifferentiatedMotion], number: int, time: np.ndarray) -> DifferentiatedStates:
-    """Return the states at times in the part of this number, with the derivatives by all parameters."""
+    """Return the states at times (T,) [s] in a part, counted from 0, with the derivatives by all parameters."""
     return joined_states([motion.parts[number].states(time) for motion in motions])
 
 
 def _whole(x: np.ndarray) -> Duals:
-    """Return an array with places for all derivatives of dual numbers."""
+    """Return an array of dual numbers with all `DIRECTIONS` derivatives, of which those not in `x` are zero."""
     whole = new_duals(*x.shape[:-1])
     whole[..., : x.shape[-1]] = x
     return whole

@@ -71,19 +71,19 @@ class DifferentiatedRun:
     Parameters
     ----------
     rows
-        Recorded states; the last one depends on the time of the end of the run.
+        Recorded states. The derivatives of the last state include the change of its time, the end of the run.
     nodes
-        Stages of the steps, as nodes of integrals over time; None: integrals are those of the rows.
+        Stages of the steps, as nodes of integrals over time; None if integrals use the recorded states.
     end
         (K,) derivatives of the time at which the run ends; not zero if an event ends it.
     crossings
         Events in order of time.
     sizes
-        Sizes of the steps [s]; None of fixed steps.
+        Sizes of the steps [s]; None for fixed steps.
     motions
         The motion between the ends of the steps, for up to `DIRECTIONS` parameters each; empty if it is not needed.
     is_split
-        Whether steps end at discontinuities of force laws, unlike those of the run.
+        Whether steps end at discontinuities of force laws, which the steps of the run itself do not.
     doubts
         Warnings about force laws with discontinuities inside steps.
     """
@@ -108,7 +108,7 @@ def differentiated_run(
     seeds
         Derivatives of the prepared run by the parameters.
     needs
-        What its measures need beside the recorded states.
+        What the measures need beside the recorded states.
     sizes
         Sizes of steps [s], in place of those that step-size control would choose.
 
@@ -143,8 +143,8 @@ def differentiated_run(
 def plain_run(spec: RunSpec) -> DifferentiatedRun:
     """Run a spec without events, and return its recorded states, without derivatives and nodes; raise RunError.
 
-    This is used by the check of a gradient. `simulate` cannot be used, because it imports this room; steps, evaluation
-    of states and method are the same.
+    The check of a gradient uses it. `simulate` cannot be used, because it imports this package; steps, evaluation of
+    states and method are the same.
     """
     method = make_method(spec)
     workspace, _ = build(spec)

@@ -71,7 +71,7 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> Value:
     Raises
     ------
     SpecError
-        If it has no derivative.
+        If the quantity has no derivative.
     """
     require_derivative(quantity)
     if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
@@ -99,7 +99,7 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
     Parameters
     ----------
     constants
-        (I, K) derivatives of the numbers of its I instructions.
+        (I, K) derivatives of the numbers in the I instructions of the expression.
     """
     count, slopes = states.q.shape[-1] - 1, iter(constants)
 
@@ -119,7 +119,7 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
 
 
 def one_after_another(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
-    """Return states that follow each other."""
+    """Return states in which those of the parts follow each other in time."""
     return _together(parts, np.concatenate, ("time", *_ARRAYS))
 
 

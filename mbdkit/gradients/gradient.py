@@ -49,7 +49,7 @@ from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.stepping.dual_run import NO_SEEDS
 
 REFERENCE_STEPS = 2_000
-"""Number of steps of the run from which the largest number of steps of the other method follows, in its check."""
+"""Assumed number of steps of the run, from which the largest number of steps of the other method in a check follows."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def gradient(
         Names of `parameters` of the spec, or key paths of numbers of its model such as ``model.bodies.rod.mass``; at
         most 50.
     check
-        Whether to check the gradient in one direction by differences of four runs, and of two of another method.
+        Whether to check the gradient in one direction by differences of four runs, and of two runs by another method.
     **sections
         Other sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``, which replace those of `source`.
 
@@ -161,7 +161,7 @@ def gradient(
     Raises
     ------
     SpecError
-        If the input is wrong, or runs of this spec or a measure have no derivatives.
+        If the input is wrong, or if a measure or runs of this spec have no derivatives.
     RunError
         If the run stops early.
 
@@ -310,7 +310,7 @@ def gradient_of_run(
     measured
         Returns the measures for other values of the parameters, for the check; None: the gradient is not checked.
     reference
-        Returns the same by another method with small errors; None if there is none.
+        Returns the measures by another method with small errors; None if there is none.
     """
     values, slopes, sizes = [], [], {}
     doubts = list(run.doubts)

@@ -1,7 +1,7 @@
 """The check of a gradient: its derivative in one direction, compared with differences of runs at two distances.
 
-Runs with the same steps show errors of the differentiation. They share the discretization, so that runs of another
-method, with small errors, show how far the derivative is from that of the exact motion.
+Runs with the same steps reveal errors of the differentiation. Runs of another method with small errors show how far the
+derivative is from that of the exact motion, because they do not share the errors of the steps.
 
 The differences are central. If the spec is not valid on one side of a parameter, such as a damping of zero, they are
 one-sided and of the same order.
@@ -25,11 +25,11 @@ ROUND_OFF = 1e-13
 """Assumed relative error of a measure of one run by rounding errors and by the tolerance of the stage equations."""
 
 NATURAL = np.finfo(float).eps / ROUND_OFF
-"""Smallest size of a measure, as a share of the size that follows from its unit: numbers that are zero but for rounding
-errors of the coordinates, such as the height of a rod that lies still, have no digits to be compared."""
+"""Smallest size of a measure, as a share of the size that follows from its unit. Numbers that differ from zero by
+rounding errors of the coordinates only, such as the height of a rod that lies still, have no digits to be compared."""
 
 ALLOWED = 10.0
-"""Multiple of the estimated error of the differences by which they may deviate."""
+"""The derivative may deviate from the differences by this multiple of their estimated error."""
 
 SMALLEST = 1e-7
 """A deviation below this share of the sum of the terms of the derivative is always allowed."""
@@ -39,7 +39,8 @@ REFERENCE_STEP = 5e-4
 REFERENCE_ERROR = 3e-12
 """Assumed relative error of a measure of one run of the other method, at its tolerance."""
 CORRECTED = 0.01
-"""Largest expected error of these differences after their correction by extrapolation, as a share of that."""
+"""Largest expected error of the differences of the other method after their correction by extrapolation, as a share of
+the correction."""
 
 LARGEST_DISCRETIZATION = 1e-2
 """Largest share of the sum of the terms of the derivative by which it may differ from that of the exact motion."""
@@ -68,16 +69,16 @@ class GradientCheck:
     derivative
         (M,) derivative of each measure in the direction, by the gradient.
     differences
-        (2, M) the same by differences of second order at both distances.
+        (2, M) the derivatives by differences of second order at both distances.
     extrapolated
-        (M,) the same extrapolated from both.
+        (M,) the derivatives extrapolated from both differences.
     error
         (M,) estimated error of the extrapolated differences.
     reference
-        (M,) the same derivatives by differences of runs of another method with small errors; nan if no such run ended.
+        (M,) the derivatives by differences of runs of another method with small errors; nan if no such run ended.
     agrees
         (M,) whether the derivative is within the estimated error, and some allowance, of the differences, and within
-        1 % of those of the other method; true where there is no derivative, so that nothing is claimed.
+        1 % of those of the other method; true where there is no derivative to check.
     names
         Names of the measures.
     """
@@ -206,7 +207,7 @@ def check_gradient(
 
 
 def _correction(of_smallest: np.ndarray) -> np.ndarray:
-    """Return the correction (M,) of the differences of the other method from that of differences at the first step."""
+    """Return the correction (M,) of the differences of the other method, from the correction of those at `STEPS[0]`."""
     return np.asarray((REFERENCE_STEP / STEPS[0]) ** 2 * of_smallest)
 
 

@@ -24,11 +24,11 @@ class Parameter:
     Parameters
     ----------
     name
-        Its name as given by the user.
+        Name of the parameter as given by the user.
     path
-        Its key path in the spec.
+        Key path of the number in the spec.
     value
-        Its value.
+        Value of the number.
     """
 
     name: str
@@ -42,7 +42,7 @@ def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     Raises
     ------
     SpecError
-        If one does not exist or is not a number of the model, or if there are too many.
+        If a parameter does not exist, is not a number of the model or is named twice, or if there are none or too many.
     """
     if isinstance(names, str):
         names = [names]

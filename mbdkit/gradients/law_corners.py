@@ -55,11 +55,11 @@ class Condition:
     force
         Name of the force element.
     element
-        Its index among the force elements.
+        Index of this element among the force elements.
     parameters
         (n,) indices of the parameters of the original law in ``Topology.law_parameters`` of the mechanism with sides.
     side
-        Index of the side there.
+        Index of the parameter with the side in ``Topology.law_parameters``.
     function
         See `SidedLaw`.
     """
@@ -73,16 +73,16 @@ class Condition:
 
 @dataclass(frozen=True)
 class SidedMechanism:
-    """A mechanism with sides, see above.
+    """A mechanism with sides; see the description of this module.
 
     Attributes
     ----------
     mechanism
-        The mechanism.
+        The compiled mechanism.
     conditions
         All conditions of its laws.
     places
-        Indices of the parameters of the original laws in those of the laws with sides.
+        Indices in ``Topology.law_parameters`` of the parameters of the original laws.
     """
 
     mechanism: CompiledMechanism
@@ -108,7 +108,7 @@ class SidedMechanism:
         return tuple(dict.fromkeys(found))
 
     def seeds(self, seeds: Seeds) -> Seeds:
-        """Return derivatives of the arrays of the original mechanism as those of this one."""
+        """Return derivatives of the arrays of this mechanism from those of the original mechanism."""
         given = seeds.get("law_parameters")
         if given is None:
             return seeds

@@ -2,8 +2,9 @@
 
 Reductions over time are evaluated on the recorded rows, on the stages of the steps, or on the continuous motion, as in
 runs. The points at which an integrand changes its form, and the time of an extremum, depend on the parameters. The
-contributions of the former cancel where the integrand is continuous, and the latter is stationary at a smooth extremum.
-At other extrema, its derivative is ``-g_p / g_t`` for the scalar g that changes sign there.
+contributions of these points cancel where the integrand is continuous. At a smooth extremum, the value does not depend
+on the time to first order. At other extrema, the derivative of the time is ``-g_p / g_t`` for the scalar g that changes
+sign there.
 """
 
 from __future__ import annotations
@@ -32,11 +33,12 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 
 AT_ZERO = 1e-9
-"""An operand below this share of the quantities it was computed from counts as zero."""
+"""An operand below this share of the quantities from which it was computed counts as zero."""
 BESIDE = 0.05
-"""Share of a step within which the limits on one side of a point are extrapolated."""
+"""Limits on one side of a point are extrapolated from values within this share of a step."""
 LIMIT_POINTS = 8
-"""Number of points for this: the error of rates is below 1e-9 of that of a motion with eight steps in a period."""
+"""Number of values for this extrapolation. For a motion with eight steps in a period, the relative error of rates is
+below 1e-9."""
 
 
 def needs_of(expression: MeasureExpression) -> Needs:
@@ -68,7 +70,7 @@ class MeasureOfRun:
     doubts
         Warnings about derivatives that do not exist, for the measure evaluated last.
     size
-        Largest absolute value that the functions over time of this measure were applied to, in its unit.
+        Largest absolute value to which functions over time of this measure were applied, in the unit of the measure.
     """
 
     def __init__(self, run: DifferentiatedRun):
@@ -83,7 +85,7 @@ class MeasureOfRun:
         Parameters
         ----------
         constants
-            (I, K) derivatives of the numbers of its I instructions; None: zero.
+            (I, K) derivatives of the numbers in the I instructions of the expression; None: zero.
         """
         self.size = 0.0
         slopes = np.zeros((len(expression.program), self.count)) if constants is None else constants
@@ -101,7 +103,7 @@ class _Evaluation:
     Parameters
     ----------
     slopes
-        (I, K) derivatives of the numbers of its I instructions.
+        (I, K) derivatives of the numbers in the I instructions of the expression.
     """
 
     def __init__(self, run: DifferentiatedRun, expression: MeasureExpression, slopes: np.ndarray):
@@ -348,9 +350,10 @@ class _Evaluation:
     # --- values at times
 
     def _at(self, functional: Functional | None, index: int, time: Value, operand: Value) -> Value:
-        """Return an operand at a time: that of the row of this time, or of the motion between the ends of steps.
+        """Return an operand at a time: its value in the row of this time or, if there is none, in the motion between
+        the ends of steps.
 
-        At a discontinuity of a force law or a load, it is the left limit.
+        At a discontinuity of a force law or a load, the value is the limit from the left.
         """
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:
@@ -373,12 +376,12 @@ class _Evaluation:
         return found
 
     def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> Value:
-        """Return an operand at a time of a part of the motion, whose derivatives are `moved` (K,)."""
+        """Return an operand at the time `at` in a part of the motion; `moved` (K,) are the derivatives of the time."""
         here = self._of_operand(index, states_of(self.run.motions, number, np.array([at])))
         return self._moved(here, number, at, index, moved)
 
     def _moved(self, here: Value, number: int, at: float, index: int, moved: np.ndarray) -> Value:
-        """Return an operand with the derivatives due to its time, whose derivatives are `moved` (K,)."""
+        """Return an operand with the derivatives due to its time `at`; `moved` (K,) are the derivatives of the time."""
         if not moved.any():
             return here
         side = 1.0 if at == self.run.motions[0].parts[number].span[0] else -1.0
@@ -433,7 +436,7 @@ class _Evaluation:
         )
 
     def _note_corner(self, operation: str, operands: Sequence[Value]) -> None:
-        """Add a warning if an operation on results of functions over time is at a point without derivative."""
+        """Add a warning if an operation on results of functions over time has no derivative at its operands."""
         if operation in ALONG.values():
             self._note_equal_elements(operation, operands[0])
             return
@@ -452,7 +455,9 @@ class _Evaluation:
         )
 
     def _note_rest(self, switches: Sequence[Value], time: np.ndarray) -> None:
-        """Add a warning if an integrand stays where it changes its form, while parameters move it away from there."""
+        """Add a warning if an operand stays at a value at which the form of the integrand changes, while parameters
+        would change this value.
+        """
         for one in switches:
             size = float(np.max(np.abs(one.value), initial=0.0))
             rests = (np.abs(one.value) <= 1e-14 * size) & (

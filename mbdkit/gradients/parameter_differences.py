@@ -1,9 +1,9 @@
 """Derivatives, by parameters, of the arrays to which a spec is compiled: the mechanism, its initial state, and others.
 
-The preparation turns a spec into arrays, and is repeated with other values of one parameter. Arrays that depend on it
-linearly have the slope of a line through two points, which is exact up to rounding errors. All others are
-differentiated by differences of order 8, whose error is estimated from that of order 6; the distance of the points is
-reduced until it is small.
+The preparation turns a spec into arrays, and is repeated with other values of one parameter. The derivative of an array
+that depends on the parameter linearly is the slope of a line through two points, which is exact up to rounding errors.
+All others are differentiated by differences of order 8, whose error is estimated from differences of order 6; the
+distance of the points is reduced until this error is small.
 """
 
 from __future__ import annotations
@@ -27,14 +27,16 @@ Arrays = Mapping[str, np.ndarray]
 WIDEST = 0.05
 """Largest change of a parameter, as a share of its size."""
 SMALLEST_SIZE = 0.1
-"""Smallest size of a parameter, in SI units and with lengths in units of the mechanism's length if that is below 1 m.
+"""A parameter with a smaller value, such as an angle of 1e-9 rad, is changed as if it had this size, because the effect
+of smaller changes would be lost in rounding errors.
 
-Changes as a share of a smaller value, such as an angle of 1e-9 rad, would be lost in rounding errors.
+The size is in SI units; if the length of the mechanism is below 1 m, the size is multiplied by this length.
 """
 FACTOR, MOST_ATTEMPTS = 4.0, 4
-"""Reduction of the changes while differences are not accurate, and number of attempts."""
+"""Factor by which the changes are reduced while differences are not accurate, and largest number of attempts."""
 ACCURATE = 1e-13
-"""Difference of the derivatives of order 8 and 6, relative to the array over its parameter, that counts as accurate."""
+"""Derivatives are accurate if those of order 8 and 6 differ by less than this, relative to the largest derivative or to
+the array over the size of the parameter."""
 LINEAR = 64.0
 """Deviation from a line, in units of round-off of the array, that counts as round-off."""
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
@@ -45,7 +47,8 @@ FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
 
 
 LEFT_OUT = ("length", "row_units", "spare_axes", "weight")
-"""Arrays of the mechanism on which its motion does not depend (units and choices), and the inverse masses."""
+"""Arrays that are not differentiated: those on which the motion does not depend (units and choices), and the inverse
+masses, whose derivatives follow from those of the masses."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ class Preparation(ABC):
         Raises
         ------
         SpecError
-            If the spec is not valid with it, or if their structure depends on the parameter.
+            If the spec is not valid with this value, or if the structure of the arrays depends on the parameter.
         """
 
     def derivatives(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:

@@ -1,10 +1,11 @@
 """Differentiated runs whose steps end where a force law or its derivative is discontinuous (at a *corner*).
 
-The result of a step across such a point is not a smooth function of the parameters: for any step size, its derivative
-lacks the change of the time at which the point is reached. Steps therefore end there, and each part of a step uses one
-side only (`mbdkit.gradients.law_corners`). Where the force is discontinuous, the derivatives of the velocities change
-by the difference of the accelerations before and after it, times the derivative of its time (P. C. Mueller, Calculation
-of Lyapunov exponents for dynamic systems with discontinuities, Chaos, Solitons & Fractals 5 (1995) 1671-1681).
+The result of a step across a corner is not a smooth function of the parameters: for any step size, its derivative lacks
+the change of the time at which the corner is reached. Steps therefore end there, and each part of a step uses one side
+only (`mbdkit.gradients.law_corners`). Where the force is discontinuous, the derivatives of the velocities change by the
+difference of the accelerations before and after the corner, times the derivative of its time (P. C. Mueller,
+Calculation of Lyapunov exponents for dynamic systems with discontinuities, Chaos, Solitons & Fractals 5 (1995)
+1671-1681).
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ MOST_AT_ONCE = 8
 
 @dataclass(frozen=True)
 class Sides:
-    """Sides of force laws that are valid from some state of a run on.
+    """Sides of force laws, and the state of a run from which on they are valid.
 
     Attributes
     ----------
     rows, nodes
-        Number of recorded states, without the first, and of nodes before.
+        Numbers of recorded states, without the first, and of nodes before that state.
     sides
         (C,) the sides.
     """
@@ -62,11 +63,11 @@ class Corner:
     Attributes
     ----------
     before, after
-        The state with derivatives there, with the sides before and after the corner.
+        The state at the corner with its derivatives, computed with the sides before and after the corner.
     slope
-        (K,) derivatives of its time.
+        (K,) derivatives of the time of the corner.
     sides
-        (C,) the sides after it.
+        (C,) the sides after the corner.
     """
 
     before: DifferentiatedStates
@@ -83,12 +84,12 @@ class SidedStepper(DifferentiatedStepper):
     method, workspace, timetable, seeds, with_nodes
         See `DifferentiatedStepper`; the mechanism of the workspace is one with sides.
     conditions
-        The conditions of its laws.
+        The conditions of the laws of the mechanism.
 
     Attributes
     ----------
     history
-        The sides from the start on.
+        The sides since the start, with the states from which on they are valid.
     corners
         The corners so far.
     """
@@ -169,7 +170,9 @@ class SidedStepper(DifferentiatedStepper):
         return stretch if theta > SAME else self.advance()
 
     def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
-        """Return the share of a step at which the first condition changes, and its number; None if none does."""
+        """Return the share of a step at which the first condition changes, and the index of the condition; None if no
+        condition changes.
+        """
         states = [self.inside(theta) for theta in PLACES[:-1]] + [step.between(1.0)]
         values = self._values([step.time(theta) for theta in PLACES], states)
         wrong = values * self.sides < 0.0

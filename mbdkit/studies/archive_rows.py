@@ -22,7 +22,7 @@ from mbdkit.studies.tasks import Outcome
 
 @dataclass(frozen=True)
 class ArchiveRows:
-    """The columns of a study with an archive for each run, and how the rows are made.
+    """Makes the rows of the index of a study that has an archive for each run.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class ArchiveRows:
 
     @property
     def use_plugins(self) -> bool:
-        """Whether a measure is that of a plugin, which may have changed since the study was indexed."""
+        """Whether a plugin computes one of the measures; it may have changed since the study was indexed."""
         return any(measure.item is not None for measure in self.defined)
 
     def left_out(self, distribution: str) -> Row:
@@ -107,7 +107,11 @@ class ArchiveRows:
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
 
     def with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
-        """Return a row with the measures of its second run: that of this call, or that of the row `before`."""
+        """Return a row with the measures of the run's second run.
+
+        They are those of the outcome `made` if this call has made the second run, otherwise those of `before`, the row
+        of the run in the previous index.
+        """
         if not self.again:
             return replace(row, second_run="")
         if made is not None and not made.is_passing:

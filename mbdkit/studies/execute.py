@@ -98,10 +98,10 @@ class Execution:
 
     def _compute(self, engine: Engine, total: int) -> None:
         """Compute the missing results."""
-        ended = 0  # runs of the rounds before
+        ended = 0  # number of runs of this round and the rounds before
         for some in self.store.rounds():
             ended += some.planned
-            done = ended - sum(task.runs for task in some.tasks)  # those that were dropped are done
+            done = ended - sum(task.runs for task in some.tasks)  # dropped tasks count as done
             with (Engine() if some.one_by_one else engine).pool(self.options.notify) as pool:
                 for task, outcome in pool.work(some.tasks):
                     noted = self.store.note(task, outcome)

@@ -22,7 +22,7 @@ from mbdkit.studies.pool import PROGRAM, Pool
 from mbdkit.studies.tasks import Outcome, Task, died
 
 LOOK = 1.0
-"""Time between two looks whether the client of a Dask cluster is closed [s]."""
+"""Interval at which it is checked whether the client of a Dask cluster is closed [s]."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def checked_executor(executor: Any) -> Executor | None:
     Raises
     ------
     SpecError
-        If it is none.
+        If the object is not an executor.
     """
     if executor is None or isinstance(executor, Executor):
         return executor
@@ -75,8 +75,8 @@ def checked_executor(executor: Any) -> Executor | None:
 class ExecutorPool:
     """Tasks that an executor computes, with the methods of `Pool`.
 
-    Workers receive texts, numbers, and paths, which all of them must see. A worker writes the archive or the block of
-    its task; a task whose worker is lost is submitted once more.
+    Workers receive texts, numbers and paths of files, to which all of them must have access. A worker writes the
+    archive or the block of its task; a task whose worker is lost is submitted once more.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class ExecutorPool:
                     raise _SchedulerLostError from None
 
     def _batches(self, tasks: Sequence[Task]) -> list[list[Task]]:
-        """Return the tasks in lists that are submitted together: one by one, or for a limited number of jobs."""
+        """Return the tasks in lists that are submitted together: of one task each or, for submitit, one list a job."""
         jobs = self.executor.jobs if isinstance(self.executor, SubmititExecutor) else len(tasks)
         size = math.ceil(len(tasks) / max(1, jobs))
         return [list(tasks[first : first + size]) for first in range(0, len(tasks), max(1, size))]

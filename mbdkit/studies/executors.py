@@ -21,13 +21,13 @@ from mbdkit.base.text import counted, one_line, shown
 from mbdkit.studies.owned_folder import JOBS
 
 MOST_JOBS = 100
-"""Jobs into which the tasks of a study are divided, at most."""
+"""Largest number of jobs into which the tasks of a study are divided."""
 
 INTERVAL = 0.5
-"""Time between two looks at the jobs [s]."""
+"""Interval at which the jobs are checked [s]."""
 
 PATIENCE = 10.0
-"""Time for cancelled jobs to end [s]."""
+"""Time to wait for cancelled jobs to end [s]."""
 
 
 class SubmititExecutor(Executor):
@@ -38,7 +38,7 @@ class SubmititExecutor(Executor):
     begin
         Returns the executor of submitit; called when the first job is submitted.
     jobs
-        Number of jobs into which tasks are divided, at most.
+        Largest number of jobs into which tasks are divided.
     """
 
     def __init__(self, begin: Callable[[], Any], jobs: int = MOST_JOBS):
@@ -70,7 +70,7 @@ class SubmititExecutor(Executor):
         return self.submit_all(function, arguments[:1], *arguments[1:])[0]
 
     def _watch(self) -> None:
-        """Pass the results of jobs to their futures until there are none."""
+        """Pass the results of jobs to their futures until no job is left."""
         while True:
             for future, job in list(self._jobs.items()):
                 if future.cancelled():
@@ -103,7 +103,7 @@ class SubmititExecutor(Executor):
         return True
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Let the jobs end, or cancel them; see `concurrent.futures.Executor.shutdown`."""
+        """Wait for the jobs if `wait`, or cancel them; see `concurrent.futures.Executor.shutdown`."""
         for future in list(self._jobs) if cancel_futures else ():
             future.cancel()
         while wait and self._jobs:
@@ -136,7 +136,7 @@ class Asked:
     slurm
         Options of sbatch, each as ``key=value``.
     workers
-        Number of processes, or of jobs; None by default.
+        Number of processes, or of jobs; None for the default.
     """
 
     name: Literal["local", "dask", "submitit"]
@@ -209,7 +209,7 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
             notify(f"without --scheduler, Dask runs on this machine, with {counted(count, 'worker')}")
         place = {"scheduler_file": scheduler} if Path(scheduler).is_file() else {"address": scheduler}
         try:
-            if "address" in place:  # a client with a wrong one ends with a traceback
+            if "address" in place:  # with a wrong address, a client prints a traceback
                 distributed.comm.resolve_address(scheduler)
             client = distributed.Client(**place, timeout=TIMEOUT, set_as_default=False)
         except Exception as error:  # a scheduler of another version, or another server, may answer
@@ -225,7 +225,7 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
 
 @contextlib.contextmanager
 def _without_logs(*packages: str) -> Iterator[None]:
-    """Silence the logs of packages, which print tracebacks when a scheduler is lost; the study says what it lacks."""
+    """Silence the logs of packages, which print tracebacks when a scheduler is lost; the study reports the loss."""
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]
     before = {name: logging.getLogger(name).level for name in names}
     for name in names:

@@ -40,7 +40,7 @@ def general_verdict(study: Study) -> Verdict:
 
 
 def _verdict_of_sample(study: Study) -> Verdict:
-    """Return the general verdict on a study with many runs, of which no specs are read."""
+    """Return the general verdict on a study with many runs, without reading their specs."""
     complete = list(study.statuses()).count("complete")
     failed = len(study.failures)
     sentence = f"{complete} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else ".")

@@ -30,7 +30,7 @@ class RunGroup:
     runs
         The runs, at least one.
     reference
-        Reference run of a single run.
+        Reference run, if the group is a single run and has one.
     """
 
     def __init__(self, runs: Sequence[Run], reference: Run | None = None):
@@ -62,7 +62,7 @@ class RunGroup:
         return self._arrays[path]
 
     def everywhere(self, value: float) -> np.ndarray:
-        """Return a value for each run, (R,)."""
+        """Return an array (R,) with the same value for each run."""
         return np.full(len(self), value)
 
 
@@ -91,9 +91,9 @@ class Measure:
     units
         SI units.
     take
-        Function of R runs that returns their values, (R,). The value of a run does not depend on the others.
+        Function of a group of R runs that returns their values, (R,). The value of a run does not depend on the others.
     needs
-        What it needs beside the run: `REFERENCE` or nothing.
+        What the measure needs beside the run: `REFERENCE`, or an empty string.
     """
 
     units: str
@@ -107,13 +107,13 @@ class Measure:
         Parameters
         ----------
         reference
-            Its reference run, if it has one.
+            Reference run of `run`, if it has one.
         """
         return float(self.take(RunGroup([run], reference))[0])
 
 
 def _one_by_one(take: Callable[[Run, Run | None], float]) -> Callable[[RunGroup], np.ndarray]:
-    """Return a measure that is computed for each run with its reference, or None if there is no reference."""
+    """Return a function that applies `take` to each run of a group, and to its reference or None."""
     return lambda group: np.array([take(run, group.reference) for run in group.runs])
 
 
@@ -334,14 +334,14 @@ OF_CHECKED_RUNS: Mapping[str, Measure] = {
     "known_until": Measure("s", "time until which the estimated errors are known", _one_by_one(_known_until)),
     "reaction_error_share": Measure(
         "1",
-        "largest estimated error of a reaction force until then, relative to the joint's largest force",
+        "largest estimated error of a reaction force up to known_until, relative to the joint's largest force",
         _one_by_one(_reaction_error_share),
     ),
     "position_error_estimate": Measure(
-        "m", "largest estimated error of the position of a body until then", _one_by_one(_position_error)
+        "m", "largest estimated error of the position of a body up to known_until", _one_by_one(_position_error)
     ),
     "angle_error_estimate": Measure(
-        "rad", "largest estimated error of the angle of a body until then", _one_by_one(_angle_error)
+        "rad", "largest estimated error of the angle of a body up to known_until", _one_by_one(_angle_error)
     ),
 }
 #: Measures that need a second run: units and description.

@@ -64,12 +64,12 @@ class OwnedFolder(ABC, Generic[Spec]):
         Parameters
         ----------
         overwrite
-            Whether the folder may contain another one, which `clear` then removes.
+            Whether the folder may contain another study or design, which `clear` then removes.
 
         Raises
         ------
         SpecError
-            If the folder belongs to another one, contains other files but no spec, or cannot be created.
+            If the folder belongs to another study or design, contains other files but no spec, or cannot be created.
         ResourceError
             If writing into it is not permitted.
         """

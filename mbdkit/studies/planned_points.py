@@ -70,7 +70,7 @@ class Grid:
         return json.dumps(plain(data), separators=(",", ":"), ensure_ascii=False)
 
     def with_units(self) -> list[Setting]:
-        """Return one value of each key and each unit that its values are written in, as text with this unit."""
+        """Return, for each key and each unit in which its values are written, one of these values as text with unit."""
         settings: dict[tuple[str, str], Setting] = {}
         for number, axis in enumerate(self.axes):
             for key, values in axis:
@@ -140,7 +140,9 @@ class Grid:
 
 
 def _choices(combination: Any, shape: tuple[int, ...]) -> list[Any]:
-    """Return the place on each axis of a combination, or of an array of them; the last axis varies fastest.
+    """Return the indices on the axes of a combination, given by its number; the last axis varies fastest.
+
+    `combination` may be an array of numbers.
 
     `numpy.unravel_index` allows only 64 axes.
     """
@@ -343,7 +345,7 @@ class PlannedPoints(Sequence[PlannedPoint]):
     spec
         The study spec with its bases resolved.
     kept
-        Whether points are kept, with their run specs, once they have been created.
+        Whether points are cached, with their run specs, once they have been created.
 
     Raises
     ------

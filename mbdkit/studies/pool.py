@@ -1,9 +1,9 @@
 """A pool of worker processes; if a process dies, another one tries its task, once.
 
 `concurrent.futures.ProcessPoolExecutor` and loky lack what studies need: when a process dies, all pending tasks fail,
-and neither tells which of them killed it and what it printed last (loky names the signal). The workers of both outlive
-a parent process that is killed; those of the former import the script of the user again, and receive the Ctrl-C that is
-meant for the parent process.
+and neither reports which task killed it and what it printed last (loky names the signal). The workers of both outlive a
+parent process that is killed. Those of `ProcessPoolExecutor` also import the script of the user again, and receive the
+Ctrl-C that is meant for the parent process.
 """
 
 from __future__ import annotations
@@ -140,7 +140,8 @@ class _Worker:
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-        # In a session of its own, so that Ctrl-C interrupts only the parent process, which then ends its workers.
+        # The process has its own session, so that Ctrl-C interrupts only the parent process, which then ends its
+        # workers.
         try:
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", program],

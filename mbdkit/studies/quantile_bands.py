@@ -22,7 +22,7 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 MOST_ROWS = 501
 """Largest number of times at which quantiles are computed by default, if all runs recorded the same times."""
 TIMES = 201
-"""Number of these times if the runs recorded different ones."""
+"""Number of times at which quantiles are computed by default, if the runs recorded different times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,10 @@ def _given(times: Any) -> np.ndarray:
 def _by_run(
     time: np.ndarray, values: np.ndarray, numbers: Iterable[int], counts: np.ndarray, places: Set[int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield times and values of each run at some indices of a study, from joined runs."""
+    """Yield times and values of each run whose index in the study is in `places`, from the joined rows of runs.
+
+    `numbers` are the numbers of the joined runs, `counts` their numbers of rows.
+    """
     ends = np.cumsum(counts)
     for number, end, count in zip(numbers, ends.tolist(), counts.tolist(), strict=True):
         if number - 1 in places and count:
@@ -115,9 +118,9 @@ class _Grid:
     Parameters
     ----------
     has_rows
-        Whether they are the recorded times of all runs, except for those that ended early.
+        Whether the times are recorded times of all runs, except for those runs that ended early.
     step
-        In this case, every `step`-th recorded row.
+        If `has_rows`, the times are those of every `step`-th recorded row.
     """
 
     time: np.ndarray

@@ -1,4 +1,4 @@
-"""The runs of a study that are in blocks of many."""
+"""The runs of a study that stores them in blocks of many."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", 
 """Columns of texts and hashes in the index of a study in blocks."""
 
 SETTLED = 2.0
-"""Time since the last change of a file after which a further change is visible in its times [s].
+"""If a file was last changed longer ago than this [s], a further change is visible in its times.
 
 File systems record times with a resolution of 2 s or better.
 """
@@ -39,11 +39,11 @@ File systems record times with a resolution of 2 s or better.
 UNKNOWN = (0, 0, 0, 0)
 
 CHANGED = 2
-"""Index of the time of the last change in a state."""
+"""Index of the time of the last change in the state of a file; see `_state`."""
 
 
 class RunBlocks(RunStore[int]):
-    """Blocks of many runs, which are assigned to the parts of a study in turn.
+    """Blocks of many runs, which are assigned to shards (parts of the study) in turn.
 
     A block is complete if its file is sound and no run in it failed for a reason outside the study. It is read, and its
     hashes are computed, if its file has changed since it was indexed. The system records the time of a change (ctime)

@@ -29,8 +29,8 @@ from mbdkit.studies.tasks import Outcome, Task
 class RunFiles(RunStore[str]):
     """An archive for each run, with the results of second runs and repeated timings in the index.
 
-    These are made without a shard only, by the call that completes the study; the timings in a single separate process
-    of this machine.
+    Only calls for the whole study make second runs and timings, after the missing runs; not those for a shard. Timings
+    are made one after another in a separate process of this machine.
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
@@ -84,7 +84,7 @@ class RunFiles(RunStore[str]):
         yield Round(timings, len(self._repeats), one_by_one=True)
 
     def _task(self, run_id: str, **content: Any) -> Task:
-        """Return the task to compute a run for its archive, or, without writing it, for other results."""
+        """Return the task to compute a run: to write its archive or, without writing it, for other results."""
         spec = self.plan.runs[run_id].canonical_json()
         return Task(run_id, {"spec": spec, **content}, self.folder.archive(run_id), writes="measures" in content)
 
@@ -162,7 +162,7 @@ class RunFiles(RunStore[str]):
         return self._by_run[run_id].repeats if run_id in self._by_run else ()
 
     def _run_twice(self, run_id: str) -> Row | None:
-        """Return the row of a run with a second run, if its archive is unchanged since then; else None."""
+        """Return the indexed row of a run that was run twice, if its archive is unchanged since then; else None."""
         return self._by_run[run_id] if self._is_unchanged(run_id) and self._by_run[run_id].second_run else None
 
     def _measured_before(self, run_id: str, reference_id: str) -> Row | None:

@@ -1,6 +1,6 @@
 """The runs that a study stores, in archives of one run or in blocks of many, and what is known of their files.
 
-The index of an earlier call, the files and the workers tell which runs are there.
+Which runs exist is known from the index of an earlier call, from the files, and from the workers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ class Round:
     Parameters
     ----------
     planned
-        Number of runs that were expected when the study began; tasks of failed runs may be dropped since.
+        Number of runs that were expected in this round when the study began. There may be fewer tasks, because runs of
+        earlier rounds have failed.
     one_by_one
         Whether one process of this machine computes them, one after another.
     """
@@ -51,7 +52,7 @@ class Noted:
     runs
         Number of runs that the task has computed.
     failed
-        Number of failed ones.
+        Number of these runs that failed.
     unfinished
         External reasons why runs were not computed.
     """
@@ -62,11 +63,11 @@ class Noted:
 
 
 class RunStore(ABC, Generic[Key]):
-    """The runs of a study in its folder: what is there, what is missing, and the index of it.
+    """The runs of a study in its folder: those that exist, those that are missing, and the index.
 
     A file has one run (`RunFiles`, whose keys are the run ids) or is a block of many (`RunBlocks`, whose keys are the
-    numbers of the blocks). It is read unless it is the one that was indexed. Whoever makes a store has checked that the
-    spec of the study is valid; nothing is read from the folder before `begin`.
+    numbers of the blocks). It is read unless it is unchanged since it was indexed. The constructors of both classes
+    check that the spec of the study is valid; nothing is read from the folder before `begin`.
 
     Attributes
     ----------
@@ -129,8 +130,8 @@ class RunStore(ABC, Generic[Key]):
     def missing(self, keys: Iterable[Key]) -> list[Key]:
         """Return the keys of the files that are to be computed.
 
-        They are looked at again for the index, because another shard, or a worker of an interrupted call, may still
-        write them.
+        These files are read again for the index, because another shard, or a worker of an interrupted call, may write
+        them meanwhile.
 
         Raises
         ------
@@ -160,5 +161,5 @@ class RunStore(ABC, Generic[Key]):
         self._outcomes[key] = outcome if outcome.status in ("complete", "failed", "missing") else MISSING
 
     def forget(self, key: Key) -> None:
-        """Discard what was read of a file."""
+        """Discard what was read from a file."""
         self._outcomes.pop(key, None)

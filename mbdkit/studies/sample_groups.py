@@ -36,7 +36,9 @@ class SampledStudy(Protocol):
         ...
 
     def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
-        """Yield runs with all rows of one or more runs of the study, their numbers, and their numbers of rows."""
+        """Yield runs that join the rows of one or more runs of the study, with the numbers of the latter in the study,
+        and their numbers of rows.
+        """
         ...
 
 

@@ -21,8 +21,9 @@ _SMALLEST = 2.0**-54
 def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
     """Return the values of each variable, (N,) by dotted key, where N is the number of runs.
 
-    The runs of a member follow each other. In a Saltelli design with d variables, these are one run with a point of the
-    matrix A, one with a point of B, and d runs with the point of A in which one coordinate is replaced by that of B.
+    The runs of a member of the sample follow each other. In a Saltelli design with d variables, a member has one run
+    with a point of the matrix A, one with a point of B, and d runs with the point of A in which one coordinate is
+    replaced by that of B; in other designs, a member is one run.
 
     Raises
     ------

@@ -33,7 +33,7 @@ class Sensitivity:
     confidence
         Probability of the intervals.
     members
-        Number of members of the sample whose runs all have a value of the measure, and are used.
+        Number of members of the sample that are used, because all of their runs have a value of the measure.
     left_out
         Number of members that are not used, because a run failed or has no value.
     reason

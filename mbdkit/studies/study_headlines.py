@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 MOST = 5
-"""Number of measures, and of samples of a study, that the headline has."""
+"""Largest number of measures, and of samples of a study, that the headlines contain."""
 
 LEAST_SHARE = 0.05
-"""Smallest share of a variance that the headline names."""
+"""Smallest share of a variance that a headline mentions."""
 
 ROUND_OFF = 1e-12
 """Relative range of a measure below which its values differ by rounding errors."""

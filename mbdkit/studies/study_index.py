@@ -219,7 +219,7 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
         If the index cannot be written, as on a full disk; the previous one is unchanged then.
     """
     in_blocks = index.states is not None
-    # Made in memory: HDF5 crashes the interpreter if the disk is full when it closes a file.
+    # The file is made in memory, because HDF5 crashes the interpreter if the disk is full when it closes a file.
     with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         set_text(file, "format", FORMAT)
         set_text(file, "format_version", BLOCKS_VERSION if in_blocks else FILES_VERSION)
@@ -317,7 +317,7 @@ def _texts(values: np.ndarray) -> list[str]:
 
 
 def describe_column(name: str) -> Description:
-    """Return what describes a numeric column that any study may have; raises KeyError if there is no such column."""
+    """Return units and description of a numeric column that any study may have; raise KeyError for other columns."""
     if name in MEASURES:
         return Description(MEASURES[name].units, MEASURES[name].long_name)
     if name in OF_CHECKED_RUNS:
@@ -334,7 +334,7 @@ def describe_column(name: str) -> Description:
 
 
 def read(path: Path) -> Index:
-    """Read an index of any format; that of a study with an archive for each run has no axis labels then.
+    """Read an index of format 1.x or 2.x; one of format 1.x is returned without axis labels.
 
     Raises
     ------

@@ -20,7 +20,8 @@ from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
 
 SAMPLES = 8
-"""Runs of a study in blocks whose specs are validated before the first run; all others when they are computed."""
+"""Number of runs of a study in blocks whose specs are validated before the first run; the specs of all other runs are
+validated when these are computed."""
 
 
 class StudyPlan:
@@ -29,7 +30,7 @@ class StudyPlan:
     Parameters
     ----------
     spec
-        The study spec; that of a study in blocks has its `store`.
+        The study spec. For a study in blocks, its `store` must be set.
 
     Attributes
     ----------
@@ -43,7 +44,8 @@ class StudyPlan:
     Raises
     ------
     SpecError
-        If there are too many points, or one of the runs (in blocks, all samples) or of the measures is invalid.
+        If there are too many points, or if a run or a measure is invalid. In blocks, only the sampled runs are
+        validated, and the error is raised if all of them are invalid.
     """
 
     def __init__(self, spec: StudySpec):
@@ -65,7 +67,7 @@ class StudyPlan:
 
     @cached_property
     def samples(self) -> list[PlannedPoint]:
-        """Some points from the first to the last."""
+        """Up to `SAMPLES` points, at equal distances from the first to the last."""
         last = len(self.points) - 1
         places = dict.fromkeys(last * number // max(1, SAMPLES - 1) for number in range(SAMPLES))
         return [self.points[place] for place in places]
@@ -91,12 +93,13 @@ class StudyPlan:
 
 
 def plan_study(spec: StudySpec) -> StudyPlan:
-    """Return the plan of a study with the specs of its runs validated and their mechanisms built; in blocks, of some.
+    """Return the plan of a study, after validating the specs of its runs (in blocks, of some runs) and building their
+    mechanisms.
 
     Raises
     ------
     SpecError
-        If the study, one of these runs (in blocks, all of them) or one of its measures is invalid.
+        If the study, one of its runs (in blocks, all runs that are validated) or one of its measures is invalid.
     """
     check_verdict(spec)
     check_column_names(spec)
@@ -104,7 +107,7 @@ def plan_study(spec: StudySpec) -> StudyPlan:
 
 
 def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> dict[str, Description]:
-    """Check the measures that a study defines for all of its runs, and return what describes their columns.
+    """Check the measures that a study defines for all of its runs, and return units and descriptions of their columns.
 
     Parameters
     ----------
@@ -152,7 +155,7 @@ def _placed(spec: StudySpec, measure: DefinedMeasure, error: SpecError) -> SpecE
 #: Longest name of a column [bytes of UTF-8]; netCDF has the same limit.
 LONGEST = 255
 
-#: Characters that HDF5 cannot store, and those that names do not need either.
+#: Characters that HDF5 cannot store; and these with all control characters, which names must not contain.
 _UNSTORED = re.compile(r"[\x00\ud800-\udfff]")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 

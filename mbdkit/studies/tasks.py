@@ -19,7 +19,7 @@ PASSING = ("no-resources", "worker-died", "error")
 TRIED_AGAIN = ("interrupted", "plugin-error", *PASSING)
 
 MOST_DEATHS = 20
-"""Number of processes that may die in one task before it is not tried again."""
+"""Largest number of processes that may die in one task; if more have died, the task is not tried again."""
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,17 @@ class Task:
     key
         What the task computes, for the caller: a run id, the number of a block, jobs of a design.
     content
-        The message with which a worker can carry it out, without what the other parameters say.
+        The message from which a worker can carry out the task, without `path` and `skip`, which `message` adds.
     path
-        File that it writes, or a file in the folder that it belongs to, which the workers of executors must see.
+        File that the task writes, or another file in the folder to which it belongs. The workers of executors must have
+        access to this folder.
     runs
         Number of runs.
     writes
         Whether it writes the file.
     deaths
-        Numbers of processes that died at a run, by its number in a block; 0 for those that died at no run of a block.
+        Number of processes that died while they computed a run of a block, by the number of the run; the key 0 counts
+        those that died at other times or in other tasks.
     skip
         Reasons for which runs of a block are recorded as failed without being computed, by their number.
     """
@@ -53,13 +55,13 @@ class Task:
     skip: Mapping[int, str] = field(default_factory=dict)
 
     def message(self) -> dict[str, Any]:
-        """Return the message with which a worker can carry out the task, as a part of the command of this process."""
+        """Return the message from which a worker can carry out the task, with the command line of this process."""
         skip = {str(run): reason for run, reason in self.skip.items()}
         return {**self.content, "path": str(self.path.absolute()), "skip": skip, "command": command_words()}
 
     def after_death(self, how: str) -> Task | None:
-        """Return the task to try after a process died in this one, as described by `how`; None if it is not tried
-        again. Of a block, a run in which two processes died is left out.
+        """Return the task to try after a process died in this task, as described by `how`; None if it is not tried
+        again. A run of a block in which two processes died is left out of the new task.
         """
         run = run_at_work(self.path) or 0
         deaths = {**self.deaths, run: self.deaths.get(run, 0) + 1}

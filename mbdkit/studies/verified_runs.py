@@ -1,4 +1,4 @@
-"""What is compared when a run of a study is read from its file, and when it is computed again."""
+"""Checks of a run of a study against the index, when it is read from its file and when it is computed again."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str)
     """
     run = simulate(point.spec, measures=expressions_of(study.defined_measures()))
     if run.data_sha256 != point.row.data_sha256:
-        message = f"run {point.number} has different data than those stored when computed again"
+        message = f"run {point.number}, computed again, has other data than the stored run"
         raise MbdkitError(f"{message}{why}")
     differing = [
         name
@@ -71,7 +71,7 @@ def remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str)
     if run.verdict != (point.verdict or run.verdict):
         differing.append("verdict")
     if differing:
-        message = f"run {point.number} has the same data when computed again, but the index has other values of"
+        message = f"run {point.number}, computed again, has the same data, but the index has other values of"
         raise MbdkitError(f"{message} {listed(differing)}{why}")
     return run
 

@@ -26,7 +26,8 @@ from mbdkit.base.text import shown
 from mbdkit.runs.batch import refusal
 
 Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
-"""Carries out the task of a message, with a function that notes a text, and returns its answer."""
+"""A function that carries out the task of a message, and returns the answer; it passes notes for the user to its second
+argument."""
 
 
 def main(carry: Carry | None = None) -> None:
@@ -66,7 +67,7 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | Non
     tasks
         Messages of the tasks, see `mbdkit.studies.tasks`.
     of_version
-        The version of mbdkit that the study is computed with.
+        The version of mbdkit with which the study is computed; workers with other versions refuse tasks.
     carry
         Carries out a task; by default, one of a study.
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 G = 9.81
 EXACT = 1e-9
-"""Error of event-driven runs, and penetration and creep of rigid bodies, that count as none [m, m/s]."""
+"""Below this value, errors of event-driven runs, penetration [m] and creep [m/s] of rigid bodies count as zero."""
 PER_STEP = 3.0
 """Largest error over step of time-stepping [m/s]."""
 SOFT = "-compliant"
@@ -55,7 +55,9 @@ def ball(t: np.ndarray) -> np.ndarray:
 
 
 def _block(friction: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the way of a block along an incline of 30 degrees, which starts with 2 m/s upwards."""
+    """Return the distance [m] of a block along an incline of 30 degrees, as a function of time; it starts uphill with
+    2 m/s.
+    """
     pull, hold = 0.5 * G, friction * math.cos(math.radians(30.0)) * G
     stop = 2.0 / (pull + hold)
 
@@ -88,7 +90,7 @@ CLOSED: dict[str, tuple[Callable[[Run], np.ndarray], Callable[[np.ndarray], np.n
 FRICTION = ("incline", "hold", "belt")
 """Cases in which contacts have friction and no restitution."""
 HOUSNER = (1.0 - 1.5 / 17.0) ** 2
-"""Energy after an impact of the rocking block over that before, with sin^2 alpha = 1/17 (G. W. Housner, 1963)."""
+"""Share of its energy that the rocking block keeps in an impact, with sin^2 alpha = 1/17 (G. W. Housner, 1963)."""
 
 
 @dataclass(frozen=True)
