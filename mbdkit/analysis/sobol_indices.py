@@ -33,7 +33,7 @@ class SobolIndices:
     total_high: np.ndarray
 
     def informative(self) -> SobolIndices:
-        """Return the indices without those about which the intervals tell nothing, because they cover 0 to 1."""
+        """Return the indices with nan in place of those whose intervals cover 0 to 1, and so contain no information."""
         first, total = (
             np.where((low <= 0.0) & (high >= 1.0), np.nan, value)
             for value, low, high in (

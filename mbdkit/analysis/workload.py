@@ -155,11 +155,11 @@ class Workload(HtmlView):
     Attributes
     ----------
     start, end
-        Time that it covers [s].
+        Time interval that the workload covers [s].
     elements
-        Workload of each joint and actuator over this time.
+        Workload of each joint and actuator over this interval.
     phases
-        The same for each cycle, and for its contact and swing, if cycles were asked for.
+        Workload of each cycle, and of its contact and swing; empty without cycles.
     cycles
         Forces of joints and values of actuators over 0 to 100 % of the cycles, by name; empty without cycles. Where a
         joint and an actuator have the same name, the entry is that of the actuator.
@@ -206,10 +206,11 @@ def workload(
     cycles
         Times at which cycles begin, the end of the last one included [s].
     load
-        Instead of `cycles`, a measured load of inverse dynamics: a cycle begins where its magnitude rises to
-        `threshold`, as at heel strike, and its contact ends where it falls below it; the rest is its swing.
+        Name of a measured load of inverse dynamics, instead of `cycles`. A cycle begins when the magnitude of the load
+        rises to `threshold`, as at heel strike. The contact of the cycle ends when the magnitude falls below
+        `threshold`; the rest of the cycle is its swing.
     threshold
-        Force [N], for `load`.
+        Force [N] at which contacts begin and end; used with `load` only.
 
     Returns
     -------

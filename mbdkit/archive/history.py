@@ -388,7 +388,7 @@ class LoadHistory(View, of="loads"):
 
 
 class StateHistory(View, of="states"):
-    """Value and rate of one first-order state of a force element."""
+    """Value and rate of one first-order state."""
 
     # columns (python -m mbdkit.archive.history_columns mbdkit/archive/history.py)
     value: np.ndarray

@@ -345,7 +345,7 @@ class Run(HtmlView):
 
     @cached_property
     def states(self) -> StateHistories:
-        """First-order states of force elements by name, ``element.state``; empty if there are none."""
+        """First-order states by name, those of force elements and muscles as ``element.state``; empty without any."""
         return StateHistories(BY_GROUP["states"], self)
 
     @cached_property

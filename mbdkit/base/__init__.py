@@ -1,1 +1,1 @@
-"""General tools without mechanics, for all rooms: errors, text, files, units, plain data, strict models, logs."""
+"""General tools without mechanics, for all packages: errors, text, files, units, plain data, strict models, logs."""

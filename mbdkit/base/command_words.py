@@ -1,7 +1,7 @@
 """The command that this process executes, as archives record it: subcommands and names of files, nothing else.
 
-Command lines may contain what nobody else should read, such as tokens, or paths in a user's home; so the options of a
-command, the folders of its files, and the whole command line of a Python program are left out.
+Command lines may contain private data, such as tokens, or paths in a user's home. The options of a command, the folders
+of its files, and the whole command line of a Python program are therefore left out.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ def command_words() -> list[str]:
 
 @contextmanager
 def executing(words: Sequence[str]) -> Iterator[None]:
-    """Let `command_line` return these words in a block, in a worker process those of the command that started it."""
+    """Let `command_line` return these words in a block.
+
+    A worker process is given the words of the command that has started it.
+    """
     global _words
     before, _words = _words, words
     try:

@@ -98,7 +98,9 @@ class PluginError(MbdkitError):
 
 @contextmanager
 def in_this_process() -> Iterator[None]:
-    """End a process that a plugin forks in this block: what follows the block is for the process that began it."""
+    """End a process that a plugin has forked in this block at the end of the block, so that only the original process
+    continues.
+    """
     process = os.getpid()
     try:
         yield
@@ -161,7 +163,7 @@ class RunError(MbdkitError):
 StepCode = Literal[
     "newton-failed", "singular", "not-finite", "step-too-small", "zeno", "painleve", "contact-solver", "self-locking"
 ]
-"""Codes of steps that fail, which are among those of archives."""
+"""Codes of failed steps, which archives store among other codes of failed runs."""
 
 
 class StepError(Exception):

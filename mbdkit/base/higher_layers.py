@@ -1,7 +1,7 @@
-"""Functions of higher rooms that lower rooms call; ``mbdkit/__init__.py`` assigns them.
+"""Functions of higher packages of mbdkit that lower packages call; ``mbdkit/__init__.py`` assigns them.
 
-Imports point down: a room cannot import the rooms that are built on it. A method of a lower room that needs a higher
-one, such as `Mechanism.to_sympy`, calls one of these functions.
+Imports point down: a package cannot import the packages that are built on it. A method of a lower package that needs a
+higher one, such as `Mechanism.to_sympy`, calls one of these functions.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=Fals
 class StrictModel(BaseModel):
     """Base class of elements, options and sections of a spec; attribute docstrings are descriptions in the schema.
 
-    They are read from the source on demand. Pydantic's ``use_attribute_docstrings`` would read them whenever a class is
-    defined, which took 0.2 s at every start of the program.
+    The docstrings are read from the source on demand. Pydantic's ``use_attribute_docstrings`` would read them whenever
+    a class is defined, which took 0.2 s at every start of the program.
     """
 
     model_config = ConfigDict(**STRICT)

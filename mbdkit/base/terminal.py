@@ -43,7 +43,10 @@ class PlainStream:
         self.stream = stream
 
     def write(self, text: str) -> int:
-        """Write text with its control characters escaped; raise TypeError for bytes, by which click tells streams."""
+        """Write text with its control characters escaped.
+
+        For bytes, raise TypeError, from which click concludes that this is a stream of text.
+        """
         if not isinstance(text, str):
             raise TypeError(f"text is written here, not {type(text).__name__}")
         self.stream.write(shown(text, lines=True))

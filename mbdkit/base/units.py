@@ -109,7 +109,7 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
 """Exponents and SI factor of each symbol."""
 _COUNTS = {"rad": (1, 0, 0), "mrad": (1, 0, 0), "deg": (1, 0, 0), "rev": (1, 0, 0), "Hz": (0, 1, 0), "%": (0, 0, 1)}
 _SI = {"kg": "kg", "g": "kg", "min": "s", "Hz": "Hz", "deg": "rad", "rev": "rad", "mrad": "rad", "%": "1"}
-"""SI symbols of those that are not found by leaving out a prefix."""
+"""SI symbols of units whose SI symbol is not the unit without its prefix."""
 
 _NAMED = {
     exponents: text

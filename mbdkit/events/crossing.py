@@ -129,7 +129,7 @@ def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
 def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float) -> float | None:
     """Return the position in the step, between two points, at which the scalar of the event changes its sign to `new`.
 
-    None if it changes sign at a pole, through infinity instead of zero.
+    Return None if the scalar changes sign at a pole, through infinity instead of zero.
     """
     (a, fa), (b, fb) = left, right
     if sign(fa) != -new:  # the left value is zero: bisect for the last zero

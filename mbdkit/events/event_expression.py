@@ -1,11 +1,11 @@
 """Event expressions of time, bodies, joints and energies, parsed by an extension of the parser for expressions of time.
 
 In addition to ``t``, ``pi``, numbers, operators and functions, an expression can contain the quantities that
-`mbdkit.quantities.table.quantities_of_events` lists,
-in SI units, as recorded in the archive: accelerations and reactions are the index-1 values at the state. ``force`` is
-the magnitude of a joint's reaction force, ``force_first_x`` its component along the x axis of the first body, ``angle``
-the angle of its second body relative to the first or, of a slide, its travel. Write ``bodies.NAME`` or ``joints.NAME``
-if a body and a joint have the same name, and ``bodies["NAME"]`` if the name is not an identifier.
+`mbdkit.quantities.table.quantities_of_events` lists. They are in SI units, as recorded in the archive: accelerations
+and reactions are the index-1 values at the state. Of a joint, ``force`` is the magnitude of the reaction force,
+``force_first_x`` the component of this force along the x axis of the first body, and ``angle`` the angle of the second
+body relative to the first or, for a slide, the travel. Write ``bodies.NAME`` or ``joints.NAME`` if a body and a joint
+have the same name, and ``bodies["NAME"]`` if the name is not an identifier.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ Function = Callable[[Sequence[float]], float]
 
 
 class CompiledExpression(NamedTuple):
-    """An expression as a function, the arguments of its periodic functions, and the scalars at whose roots it is not
-    smooth.
+    """An expression as a function (`value`), the arguments of its periodic functions, and the scalars at whose roots it
+    is not smooth.
 
-    The latter are the arguments of ``abs`` and the differences of the operands of ``min`` and ``max``.
+    These scalars are the arguments of ``abs`` and the differences of the operands of ``min`` and ``max``.
     """
 
     value: Function
@@ -73,12 +73,14 @@ class RunExpression:
     def parse(
         text: str, mechanism: Mechanism, parameters: Mapping[str, float] | None = None, *, crosses: bool = True
     ) -> RunExpression:
-        """Parse an expression of quantities of a mechanism and of named parameters, which `crosses` zero or need not.
+        """Parse an expression of quantities of a mechanism and of named parameters.
+
+        If `crosses`, the expression must be able to cross zero.
 
         Raises
         ------
         SpecError
-            If the syntax is wrong, a quantity does not exist, or the expression cannot cross zero.
+            If the syntax is wrong, a quantity does not exist, or the expression cannot cross zero although it must.
         """
         compiler = RunCompiler(text, mechanism, parameters)
         program = tuple(compiler.program())

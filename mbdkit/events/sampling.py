@@ -28,7 +28,7 @@ INSIDE = (0.25, 0.5, 0.75)
 """Relative positions in a step at which dense output is evaluated first."""
 
 LARGEST_TURN = 1.0
-"""Largest change of the argument of a periodic function between two samples [rad]: 6 samples in a period."""
+"""Largest change of the argument of a periodic function between two samples [rad]; a period has at least 6 samples."""
 
 MOST_SAMPLES = 2000
 """Largest number of samples of one event in a step."""
@@ -38,13 +38,15 @@ DEEPEST = 10
 ever."""
 
 NOISE = 1e-12
-"""Values below this share of the largest one so far count as rounding errors; their roots are ignored."""
+"""Values of the scalar below this share of its largest value so far count as rounding errors; their roots are ignored.
+"""
 
 SAFETY, LOWER_SHARE = 4.0, 0.1
 """Safety factor of the estimated errors of a polynomial, and weight of the second estimate (degree 3 against degree 2).
 
 With these values, crossings are missed for 6 of 1000 polynomials of degree 5 to 7 with roots distributed evenly over
-1.6 steps; with a factor of 2 and without the second estimate, for 47 of them, with three quarters of the samples.
+1.6 steps. With a factor of 2 and without the second estimate, crossings are missed for 47 of them, and the number of
+samples is three quarters of that with these values.
 """
 
 Values = Sequence[float]
@@ -71,8 +73,8 @@ def refined(
     scalar
         The scalar of the event as a function of the quantities.
     phases, breaks
-        Arguments of the periodic functions in the scalar, and arguments of its `abs`, `min` and `max`: the derivative
-        of the scalar is discontinuous where one of the latter changes sign.
+        Arguments of the periodic functions in the scalar; and scalars at whose sign changes the derivative of the
+        scalar is discontinuous: arguments of its `abs`, and differences of the operands of its `min` and `max`.
     largest
         Largest absolute value of the scalar so far.
     """
@@ -151,16 +153,16 @@ def _root(function: Callable[[float], float], a: float, b: float) -> float:
 def _interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices that map five values at `nodes` (from 0 to 1) to their polynomial of degree 4 and its errors.
 
-    Returns a matrix (5, 5) for its coefficients in ascending powers, and one (4, 5) for the largest difference to the
-    polynomial through all but the middle node, and that of the derivatives; then the same for this polynomial and the
-    parabola through three nodes.
+    The first matrix (5, 5) yields the coefficients of the polynomial in ascending powers. The rows of the second one
+    (4, 5) yield the largest difference from the cubic through all but the middle node, and that of the derivatives;
+    then the same differences of this cubic from the parabola through three nodes.
     """
     x = np.array(nodes)
     inverse = np.linalg.inv(np.vander(x, increasing=True))
     fine = np.linspace(0.0, 1.0, 33)
 
     def largest(roots: np.ndarray) -> list[float]:
-        # the difference of two interpolants is the leading coefficient of one times this polynomial
+        # the difference of two interpolants is the leading coefficient of the higher one, times this polynomial
         product = np.poly(roots)
         return [float(np.max(np.abs(np.polyval(power, fine)))) for power in (product, np.polyder(product))]
 

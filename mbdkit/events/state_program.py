@@ -60,7 +60,7 @@ def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[
 def state_values(program: Program, quantities: Sequence[tuple[str, str, str]], states: States) -> np.ndarray:
     """Return the values (T,) of an expression, as `state_program` returns it, in states of a run.
 
-    They are computed one by one: the last bits of NumPy's functions of arrays depend on how many there are.
+    The values are computed one by one, because the last bits of NumPy's functions depend on the length of the array.
     """
     names = archive_names(states.mechanism)
     columns = [states.time.tolist(), *(Quantity(*one).taker(names)(states).tolist() for one in quantities)]

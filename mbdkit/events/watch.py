@@ -25,15 +25,15 @@ from mbdkit.stepping.splitting import Splitting
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
 REPEATED = 10.0 * ACCURACY
-"""Time between two crossings of an event that sets states, relative to the larger of the time and 1 s, below which the
-run fails: crossings that follow each other more and more quickly, without end, would otherwise be lost."""
+"""A run fails if two crossings of an event that sets states follow each other within this time, relative to the larger
+of the time and 1 s. Otherwise, crossings that follow each other more and more quickly, without end, would be lost."""
 
 ZERO = 1e-9
-"""Share of the largest value of an expression so far below which it counts as zero after its event has set states."""
+"""After an event has set states, its expression counts as zero below this share of its largest value so far."""
 
 CLOSER = 0.1
-"""Factor between the shares of the step at which an expression is sampled after its event has set states, so that the
-next crossing is seen however soon it follows."""
+"""After an event has set states, its expression is sampled at shares of the step that decrease by this factor, so that
+the next crossing is seen however soon it follows."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Watched:
     action
         Whether the run continues (``note``) or ends (``stop``) at a crossing.
     changes
-        First-order states that a crossing sets, by name, and their new values, from the state before.
+        New values of the first-order states that a crossing sets, by name, as expressions of the state before.
     """
 
     name: str
@@ -122,8 +122,8 @@ class Watch:
     Parameters
     ----------
     stepper
-        The stepper, started with ``Timetable.single``; if events set states, a
-        `mbdkit.stepping.splitting.Splitting` one.
+        The stepper, started with ``Timetable.single``; if events set states, it must be a
+        `mbdkit.stepping.splitting.Splitting`.
 
     Attributes
     ----------
@@ -237,7 +237,7 @@ class Watch:
 
     def stored(self) -> dict[str, Any]:
         """Return the state that is kept between steps, as plain values for a checkpoint; all crossings must have been
-        fetched.
+        fetched by `taken`.
         """
         return {
             "signs": self._signs,
@@ -352,8 +352,8 @@ class Watch:
     ) -> list[tuple[float, float]]:
         """Return samples of the scalar of an event that has set states at the start of the step.
 
-        A change of sign by setting the states is no crossing. If the scalar is still zero up to rounding errors, it is
-        taken as zero, so that leaving it in any direction is no crossing.
+        A change of sign by setting the states is not a crossing. If the scalar is still zero up to rounding errors, it
+        is taken as zero, so that leaving zero in any direction is not a crossing.
         """
         step = self.stepper.last_step
         assert step is not None

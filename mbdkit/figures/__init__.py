@@ -1,1 +1,1 @@
-"""What reports, plots and views consist of: the page model, and the one scene of a mechanism that all of them draw."""
+"""The elements of reports, plots and views: the page model, and the scene of a mechanism that all of them draw."""

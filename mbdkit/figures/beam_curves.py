@@ -39,12 +39,12 @@ class BeamCurve:
 
     @property
     def points(self) -> tuple[int, ...]:
-        """The points of the nodes."""
+        """Indices of the points at the nodes."""
         return self.corners[::3]
 
     @property
     def elements_of_intervals(self) -> list[int]:
-        """The element that each interval belongs to."""
+        """Index of the element to which each interval belongs."""
         count = len(self.nodes) - 1
         return [interval * self.elements // count for interval in range(count)]
 

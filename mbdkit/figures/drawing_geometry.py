@@ -94,7 +94,7 @@ class Drawing:
 
     @cached_property
     def links(self) -> tuple[str, ...]:
-        """Names of what a reader sees as links: bodies that are no nodes of beams, and beams."""
+        """Names of the links in the drawing: bodies that are not nodes of beams, then beams."""
         nodes = {node for beam in self.beams for node in beam.nodes}
         return (
             *(name for body, name in enumerate(self.bodies) if body not in nodes),
@@ -103,7 +103,7 @@ class Drawing:
 
     @cached_property
     def link_numbers(self) -> tuple[int, ...]:
-        """The link that each body is, or whose node it is, by its number among `links`, shape (B,)."""
+        """Index in `links` of the link of each body; nodes of a beam belong to the beam, shape (B,)."""
         beams = {node: number for number, beam in enumerate(self.beams) for node in beam.nodes}
         rigid = itertools.count()
         first = len(self.links) - len(self.beams)

@@ -17,7 +17,7 @@ _DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _DISTANCES = np.array([7.0, 13.0, 21.0, 32.0, 46.0, 64.0, 84.0])
 _OUTSIDE, _ON_NAME, _ON_LINE = 1e6, 1e4, 12.0
 LEADER = 24.0
-"""Distance of a name from its point from which a line connects them [px]."""
+"""A name and its point are connected by a line if their distance is larger than this [px]."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Name:
     Parameters
     ----------
     kind
-        What it names: ``body``, ``joint``, ``force``, ``load`` or ``marker``.
+        Kind of the named element: ``body``, ``joint``, ``force``, ``load`` or ``marker``.
     points
-        (K, 2) points [px], any of which it may stand at.
+        (K, 2) points [px], beside any of which the name may stand.
     color
-        Name of the colour of the patch in front of it, see `mbdkit.figures.palette.color_key`; empty for no patch.
+        Name of the colour of a patch in front of the name, see `mbdkit.figures.palette.color_key`; empty for no patch.
     """
 
     text: str

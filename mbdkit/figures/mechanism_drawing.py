@@ -40,22 +40,23 @@ _SHORT_ARROW = 20.0  # of the distributed load of a beam [px]
 
 @dataclass(frozen=True)
 class NamedPose:
-    """What to draw: a mechanism at a time.
+    """A mechanism at a time, which is drawn with names.
 
     Parameters
     ----------
     drawing
-        Its drawing.
+        Drawing of the mechanism.
     mechanism
-        Its elements; None if its model is not installed, when only centres of mass are drawn.
+        The mechanism; None if its model is not installed, so that only centres of mass are drawn.
     pose
         (B, 3) x [m], y [m] and angle [rad] of the bodies.
     times
-        Recorded times [s]; loads are shown at that of their largest value.
+        Recorded times [s]; each load is shown at the time of its largest value.
     round_off
         Coordinates below this value are rounding errors [m].
     moments
-        (E,) bending moments of the elements of all beams [N m], by which these are coloured; None for own colours.
+        (E,) bending moments of the elements of all beams [N m], by which beams are coloured; if None, each beam has a
+        colour of its own.
     """
 
     drawing: Drawing
@@ -67,7 +68,7 @@ class NamedPose:
 
     @classmethod
     def of(cls, mechanism: Mechanism | None, bodies: Sequence[str], pose: Array, times: Array) -> NamedPose:
-        """Return what to draw of bodies in a pose."""
+        """Return a mechanism with bodies in a pose."""
         known = mechanism is not None and list(mechanism.bodies) == list(bodies)
         drawing = draw_mechanism(mechanism) if mechanism is not None and known else draw_centres(bodies)
         pose = np.nan_to_num(pose, posinf=0.0, neginf=0.0)

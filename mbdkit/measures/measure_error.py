@@ -12,14 +12,16 @@ from collections.abc import Sequence
 LARGEST_RATIO = 0.6
 """Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
 CONFIRMED = 0.25
-"""Largest distance of the more accurate run from that of another method, relative to the distance of the run itself,
-that confirms it."""
+"""The run of another method confirms the more accurate run if it differs from that by at most this share of its
+difference from the run itself."""
 GUARD_RATIO = 3.0
-"""Largest distance from the run of another method, relative to the estimate, of differences that decrease."""
+"""If the differences decrease, the run of another method may differ from the more accurate run by this multiple of the
+estimate."""
 AGREED = 1e-5
-"""Differences below this share of the value need not decrease: rounding errors of chaotic motions do not."""
+"""Differences below this share of the value need not decrease, because rounding errors of chaotic motions do not."""
 ZERO = 1e-12
-"""The same as a share of the size that follows from the unit, for numbers that are zero but for rounding errors."""
+"""Differences below this share of the size that follows from the unit need not decrease either, for values that differ
+from zero by rounding errors only."""
 ROUND_OFF = 1e-15
 """Smallest estimate, as a share of the value."""
 
@@ -32,7 +34,7 @@ def measure_error(value: float, compared: Sequence[float], natural: float = 0.0)
     value
         The measure of the run.
     compared
-        The same in two runs of increasing accuracy, and in one of another method.
+        The measure in two runs of increasing accuracy, and in a run of another method.
     natural
         The size of numbers with its unit; see `mbdkit.measures.natural_size`.
     """

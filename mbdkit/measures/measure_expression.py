@@ -54,7 +54,7 @@ _END: Program = (("t", 0.0), (REDUCE + "final", 0.0))
 
 
 BEYOND = 1e-6
-"""Share of the range of a quantity by which a recorded row exceeds an extremum noticeably."""
+"""A remark is made if a recorded row exceeds an extremum by more than this share of the range of the quantity."""
 
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions of a quantity along a beam that return its largest or smallest value at each time."""
@@ -69,15 +69,15 @@ class _Value:
     Parameters
     ----------
     unit
-        Its SI unit. None: it depends on named parameters, whose units are unknown.
+        SI unit of the operand. None: it depends on named parameters, whose units are unknown.
     is_number
-        Whether it is made of numbers in the text only; in sums these have the unit of the other operand.
+        Whether the operand consists of numbers in the text only; in sums, numbers have the unit of the other operand.
     is_series
-        Whether it changes over time.
+        Whether the operand changes over time.
     is_vector
-        Whether it has two components.
+        Whether the operand has two components.
     along
-        Name of the beam in whose elements it has a value each; empty otherwise.
+        Name of the beam in each of whose elements the operand has a value; empty for other operands.
     """
 
     unit: Unit | None
@@ -114,8 +114,8 @@ class MeasureExpression:
     unit
         Unit of the value.
     functionals
-        Integrals and extrema that are computed with the run. Reductions of a program refer to theirs by its index,
-        from 1; 0 if their quantity is known at the recorded times only.
+        Integrals and extrema that are computed with the run. A reduction in the program refers to its functional by the
+        index, from 1; 0 if its quantity is known at the recorded times only.
     """
 
     text: str

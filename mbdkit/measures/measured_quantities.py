@@ -36,7 +36,7 @@ def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
     Raises
     ------
     SpecError
-        If it is the friction of a joint without friction.
+        If the quantity is the friction of a joint without friction.
     """
     if quantity.kind == "events":
         return read_unit(_EVENTS[quantity.attribute][0])
@@ -71,7 +71,7 @@ def recorded(quantity: Quantity, run: Run) -> np.ndarray:
     Raises
     ------
     NotRecordedError
-        If the run did not record it.
+        If the run did not record the quantity.
     """
     if quantity.kind == "events":
         return np.array([of_event(quantity, np.asarray(run.events.of_name(quantity.name).time))])

@@ -1,7 +1,7 @@
-"""Sizes of quantities by length, mass and time of a mechanism, beside which rounding errors are told from results.
+"""Sizes of quantities that follow from length, mass and time of a mechanism.
 
-Numbers that are zero but for rounding errors, such as the height of a rod that lies still, have no digits to be
-compared.
+Compared with these sizes, rounding errors can be distinguished from results: numbers that differ from zero by rounding
+errors only, such as the height of a rod that lies still, have no digits to be compared.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mbdkit.base.units import Unit
 def natural_scales(length: float, mass: float, gravity: Sequence[float], duration: float) -> tuple[float, float, float]:
     """Return length [m], mass [kg] and time [s] of a mechanism.
 
-    The time is that of a fall by the length, or the duration of the run [s] if that is shorter.
+    The time is that of a free fall by about the length, or the duration of the run [s] if that is shorter.
     """
     pull = math.hypot(*gravity)
     fall = math.sqrt(length / pull) if pull > 0.0 else math.inf

@@ -57,7 +57,8 @@ OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "min": lambda extremum, duration: extremum,
     "at": lambda value, duration: value,
 }
-"""Reductions as functions of a `Functional` and of the duration [s]; that of ``rms`` is the integral of the square."""
+"""Reductions as functions of the value of a `Functional` and of the duration [s]; for ``rms``, the functional is the
+integral of the square."""
 EXTREMA = ("max", "min")
 INTEGRALS = ("mean", "rms", "integral")
 
@@ -77,7 +78,8 @@ class Functional:
     Attributes
     ----------
     text
-        Its key: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of one.
+        Key of the functional: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of an
+        expression.
     reduction
         ``integral``, ``max``, ``min`` or ``at``.
     program, quantities
@@ -114,7 +116,9 @@ class Functional:
 
     @cached_property
     def has_switches(self) -> bool:
-        """Whether an operation changes its form inside steps, so that the quantity or its derivative may jump there."""
+        """Whether an operation changes its form inside steps, so that the quantity or its derivative may be
+        discontinuous there.
+        """
         return not any(one.recorded.array.no_derivative for one in self.read) and any(
             operation in OF_PARTS or (operation in OPERATIONS and OPERATIONS[operation].switch != "")
             for operation, _ in self.program
@@ -177,8 +181,8 @@ class Functional:
         Parameters
         ----------
         groups
-            Number G of groups of P = T / G times. The sign changes are those within a group: a vector reverses where
-            its product with the first one of the group changes sign.
+            Number G of groups of P = T / G times. Sign changes are those within a group. For the norm of a vector, the
+            scalar is the product of the vector with the first vector of the group.
 
         Returns
         -------

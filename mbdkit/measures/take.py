@@ -130,7 +130,7 @@ def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
 
 
 def _above(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> list[str]:
-    """Return a remark if recorded rows exceed an extremum of the motion between the steps."""
+    """Return a remark if recorded rows exceed an extremum of the motion between the ends of steps."""
     if measure.item is not None:
         return []
     return MeasureExpression.parse(measure.expression, spec, measure.unit).exceeded(run)

@@ -53,10 +53,10 @@ STALLED = 1e-8
 forces."""
 
 NEAR = 1e-2
-"""Imbalance, relative to the balancing forces, below which a step with the true stiffness is tried first."""
+"""If the imbalance is below this fraction of the balancing forces, a step with the true stiffness is tried first."""
 
 PATIENCE = 8
-"""Consecutive steps that do not halve the imbalance, after which the search counts as stagnant."""
+"""Number of consecutive steps without halving the imbalance, after which the search counts as stagnant."""
 
 MUCH = 1e3
 """A stagnant search is accepted if the imbalance is at most this multiple of its estimated rounding error."""
@@ -78,7 +78,7 @@ GROWS = 1e-9
 """Real parts of the eigenvalues of small motions above this fraction of the largest eigenvalue count as growth."""
 
 NEUTRAL = 1e-11
-"""The lowest stiffness counts as zero if it is below this fraction of the terms in its sum."""
+"""The lowest stiffness, a sum, counts as zero if it is below this fraction of the sum of the sizes of its terms."""
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ class _Search:
         self.q = self.p.q0.copy()
         self.tried = 0
         self.force = 0.0
-        """Largest norm so far of applied and constraint forces together, in the metric of the inverse mass."""
+        """Largest norm so far of all applied and constraint forces together, in the metric of the inverse mass."""
         self.x, self.lam, self.imbalance = self.balance(self.q)
         stiffest = stiffness_scale(prepared, at_rest(prepared, self.q, self.lam)) if prepared.freedoms else 0.0
         self.blur = float(np.finfo(float).eps) * stiffest * self.extent * float(np.sqrt(np.sum(self.p.mass)))
@@ -389,8 +389,8 @@ class _Search:
         """Try a step with ``damping * M`` added to the stiffness, damping in 1/s^2; return whether it was taken.
 
         Compressed elements make diagonal entries of the stiffness negative, so that a Newton step can point against
-        the forces. A second step is therefore tried in which twice their size is added to these entries, which makes
-        them positive. Far from equilibrium that step is tried first.
+        the forces. A second step is therefore tried, with twice the size of these entries added to them, which makes
+        them positive. Far from equilibrium, this second step is tried first.
         """
         p = self.p
         at = p.t0, self.q, self.none, self.none, self.lam

@@ -23,16 +23,16 @@ LONGEST, FINEST = 0.05, 1e-6
 """Longest and shortest step along a path, as a share of the size of the mechanism, of 1 rad and of the time span."""
 
 STRAIGHT = 0.98
-"""Cosine of the angle between two tangents of the path below which the step between them is halved."""
+"""If the cosine of the angle between the tangents at both ends of a step is below this, the step is halved."""
 
 MOST_POINTS = 5000
 """Largest number of points of a path."""
 
 MOST_CORRECTIONS, EASY = 8, 4
-"""Largest number of Newton corrections of a point, and the number up to which the step length is increased."""
+"""Largest number of Newton corrections of a point; and the number up to which the next step is made longer."""
 
 CONVERGED = 1e-7
-"""Newton's method ends with the first correction below this: the next one would be about its square."""
+"""Newton's method ends with the first correction below this, because the next correction would be about its square."""
 
 LOAD_STEP = 1e-5
 """Step of the central differences of the loads by time, as a share of the time span."""
@@ -236,7 +236,7 @@ class _Follower:
         return self._point(y, here.tangent)
 
     def _corrected(self, y: np.ndarray, plane: np.ndarray) -> tuple[np.ndarray, int]:
-        """Return the point of the path in the plane through `y` across a direction, and the number of corrections."""
+        """Return the point of the path in the plane through `y` normal to `plane`, and the number of corrections."""
         for corrections in range(1, MOST_CORRECTIONS + 1):
             change = self._solved(y, plane, np.concatenate([-self._lack(y), [0.0]]))
             y = y + change
@@ -269,7 +269,7 @@ class _Follower:
         return np.concatenate([self.p.residual(t, q, self.none, self.none, lam), self.p.constraints(t, q)])
 
     def _solved(self, y: np.ndarray, plane: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Solve the linearised equations with the change across `plane` as the last one, (n + m + 1,)."""
+        """Solve the linearised equations for the changes (n + m + 1,); the last one prescribes that along `plane`."""
         q, lam, t = self._parts(y)
         p, delta = self.p, LOAD_STEP * self.span
         stiffness, jacobian = p.tangents(t, q, self.none, self.none, lam).stiffness, p.constraint_jacobian(t, q)
@@ -330,7 +330,7 @@ class _Follower:
         Raises
         ------
         ValueError
-            If it has the same sign at both distances.
+            If the function has the same sign at both distances.
         """
 
         def at(part: float) -> float:

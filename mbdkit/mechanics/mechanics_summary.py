@@ -128,7 +128,7 @@ def equilibrium_data(found: Equilibrium) -> dict[str, Any]:
 
 
 def modes_text(found: Modes) -> str:
-    """Return modes as text: the state they belong to, then one row per mode."""
+    """Return modes as text: the state about which the mechanism is linearised, then one row per mode."""
     lines = [f"{label:<12} {fact}" for label, fact in modes_facts(found)]
     rows: list[tuple[str, ...]] = [("MODE", "RAD/S", "HZ", "DAMPING RATIO", "MOVES MOST", "")]
     for k, value in enumerate(found.eigenvalues.tolist()):

@@ -26,8 +26,7 @@ NEGATIVE = 1e-6
 """Tolerance of the search for a negative stiffness, relative to the eigenvalue closest to zero."""
 
 BLURRED = 1e-10
-"""Share of the largest eigenvalue below which an eigenvalue of a dense matrix may have rounding errors above one per
-cent."""
+"""An eigenvalue of a dense matrix below this share of the largest one may have rounding errors above one per cent."""
 
 SYMMETRIC = 1e-15
 """Skew part of a matrix, relative to its largest entry, below which it is rounding."""
@@ -165,8 +164,8 @@ def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
 def softest_scale(prepared: PreparedMechanism, at: State) -> float:
     """Return the sum of the sizes of the terms of the lowest stiffness at rest, for unit mass [1/s^2].
 
-    Its rounding errors are relative to this. For mechanisms that are too large to be reduced, the largest stiffness of
-    a single coordinate takes its place.
+    Rounding errors of the lowest stiffness are proportional to this sum. For mechanisms that are too large to be
+    reduced, the result is the largest stiffness of a single coordinate instead.
     """
     p = prepared.equations
     if p.n > DENSE:
@@ -267,8 +266,8 @@ INVERSE_ITERATIONS = 3
 def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
     """Return the number of independent motions along which an equilibrium is unstable.
 
-    For mechanisms of more than `DENSE` coordinates: 1 if there are any, or else 0. Follower forces make the stiffness
-    unsymmetric; the eigenvalues with negative real part are counted then.
+    For mechanisms of more than `DENSE` coordinates, the result is 1 if there are any, and else 0. If follower forces
+    make the stiffness unsymmetric, the eigenvalues with negative real part are counted.
     """
     if not prepared.freedoms:
         return 0
@@ -287,7 +286,7 @@ def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
 def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np.ndarray]:
     """Return the matrix of statics (n + m, n + m), scaled to largest entries near 1, and the factors of its columns.
 
-    The angles of point masses, which have no stiffness, get one.
+    The angles of point masses, which have no stiffness, are given an artificial one.
     """
     p = prepared.equations
     stiffness = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness + diags_array(prepared.held.astype(float))

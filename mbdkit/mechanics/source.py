@@ -25,7 +25,7 @@ UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 
 @dataclass(frozen=True)
 class AssembledMechanism:
-    """A mechanism at its consistent start, with the spec that has its model."""
+    """A mechanism at its consistent start, with the spec that contains its model."""
 
     spec: ModelSpec
     workspace: Workspace

@@ -26,10 +26,11 @@ MOST_ITERATIONS = 50
 """Largest number of Newton steps for the states at rest."""
 
 SMALL, STALLED, NEGLIGIBLE = 1e-15, 0.5, 1e-9
-"""Relative changes of states: round-off; small enough to be round-off if they shrink by less than the second."""
+"""Newton's method for the states has converged if their relative change is at most `SMALL`; or if it is at most
+`NEGLIGIBLE` and at least `STALLED` times the previous change, which is then round-off."""
 
 LEAST = 1e-6
-"""Share of the largest state that the size of each state has at least, for relative changes."""
+"""For relative changes, the size of each state is at least this share of the largest state."""
 
 DISTANCE = 2.0**-10
 """Distance of the points of differences, as a share of 1 rad, of the size of the mechanism, or of a state."""
@@ -91,7 +92,7 @@ class StatesAtRest:
         Raises
         ------
         StepError
-            If there are none, or if they do not follow from the position.
+            If there are no such states, or if they do not follow from the position.
         """
         rest, z, before = np.zeros_like(q), self.z.copy(), np.inf
         for _ in range(MOST_ITERATIONS):

@@ -41,11 +41,11 @@ class BeamPeak:
     value
         The value with its sign [N or N m]; nan if no value is finite.
     time
-        Its time [s].
+        Time of this value [s].
     place
-        Its distance from the end a along the beam [m].
+        Distance of the value from end a along the beam [m].
     row
-        Its row.
+        Index of the recorded row.
     """
 
     value: float

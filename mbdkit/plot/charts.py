@@ -148,7 +148,7 @@ def _new_axes() -> Axes:
 
 
 def settle_layout(axes: Axes) -> None:
-    """Adjust the limits of axes with equal scales, whose tick labels the layout of the next drawing then allows for."""
+    """Adjust the limits of axes with equal scales now, so that the next drawing leaves room for their tick labels."""
     if axes.get_aspect() != "auto":
         axes.figure.draw_without_rendering()  # type: ignore[union-attr]
 

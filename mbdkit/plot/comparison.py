@@ -176,7 +176,9 @@ def _group(line: Line) -> str:
 
 
 def _labelled(line: Line, name: str, *, alone: bool) -> Line:
-    """Return a line with the name of its run: alone, if all lines are of one element, or after that of the line."""
+    """Return a line labelled by the name of its run: by the name alone if all lines are of one element (`alone`), and
+    otherwise by the label of the line and the name.
+    """
     if not alone:
         return replace(line, label=f"{line.label}, {name}")
     part = line.label.removeprefix(_group(line)).lstrip(", ")  # such as a component

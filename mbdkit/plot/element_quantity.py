@@ -247,8 +247,8 @@ def _band(quantity: ElementQuantity, column: int) -> Array | None:
 def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool = False, title: str = "") -> None:
     """Draw a quantity of the elements over time.
 
-    Up to as many elements as there are colours are drawn individually. Of more, the largest value of all and the five
-    elements with the largest values are drawn.
+    Up to as many elements as there are colours are drawn individually. If there are more elements, the largest value of
+    all and the five elements with the largest values are drawn.
 
     Parameters
     ----------

@@ -82,13 +82,13 @@ def _line(run: Run, name: str, values: Array, label: str) -> Line:
 
 
 def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
-    """Return the chart of some energies, as recorded except for the potential.
+    """Return the chart of some energies, with potential and total relative to the potential at the start.
 
     Parameters
     ----------
     terms
         Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``; by default all but the
-        balance, without those that are zero. Potential and total are relative to the potential at the start.
+        balance, without those that are zero.
 
     Raises
     ------

@@ -36,7 +36,7 @@ COMPONENTS: dict[str, tuple[str, ...]] = {
     "axial": ("axial",),
     "shear": ("shear",),
 }
-"""Components that are drawn, by what a user can ask for."""
+"""Components that are drawn, by the value of the option `components`."""
 
 _AXIS = {"x": "joint force, x component", "y": "joint force, y component"}
 _AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}

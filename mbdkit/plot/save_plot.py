@@ -94,7 +94,8 @@ def plot(
     path
         File to write. Its suffix, .png, .svg or .pdf, selects the format.
     size
-        Width and height [mm] of a figure for a paper, which has no heading; so have figures of several runs.
+        Width and height [mm] of a figure for a paper, which has no heading. Several runs are always drawn as a figure
+        for a paper, by default of a standard size.
     x_limits, y_limits
         Ends of the axes, in their units: a time window [s] of plots over time. By default, all values are shown.
     **options
@@ -103,8 +104,8 @@ def plot(
     Raises
     ------
     SpecError
-        The kind, an option or the suffix is unknown, limits are equal, a run has no rows, or the file cannot be
-        written; or there are limits of several vertical axes.
+        The kind, an option or the suffix is unknown, limits are equal or not positive on a logarithmic axis, `y_limits`
+        are given for several vertical axes, a run has no rows, or the file cannot be written.
     UnknownNameError
         A name among the options is unknown.
     MbdkitError

@@ -142,7 +142,7 @@ def _lines(label: str, path: Array, error: Array | None) -> list[Line]:
 def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) -> Array | None:
     """Return the estimated errors of the points of the paths [m], (R, K); nan where unknown, None if not estimated.
 
-    The error of the angle of a body counts with the distance of the point from the centre of mass.
+    The error of the angle of a body is multiplied by the distance of the point from the centre of mass.
     """
     accuracy = run.accuracy
     if accuracy is None:

@@ -1,1 +1,1 @@
-"""The table of all quantities that runs record, and how each is taken from the states of a mechanism."""
+"""The table of all quantities that runs record, and their computation from the states of a mechanism."""

@@ -55,10 +55,10 @@ class Array:
     since
         Version of the format that introduced the array.
     components
-        Names of the numbers along the axis ``axis`` or ``coordinate`` in tables and expressions; a single name takes
-        the place of that of the array. By default, the name of the array and those along the axis.
+        Names of the numbers along the axis ``axis`` or ``coordinate`` in tables and expressions; a single name replaces
+        the name of the array. By default, the names consist of that of the array and those along the axis.
     about
-        Descriptions of the first two components and of the third, where `long_name` describes all three.
+        Descriptions of the first two components, and of the third, if `long_name` describes all three.
     texts
         Returns the values of an array of names or units.
     label
@@ -116,26 +116,26 @@ class Recorded(Array):
     Parameters
     ----------
     take
-        Returns the values of T states, with the axes of the array. Arrays of states may have a further axis with
-        derivatives at the end, which the result has then, too.
+        Returns the values in T states, with the axes of the array. If the arrays of the states have a further last axis
+        of derivatives, so has the result.
     vector
         Name of the first two components together in expressions; empty for scalars.
     has_norm
-        Whether events know the vector as well, as its norm; measures have vectors themselves.
+        Whether the name of the vector is known in expressions of events too, where it stands for the norm.
     is_not_negative
-        Whether it is never negative, so that it cannot cross zero; a norm never is.
+        Whether the values are never negative, so that they cannot cross zero.
     accumulates
-        Whether it is an integral over time, which is known in the recorded rows only.
+        Whether the value is an integral over time, which is known in the recorded rows only.
     no_derivative
-        Why it has no derivatives by parameters; empty if it has, unless redundant joints share it.
+        Why the quantity has no derivatives by parameters; empty if it has, unless redundant joints share it.
     of_whole
-        Whether expressions have the sum over the elements of a beam; otherwise, a value in each of them.
+        Whether expressions have the sum over the elements of a beam; otherwise, they have a value in each element.
     is_shared
-        Whether it is not unique in redundant joints, which the attribute ``not_unique`` then lists.
+        Whether the values are not unique in redundant joints, which the attribute ``not_unique`` lists.
     is_history
-        Whether studies with ``store: histories`` keep it.
+        Whether studies with ``store: histories`` keep the array.
     charts
-        How reports draw it.
+        Charts of the quantity in reports.
     """
 
     take: Callable[[States], np.ndarray] = time_of
@@ -167,7 +167,7 @@ class Chart:
     Parameters
     ----------
     name, title, caption
-        Of the chart.
+        Name, title and caption of the chart.
     axis
         Label of the values.
     unit
@@ -194,7 +194,7 @@ class Attribute:
     part
         Part of the last axis; None for the whole array.
     units
-        SI unit; empty if that of the element.
+        SI unit; empty if it is the unit of the element.
     """
 
     array: Recorded
@@ -209,7 +209,7 @@ class Attribute:
 
     @property
     def in_events(self) -> bool:
-        """Whether events may have it: it is known in every state, and a number."""
+        """Whether expressions of events may contain the quantity: it is a number that is known in every state."""
         return not self.array.accumulates and (not self.is_vector or self.array.has_norm)
 
 
@@ -222,21 +222,21 @@ class Kind:
     arrays
         The arrays in their order.
     word
-        Attribute of `Run` with the objects by name, and their word in expressions; empty if they have neither.
+        Attribute of `Run` with the objects by name, and word for the kind in expressions; empty if there is neither.
     one
-        What one of them is called.
+        Word for one object, such as ``joint``.
     example
-        Quantity that error messages name; empty if expressions do not have the kind.
+        Quantity that error messages give as an example; empty if expressions cannot contain the kind.
     axis
-        Axis of the arrays along which the objects are.
+        Name of the axis of the arrays that runs over the objects, or over their elements.
     owner
         Array with the name of the object of each element along this axis, if an object has several.
     is_bare
-        Whether expressions may leave the word out.
+        Whether `word` may be omitted in expressions.
     is_chosen
         Whether `output.quantities` chooses the group.
     is_optional
-        Whether mechanisms may have none of them; the group is missing then.
+        Whether mechanisms may have no object of the kind; archives then lack the group.
     may_be_unknown
         Whether numbers may be nan.
     unit_of

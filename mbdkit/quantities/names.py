@@ -41,7 +41,7 @@ class ArchiveNames:
     elements, element_beams
         Names of the elements of beams, and the beam of each.
     states, state_units
-        Names of the first-order states of force elements, and the unit of each.
+        Names of the first-order states, and the unit of each.
     observed, observed_units
         Names of the observed quantities of a measured motion, and the unit of each, ``m`` or ``rad``.
     actuators, actuator_units, actuator_kinds

@@ -44,12 +44,12 @@ class Quantity:
 
     @property
     def is_over_time(self) -> bool:
-        """Whether it has a value in each recorded row; those of events have a single one."""
+        """Whether the quantity has a value in each recorded row; quantities of events have a single value."""
         return self.attribute in self.of.attributes
 
     @property
     def recorded(self) -> Attribute:
-        """Its entry in the table; not of events."""
+        """Its entry in the table; quantities of events have none."""
         return self.of.attributes[self.attribute]
 
     @property

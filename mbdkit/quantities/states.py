@@ -1,4 +1,4 @@
-"""States of a mechanism, and what quantities are taken from."""
+"""States of a mechanism, and the arrays in them from which quantities are taken."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class States:
     multipliers
         (T, m) multipliers computed by the method; None where it has none, as at the start.
     z
-        (T, Z) first-order states of force elements; empty if they are not known.
+        (T, Z) first-order states; empty if they are not known.
     """
 
     mechanism: CompiledMechanism

@@ -41,16 +41,17 @@ class Limits:
 MISALIGNMENT = Limits(1e-4, 1e-3)
 """Largest misalignment, as a share of the mechanism's size; of angles, in radians.
 
-Measured in 246 runs of 2 to 3 s (eight mechanisms, seven methods, five steps) against Gauss with five stages: a joint
-force was wrong by more than 5 % of its peak in 64 % of the bad runs, in 11 % of those between the limits, in 7 % of
-those down to a tenth of the first limit, and in none below.
+Measured in 246 runs of 2 to 3 s (eight mechanisms, seven methods, five steps) against Gauss with five stages. A joint
+force was wrong by more than 5 % of its peak in 64 % of the bad runs, in 11 % of the doubtful runs, in 7 % of the runs
+with values between a tenth of the first limit and the first limit, and in none with smaller values.
 """
 
 ENERGY = Limits(1e-3, 0.05)
 """Largest absolute energy balance, as a share of the largest kinetic energy.
 
-In the same runs, a joint force was wrong by more than 5 % of its peak in 97 % of the bad runs, in 35 % of those between
-the limits, in 3 % of those down to a tenth of the first limit, and in none below.
+In the same runs, a joint force was wrong by more than 5 % of its peak in 97 % of the bad runs, in 35 % of the doubtful
+runs, in 3 % of the runs with values between a tenth of the first limit and the first limit, and in none with smaller
+values.
 """
 
 ENERGY_JUMP = 0.05
@@ -61,13 +62,13 @@ Of 61 runs in which an implicit step had accepted a spurious solution of its sta
 """
 
 BRANCH_ANGLE, BRANCH_RATIO = 0.25, 4.0
-"""A run is suspected to have left its branch if, on the shortest path of at least 2 % of the mechanism's characteristic
-length around a minimum of the distance to singularity, the line of its velocity turns by at least the first [rad], and
-by at least the second relative to the length of the path. The threshold is an angle because another branch of the
-motion starts in a different direction."""
+"""A run is suspected to have left its branch of the motion near a minimum of the distance to singularity. The path is
+the shortest one around the minimum of at least 2 % of the mechanism's characteristic length. On it, the line of the
+velocity must turn by at least the first value [rad], and by at least the second value times the length of the path.
+The threshold is an angle because another branch of the motion starts in a different direction."""
 
 ROUNDING = 1e4
-"""Energies below this multiple of the round-off of the largest energy count as zero; matters for runs at rest."""
+"""Energies below this multiple of the round-off of the largest energy count as zero; this matters for runs at rest."""
 
 ROUND_OFF = 1e-12
 """Misalignment, as a share of the mechanism's size, up to which it counts as round-off in double precision."""
@@ -107,15 +108,15 @@ class EstimatedErrors:
     Parameters
     ----------
     position
-        Largest error of a position, as a share of the mechanism's size; that of an angle counts with the distance of
-        the farthest joint point of its body.
+        Largest error of a position, as a share of the mechanism's size. The error of an angle is multiplied by the
+        distance of the farthest joint point of the body.
     reaction
         Largest error of a joint's force, as a share of the largest force in that joint.
     known_until
         Time up to which the errors are known [s]; nan if none is.
     asked, reached
-        Requested accuracy of positions, and the largest estimated error in the same measure, as shares of the
-        mechanism's size.
+        Requested accuracy of positions, and the largest estimated error of positions, as shares of the mechanism's
+        size.
     missed
         Why the accuracy was not reached, as a clause; empty if it was reached, or if the reason is unknown.
     """
