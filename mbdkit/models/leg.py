@@ -37,9 +37,9 @@ Knee of `leg-four-bar`
     That of the model `four-bar-knee` on a thigh that moves: rods `acl` and `pcl`, joints A and B on the shank, C and D
     on the thigh. Knee flexion is the angle between thigh and shank.
 
-Further joints, forces (springs, torques, laws), markers and muscles are added by name, as in the model `mechanism`,
-with points in the frames of the bodies, whose origins are the centres of mass, or by `at`, `from` and `to` in global
-coordinates at the start.
+Further joints, forces (springs, torques, laws), markers, muscles and contacts are added by name, as in the model
+`mechanism`, with points in the frames of the bodies, whose origins are the centres of mass, or by `at`, `from` and `to`
+in global coordinates at the start.
 """
 
 from __future__ import annotations
@@ -54,6 +54,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND, Body, Marker
+from mbdkit.mechanism.contacts import Contact
 from mbdkit.mechanism.forces import Force
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joints import Joint
@@ -75,7 +76,7 @@ FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
 class LegOptions(LegPose):
     """Parameters of `leg`."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("legs", "left", "muscles", "symmetric_muscles")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("legs", "left", "muscles", "symmetric_muscles", "contacts")
 
     height: Positive = 1.8
     """Body height [m]; scales the segments."""
@@ -109,6 +110,8 @@ class LegOptions(LegPose):
     """Further points of bodies whose positions and velocities are recorded, by name."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
     """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
+    contacts: dict[str, Contact] = Field(default_factory=dict)
+    """Contacts by name, such as those of the foot with the floor."""
     symmetric_muscles: bool = False
     """Whether each muscle that is attached to the first leg is also on the second one, as `NAME_left`; only with
     ``legs: 2``."""
@@ -200,6 +203,7 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[Person, LegPose, Hip], L
         forces=o.forces,
         markers=markers | o.markers,
         muscles=muscles,
+        contacts=o.contacts,
         coordinates=coordinates | root,
     )
     return Mechanism.from_data(data, name=name)

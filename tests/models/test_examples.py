@@ -46,6 +46,7 @@ NAMES = [
     "spring-pendulum",
     "squat",
     "sway",
+    "walker",
     "watt-six-bar",
 ]
 
@@ -253,16 +254,55 @@ def test_ground_of_the_squat_gives_the_impulse_of_the_weight():
     assert impulse == pytest.approx([0.0, 0.5 * 75.0 * 9.81 * 3.0], abs=1e-5)
 
 
-def test_jump_ends_when_the_ground_no_longer_pushes():
-    # expected: the force of the ground is zero and the centre of mass of all bodies falls freely at that instant
+def of_all_bodies(run, name, history):
+    """Return a vector of bodies over time (T, 2), summed with their masses as weights [kg]."""
+    bodies = load_spec(name).mechanism().bodies
+    return sum(body.mass * getattr(run[key], history) for key, body in bodies.items())
+
+
+def test_jump_pushes_off_flies_and_lands():
+    # expected: Newton's law for all bodies together, free flight between take-off and landing, and a centre of
+    # pressure between heel and toe
     with mbdkit.run("jump") as run:
-        assert run.status_reason.startswith("event")
-        assert run.joints["floor"].reaction_force[-1, 1] == pytest.approx(0.0, abs=1e-6)
-        masses = {name: body.mass for name, body in load_spec("jump").mechanism().bodies.items()}
-        falls = sum(mass * run[name].acceleration[-1, 1] for name, mass in masses.items()) / sum(masses.values())
-        assert falls == pytest.approx(-9.81, abs=1e-6)
-        speed = sum(mass * run[name].velocity[-1, 1] for name, mass in masses.items()) / sum(masses.values())
-        assert speed > 1.0
+        foot = run.ground_reactions["foot"]
+        mass = sum(body.mass for body in load_spec("jump").mechanism().bodies.values())
+        needed = of_all_bodies(run, "jump", "acceleration") + mass * np.array([0.0, 9.81])
+        np.testing.assert_allclose(foot.force, needed, rtol=0, atol=1e-7)
+        (up, down), time = (event.time for event in run.events), np.asarray(run.time)
+        flies = (time > up) & (time < down)
+        np.testing.assert_array_equal(np.isnan(foot.center_of_pressure[:, 0]), flies)
+        place, speed = (of_all_bodies(run, "jump", name)[flies] / mass for name in ("position", "velocity"))
+        left = time[flies] - time[flies][0]
+        fall = place[0] + np.outer(left, speed[0]) - np.outer(left**2, [0.0, 9.81 / 2])
+        np.testing.assert_allclose(place, fall, rtol=0, atol=1e-12)
+        assert down - up > 0.3
+        stands = time < up
+        heel, toe = (run.markers[name].position[0, 0] for name in ("heel", "toe"))
+        pressure = foot.center_of_pressure[stands, 0]
+        assert heel - 1e-9 < pressure.min() < 0.0 < 0.15 < pressure.max() < toe
+
+
+def test_walker_walks_in_the_limit_cycle_of_its_source():
+    # expected: Garcia et al. (1998), table 1, massless feet: step 3.812092 + 1.579129 slope^(2/3), stance angle
+    # 0.970956 slope^(1/3) - 0.270837 slope, and what the slope gives is lost in each impact
+    slope, legs = 0.009, ("left", "right")
+    with mbdkit.run("walker") as run:
+        times, lost = run.impacts.time, run.impacts.energy_lost
+        stride = run["right"].position[0, 0] + 2 * (run["left"].position[0, 0] - run["right"].position[0, 0])
+        mass = sum(body.mass for body in load_spec("walker").mechanism().bodies.values())
+        weight = mass * 9.81 * np.array([np.sin(slope), -np.cos(slope)])
+        needed = of_all_bodies(run, "walker", "acceleration") - weight
+        force = sum(run.ground_reactions[leg].force for leg in legs)
+        np.testing.assert_allclose(force, needed, rtol=0, atol=1e-7)
+        pressure = run.ground_reactions["left"].center_of_pressure
+        stones = np.unique(np.round(pressure[np.isfinite(pressure[:, 0]), 0] / stride, 6))
+    assert run.impacts.contact.tolist() == ["second.2", "third.2"]
+    steps = np.diff([0.0, *times]) * np.sqrt(9.81)
+    assert steps == pytest.approx(np.full(2, 3.812092 + 1.579129 * slope ** (2 / 3)), rel=1e-3)
+    assert steps == pytest.approx(np.full(2, np.mean(steps)), rel=1e-6)
+    assert 0.5 * stride == pytest.approx(np.sin(0.970956 * slope ** (1 / 3) - 0.270837 * slope), rel=5e-3)
+    assert lost == pytest.approx(np.full(2, weight[0] * stride), rel=1e-5)
+    assert stones == pytest.approx([0.0, 2.0], abs=1e-5)  # footfalls of the left foot
 
 
 def test_spun_up_beam_stretches_as_published():

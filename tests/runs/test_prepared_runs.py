@@ -33,7 +33,7 @@ CASES: list[tuple[Any, dict[str, Any], str, float]] = [
     (DOUBLE, {"integrator": {"name": "dop853"}, "check": True}, "model.rates.1", -1.0),
     (DOUBLE, {"integrator": {"name": "gauss"}, "time": {"end": 0.2, "step": 0.02}}, "time.step", 0.01),
     ("knee", {"time": {"end": 0.02, "step": 0.0025}}, "model.springs.support.stiffness", 900.0),
-    ("jump", {"time": {"end": 0.1, "step": 0.005}}, "duration", 0.11),  # events, muscles, named parameters
+    ("jump", {"time": {"end": 0.02, "step": 0.005}}, "duration", 0.2),  # rigid contacts, events, named parameters
     ("delayed-balance", {"time": {"end": 0.1, "step": 0.002}}, "lean", 0.02),  # a sampled controller
     ("limit-stop", {"time": {"end": 0.5}}, "model.bodies.thigh.angle", 0.2),  # a method of SciPy
 ]
