@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, SpecError, file_error
+from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.text import did_you_mean, listed, shown
+from mbdkit.inverse_dynamics.c3d_file import read_c3d
 
 GAPS = ("", "nan", "na", "n/a", "null")
 """Texts, in lower case, of cells without a value."""
@@ -45,6 +46,8 @@ class Table:
         Unit of lengths that the file states, such as mm; by default m.
     in_degrees
         Whether the file states that rotations are in degrees.
+    remark
+        What of the file could not be read, as a clause for messages; empty if nothing is missing.
     """
 
     file: str
@@ -53,6 +56,7 @@ class Table:
     lines: Sequence[int] = ()
     length_unit: str = "m"
     in_degrees: bool = False
+    remark: str = ""
     _place: dict[str, int] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -60,6 +64,10 @@ class Table:
             if heading in self._place and heading:
                 raise self.error(f"two columns have the heading '{shown(heading)}'")
             self._place[heading] = index
+        without_subject = [heading.rpartition(":")[2] for heading in self.headings]
+        for index, heading in enumerate(without_subject):  # as Vicon names markers: Subject:LKNE
+            if heading not in self._place and without_subject.count(heading) == 1:
+                self._place[heading] = index
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -93,7 +101,8 @@ class Table:
             names = [shown(name) for name in self.headings if name]
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
-            raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}", key=key)
+            remark = f" ({self.remark})" if self.remark else ""
+            raise SpecError(f"{self.name} has no column '{shown(heading)}'{hint}{remark}", key=key)
         try:
             texts = [cells[place] for cells in self.cells]
             if not all(map(_is_plain, texts)):
@@ -298,32 +307,11 @@ def _read_trc(file: str, lines: list[str]) -> Table:
 
 
 def _read_c3d(path: Path) -> Table:
-    """Read the points of a C3D file; the columns are called LABEL.x, LABEL.y and LABEL.z."""
-    try:
-        import ezc3d
-    except ImportError:
-        raise MbdkitError(
-            "reading C3D files needs the package ezc3d: install it with `pip install mbdkit[c3d]`, or export the "
-            "markers as .trc"
-        ) from None
-    try:
-        file = ezc3d.c3d(str(path))
-    except (OSError, RuntimeError, ValueError, IndexError) as error:
-        raise SpecError(f"this is not a C3D file that can be read: {shown(str(error))}", file=path) from None
-    points = file["data"]["points"]  # (4, markers, frames)
-    if points.size > MOST_CELLS:
+    """Read the markers and force plates of a C3D file; see `read_c3d`."""
+    found = read_c3d(path, MOST_CELLS)
+    if found is None:
         raise _too_many_cells(str(path))
-    about = file["parameters"]["POINT"]
-    parts = sorted((name for name in about if re.fullmatch(r"LABELS\d*", name)), key=lambda name: (len(name), name))
-    labels = [str(label) for name in parts for label in about[name]["value"]][: points.shape[1]]  # 255 in each part
-    if not labels:
-        raise SpecError("this C3D file has no markers", file=path)
-    rate, first = float(file["header"]["points"]["frame_rate"]), int(file["header"]["points"]["first_frame"])
-    time = (first + np.arange(points.shape[2])) / rate
-    headings = ["time", *(f"{label}.{axis}" for label in labels for axis in "xyz")]
-    flat = points[:3].transpose(2, 1, 0).reshape(points.shape[2], -1)
-    unit = str(next(iter(about.get("UNITS", {"value": ()})["value"]), "m")).strip() or "m"
-    return Table(str(path), headings, np.column_stack([time, flat]).tolist(), length_unit=unit)
+    return Table(str(path), found.headings, found.values.tolist(), length_unit=found.unit, remark=found.remark)
 
 
 def _checked(table: Table) -> Table:

@@ -1,4 +1,4 @@
-"""Markers of C3D files that ezc3d writes, and what is said of files that are none."""
+"""Markers and force plates of C3D files in the conventions of several makers, and what is said of other files."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.inverse_dynamics.tables import read_table
+from tests.inverse_dynamics.c3d_files import DEC, MIPS, Convention, Plate, c3d_bytes
 from tests.inverse_dynamics.test_bad_input import pendulum
 
 ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed: pip install mbdkit[c3d]")
@@ -72,3 +74,76 @@ def test_wrong_names_and_wrong_files_are_refused(tmp_path: Path) -> None:
         (tmp_path / "bad.c3d").write_bytes(content)
         with pytest.raises(SpecError, match=r"bad.c3d: this (is not a C3D file that can be read|C3D file)"):
             inverse(tmp_path / "bad.c3d")
+
+
+CONVENTIONS = {  # byte order, numbers and names as the systems of these makers write them
+    "Vicon": (Convention(unit="mm", first_frame=1), "Subject:"),
+    "Qualisys": (Convention(unit="mm", analog_scale=0.01), ""),
+    "Motion Analysis": (Convention(MIPS, scale=0.02, analog_scale=0.05, analog_offset=2048), ""),
+    "older systems on DEC computers": (Convention(DEC, scale=0.02, analog_scale=0.05, analog_offset=10), ""),
+    "floating-point numbers of DEC": (Convention(DEC, analog_scale=0.5), ""),
+}
+
+
+def plate(kind: int, force: np.ndarray, point: np.ndarray, torque: np.ndarray, middle: np.ndarray) -> Plate:
+    """Return the plate that shows forces [N] on the foot at points [mm] and free torques [N mm], each (R, 3), by the
+    definition of the plates: moments about its sensor in axes that point forward, to the right and down.
+    """
+    down = np.diag([1.0, -1.0, -1.0])
+    corners = middle + np.array([[300, -200, 0], [-300, -200, 0], [-300, 200, 0], [300, 200, 0]])
+    origin = np.array([1.0, -2.0, -40.0])
+    own, arm = force @ down, origin + (point - middle) @ down
+    shown = np.concatenate([own, np.cross(arm, own) + torque @ down], axis=1)
+    matrix = np.eye(6) + 1e-4 * np.random.default_rng(3).standard_normal((6, 6)) if kind == 4 else None
+    return Plate(corners, origin, shown if matrix is None else shown @ np.linalg.inv(matrix).T, matrix)
+
+
+@pytest.mark.parametrize("kind", [2, 4])
+@pytest.mark.parametrize("maker", CONVENTIONS)
+def test_markers_and_plates_of_a_maker_come_back(tmp_path: Path, maker: str, kind: int) -> None:
+    how, subject = CONVENTIONS[maker]
+    time, samples = np.arange(24) / 100.0, 5
+    knee = np.column_stack([500 + 100 * time, 0 * time + 20.0, 450 + 50 * np.sin(7 * time)])
+    ankle = np.where(np.arange(24)[:, None] == 7, np.nan, knee - [20.0, 0.0, 400.0])
+    fine = np.arange(24 * samples) / 500.0
+    force = np.column_stack([60 * np.sin(9 * fine), 10 + 0 * fine, 600 + 100 * np.cos(8 * fine)])
+    force[:20] = 0.0  # before the foot touches the plate
+    point = np.column_stack([600 + 300 * fine, 30 + 0 * fine, 0 * fine])
+    torque = np.column_stack([0 * fine, 0 * fine, 4000 * np.sin(6 * fine)]) * (np.arange(len(fine)) >= 20)[:, None]
+    plates = [plate(kind, 0.0 * force, point, 0.0 * torque, np.array([0.0, 0.0, 0.0])),
+              plate(kind, force, point, torque, np.array([650.0, 0.0, 0.0]))]  # fmt: skip
+    file = tmp_path / "gait.c3d"
+    file.write_bytes(c3d_bytes({f"{subject}LKNE": knee, f"{subject}LANK": ankle}, 100.0, how, plates, samples))
+    table = read_table(file, "motion.file")
+
+    def columns(name: str) -> np.ndarray:
+        return np.column_stack([table.column(f"{name}.{axis}", "") for axis in "xyz"])
+
+    assert table.length_unit == "mm"
+    np.testing.assert_allclose(table.column("time", ""), time, atol=1e-12)
+    np.testing.assert_allclose(columns("LKNE"), knee, atol=1e-4 if how.scale == 0 else 0.011)
+    np.testing.assert_allclose(columns("LANK"), ankle, atol=1e-4 if how.scale == 0 else 0.011)
+    np.testing.assert_array_equal(columns(f"{subject}LKNE"), columns("LKNE"))
+    digits = 0.06 if how.scale else 1e-3  # integers of 0.05 N and 10 N mm
+    np.testing.assert_allclose(columns("plate2.force"), force[::samples], atol=digits)
+    np.testing.assert_allclose(columns("plate2.torque"), 1e-3 * torque[::samples], atol=digits)
+    np.testing.assert_allclose(columns("plate2.point")[4:], point[::samples][4:], atol=0.5 if how.scale else 1e-2)
+    assert np.all(np.isnan(columns("plate2.point")[:4]))
+    assert not np.any(columns("plate1.force"))
+
+
+def test_names_of_two_subjects_need_their_subject_and_plates_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    rest = np.zeros((5, 3))
+    wrong = Plate(np.zeros((4, 3)), np.zeros(3), np.zeros((5, 6)))
+    content = c3d_bytes({"A:LKNE": rest, "B:LKNE": rest + 1.0, "A:RKNE": rest}, 100.0, Convention(), [wrong])
+    path = tmp_path / "two.c3d"
+    path.write_bytes(content.replace(b"TYPE\x08\x00\x02\x01\x01\x02\x00", b"TYPE\x08\x00\x02\x01\x01\x07\x00"))
+    table = read_table(path, "motion.file")
+    assert table.column("RKNE.x", "").tolist() == [0.0] * 5
+    with pytest.raises(SpecError, match=r"no column 'LKNE.x'"):
+        table.column("LKNE.x", "")
+    with pytest.raises(SpecError, match=r"no column 'plate1.force.x'.*its force plates cannot be read"):
+        table.column("plate1.force.x", "")
+    path.write_bytes(c3d_bytes({"LKNE": rest}, 100.0, Convention(analog_offset=-10), [wrong]))
+    with pytest.raises(SpecError, match=r"no column 'plate1.force.x'.*negative offsets"):
+        read_table(path, "motion.file").column("plate1.force.x", "")

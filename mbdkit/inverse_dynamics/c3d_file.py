@@ -1,0 +1,192 @@
+"""Columns of C3D files: markers and force plates, in the conventions of Vicon, Qualisys, Motion Analysis and others.
+
+The package ezc3d decodes bytes: integers or floating-point numbers of Intel and DEC processors, scales and offsets of
+analog channels, and calibration matrices. It refuses files of MIPS processors, whose bytes are put in the order of
+Intel before.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import shown
+
+UNLOADED = 10.0
+"""Force along the normal of a plate [N] below which the plate counts as unloaded, because the point of application is
+the quotient of two small numbers there."""
+
+
+class Columns(NamedTuple):
+    """Headings and values of a table.
+
+    Parameters
+    ----------
+    headings
+        ``time``, ``LABEL.x`` and so on for each marker, and ``plate1.force.x``, ``plate1.point.x``, ``plate1.torque.x``
+        and so on for each force plate; empty for markers without a label.
+    values
+        (T, columns); nan where a marker was not seen, or where a plate has no point of application.
+    unit
+        Unit of the coordinates and points.
+    remark
+        Why there are no force plates, as a clause; empty if nothing is missing.
+    """
+
+    headings: list[str]
+    values: np.ndarray
+    unit: str
+    remark: str = ""
+
+
+def read_c3d(path: Path, most_cells: int) -> Columns | None:
+    """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
+
+    Plates have the forces and torques that the file states, in the frame of the laboratory; they are those at the times
+    of the frames of the cameras, and zero below `UNLOADED`.
+
+    Raises
+    ------
+    SpecError
+        If it is not such a file, or it has no markers.
+    MbdkitError
+        If ezc3d is not installed.
+    """
+    try:
+        import ezc3d
+    except ImportError:
+        raise MbdkitError(
+            "reading C3D files needs the package ezc3d: install it with `pip install mbdkit[c3d]`, or export the "
+            "markers as .trc"
+        ) from None
+    remark = ""
+    try:
+        with _readable(path) as readable:
+            try:
+                file = ezc3d.c3d(str(readable), extract_forceplat_data=True)
+            except RuntimeError as error:
+                file = ezc3d.c3d(str(readable))  # the file is sound, but not the description of its plates
+                remark = f"its force plates cannot be read: {shown(' '.join(str(error).split()))}"
+    except (OSError, RuntimeError, ValueError, IndexError, struct.error) as error:
+        raise SpecError(f"this is not a C3D file that can be read: {shown(str(error))}", file=path) from None
+    points = file["data"]["points"]  # (4, markers, frames)
+    if points.size > most_cells:
+        return None
+    about = file["parameters"]["POINT"]
+    parts = sorted((name for name in about if re.fullmatch(r"LABELS\d*", name)), key=lambda name: (len(name), name))
+    labels = [str(label).strip() for name in parts for label in about[name]["value"]]  # 255 in each part
+    if not any(labels):
+        raise SpecError("this C3D file has no markers", file=path)
+    labels = [*labels, *[""] * points.shape[1]][: points.shape[1]]
+    rate, first = float(file["header"]["points"]["frame_rate"]), int(file["header"]["points"]["first_frame"])
+    frames = points.shape[2]
+    headings = ["time", *(f"{label}.{axis}" if label else "" for label in labels for axis in "xyz")]
+    values = [(first + np.arange(frames)) / rate, *points[:3].transpose(1, 0, 2).reshape(-1, frames)]
+    unit = str(next(iter(about.get("UNITS", {"value": ()})["value"]), "m")).strip() or "m"
+    plates = file["data"].get("platform", ())
+    if plates and _has_negative_offsets(file["parameters"].get("ANALOG", {})):
+        plates, remark = (
+            (),
+            "its analog channels have negative offsets, which the package ezc3d takes for positive ones",
+        )
+    for number, plate in enumerate(plates, 1):
+        if not frames or plate["force"].shape[1] < frames:
+            continue
+        for quantity, columns in _of_plate(plate, plate["force"].shape[1] // frames).items():
+            headings += [f"plate{number}.{quantity}.{axis}" for axis in "xyz"]
+            values += list(columns)
+    return Columns(headings, np.column_stack(values), unit, remark)
+
+
+def _has_negative_offsets(about: Any) -> bool:
+    """Return whether signed analog channels have negative offsets, whose sign ezc3d drops."""
+    given = next(iter(about.get("FORMAT", {"value": ()})["value"]), "")
+    offsets = [value for name in about if re.fullmatch(r"OFFSET\d*", name) for value in about[name]["value"]]
+    return "UNSIGNED" not in str(given).upper() and any(value < 0 for value in offsets)
+
+
+def _of_plate(plate: Any, samples: int) -> dict[str, np.ndarray]:
+    """Return force [N], point of application and free torque [N m] of a plate, each (3, T), at the first of the
+    `samples` of each frame.
+    """
+    force, point, torque = (plate[name][:, ::samples].copy() for name in ("force", "center_of_pressure", "Tz"))
+    corners = plate["corners"]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
+    normal /= np.linalg.norm(normal) or 1.0
+    unloaded = ~(np.abs(normal @ force) >= UNLOADED)
+    force[:, unloaded], torque[:, unloaded], point[:, unloaded] = 0.0, 0.0, np.nan
+    in_metres = str(plate["unit_moment"]).replace(" ", "").lower() in ("nm", "n*m", "n.m")
+    return {"force": force, "point": point, "torque": torque if in_metres else 1e-3 * torque}
+
+
+_BLOCK = 512
+"""Bytes of a block."""
+_INTEL, _MIPS = 84, 86
+"""Codes of processors."""
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[Path]:
+    """Yield the file or, for a file of MIPS processors, a temporary one in the order of Intel."""
+    content = path.read_bytes()
+    first = _BLOCK * (max(content[0], 1) - 1) if content else 0
+    if len(content) < first + 4 or content[first + 3] != _MIPS:
+        yield path
+        return
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        copy.write_bytes(_in_order_of_intel(content, first))
+        yield copy
+
+
+def _in_order_of_intel(content: bytes, first: int) -> bytes:
+    """Return a file of a MIPS processor in the order of Intel, without the events in its header.
+
+    Parameters
+    ----------
+    first
+        Place of the parameters.
+    """
+    numbers, scale, more, rate = (struct.unpack_from(f">{kind}", content, at) for kind, at in _HEADER)
+    header = b"".join(struct.pack(f"<{kind}", *given) for (kind, _), given in
+                      zip(_HEADER, (numbers, scale, more, rate), strict=True))  # fmt: skip
+    found = bytearray(content)
+    found[:_BLOCK] = (content[:2] + header).ljust(_BLOCK, b"\0")
+    found[first + 3] = _INTEL
+    place = first + 4
+    while content[place]:  # length of the name of a group or parameter
+        group = struct.unpack_from("b", content, place + 1)[0]
+        place += 2 + abs(struct.unpack_from("b", content, place)[0])
+        (offset,) = struct.unpack_from(">h", content, place)
+        found[place : place + 2] = struct.pack("<h", offset)
+        if group > 0:
+            size, count = struct.unpack_from("bB", content, place + 2)
+            begin = place + 4 + count
+            length = abs(size) * int(np.prod(list(content[place + 4 : begin]), dtype=int))
+            found[begin : begin + length] = _swapped(content[begin : begin + length], abs(size))
+        if offset <= 0:
+            break
+        place += offset
+    data = _BLOCK * (more[0] - 1)
+    found[data:] = _swapped(content[data:], 4 if scale[0] < 0 else 2)
+    return bytes(found)
+
+
+_HEADER = (("5h", 2), ("f", 12), ("2h", 16), ("f", 20))
+"""Numbers of the header and their places: points, analog samples, frames and gap; scale; start of the data and samples;
+rate."""
+
+
+def _swapped(content: bytes, size: int) -> bytes:
+    """Return bytes with those of each number of some `size` in the other order."""
+    whole = len(content) // size * size
+    numbers = np.frombuffer(content[:whole], np.uint8).reshape(-1, size)
+    return numbers[:, ::-1].tobytes() + content[whole:]
