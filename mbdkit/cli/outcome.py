@@ -6,10 +6,8 @@ import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import typer
 
-from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.base import terminal
 from mbdkit.base.terminal import say, show, show_json
 
@@ -72,6 +70,10 @@ def _outcome(result: Run) -> dict[str, Any]:
 
 def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
     """Return the estimated errors in numbers; None where they are unknown."""
+    import numpy as np  # like SciPy, it would delay --help
+
+    from mbdkit.archive.peak_errors import peak_errors
+
     joints = {}
     if result.records("joints/reaction_force") and len(result.time):
         size = np.linalg.norm(result.array("joints/reaction_force"), axis=2)
