@@ -1,4 +1,4 @@
-"""Forces of actuators and joints that produce a given motion: the equations of motion solved for them in each frame.
+"""Forces of actuators and joints that produce a given motion: the solutions of the equations of motion in each frame.
 
     M a + Phi_q^T lambda = Q + Q_loads + B u
 
@@ -145,7 +145,7 @@ def columns_of(q: np.ndarray, actuators: Sequence[NamedActuator]) -> np.ndarray:
 
 
 def weights_of(manifold: Manifold, actuators: Sequence[NamedActuator]) -> np.ndarray:
-    """Return the weights (U,) of actuators, those of torques per characteristic length."""
+    """Return the weights (U,) of actuators; those of torques are divided by the characteristic length."""
     return np.array([actuator.weight / (manifold.length if actuator.unit == "N m" else 1.0) for actuator in actuators])
 
 

@@ -119,7 +119,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
         return None
     recruiter = problem.recruiter
     if recruiter is not None and recruiter.couples_frames:
-        return None  # noise of one frame changes others, which the covariance of each frame does not know
+        return None  # noise in one frame changes other frames, which covariances of single frames leave out
     random = np.random.default_rng(asked.seed)
     measured, times = fitted.measured, result.motion.time
     coordinates = independent.quantities.values(fitted.q)
@@ -202,7 +202,7 @@ def _with_loads(
     deviations, columns = [], []
     for name, series in problem.loads.items():
         for component, deviation in series.deviation.items():
-            loads = problem.loads | {name: series.moved(component, deviation)}  # the outcome is linear in each of them
+            loads = problem.loads | {name: series.moved(component, deviation)}  # the outcome is linear in each one
             with_noise = replace(problem, loads=loads)
             moved = forces_of(with_noise, result.fitted, result.independent, result.motion, strict=False)
             columns.append([part / deviation for part in _outcome(moved).minus(base).parts])
@@ -321,7 +321,7 @@ def _other_cutoffs(response: _Response, path: NoisePath, coordinates: np.ndarray
 
 
 def _other_coordinates(response: _Response) -> list[_Other]:
-    """Return the smoothing of other quantities, if the measured ones are not those of the result.
+    """Return the smoothing of other quantities, unless the result smooths the measured quantities themselves.
 
     The coordinates of the result follow from the poses that fit the smoothed quantities best, and are differentiated.
     """

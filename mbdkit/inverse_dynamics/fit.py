@@ -222,7 +222,7 @@ class Fitter:
 
 
 PLACINGS = 4
-"""Number of Gauss-Newton steps from the fitted pose; it is so close that few are needed."""
+"""Number of Gauss-Newton steps from the fitted pose, which is so close that few are needed."""
 
 PLACED = 1e-14
 """Scaled step below which positions are exact to round-off."""

@@ -24,8 +24,9 @@ ROD = np.sqrt(3.0)
 """Half the length of a uniform rod by its radius of gyration: the least extent of a body around its centre of mass."""
 
 UNLOADED, LEAST_OFFSET = 0.1, 0.005
-"""A plate counts as unloaded while its force is below the first share of its peak, if that is at least as often; its
-force has an offset if it then exceeds the second share on average, and five times its scatter."""
+"""A plate counts as unloaded in the rows in which its force is below the first share of its peak, if they are at least
+the same share of all rows. It has an offset if the median of the force in these rows exceeds the second share of the
+peak, and five times its scatter."""
 
 FORCE, MOMENT = 0.05, 0.02
 """Residual forces and moments from which the balance is doubtful, as shares of the largest load, and of that load times
@@ -221,6 +222,6 @@ def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) 
 
 
 def _at(time: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values (T, ...) at other times, by straight lines."""
+    """Return values (T, ...) interpolated linearly at other times."""
     columns = values.reshape(len(time), -1).T
     return np.stack([np.interp(times, time, one) for one in columns], axis=1).reshape(values.shape)

@@ -165,7 +165,7 @@ class _Iterate:
 
     @property
     def residual(self) -> float:
-        """Largest residual of the other conditions of optimality."""
+        """Largest residual of the conditions of optimality other than slack * multiplier = 0."""
         return max(float(np.max(np.abs(one), initial=0.0)) for one in self._residuals)
 
     @cached_property
@@ -231,7 +231,7 @@ def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tup
             x, every = x + dx, every + dy
         y, z = every[: len(y)], np.zeros(len(z))
         z[active] = every[len(y) :]
-        if np.all(z >= 0):  # else without those that would pull
+        if np.all(z >= 0):  # otherwise again, without inequalities of the wrong sign
             break
     if not np.all(np.isfinite(x)):
         return given

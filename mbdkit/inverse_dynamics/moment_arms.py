@@ -14,7 +14,7 @@ from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.spec import InverseSpec
 
 DEPENDENT = 1e-6
-"""Share of a quantity that must be independent of those chosen before."""
+"""Share of a quantity that must be independent of the quantities chosen before it."""
 
 
 def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Muscles whose properties are drawn at random: the effect of not knowing them on tensions and joint forces."""
+"""Muscles whose properties are drawn at random: the effect of their uncertainty on tensions and joint forces."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def archive_of(
     Parameters
     ----------
     bars
-        Its error bars, if they are known.
+        Error bars of the result, if they are known.
     doubts
         What is implausible in the data.
     timings

@@ -51,7 +51,7 @@ def require_derivatives_of(recruiter: Recruiter) -> None:
     """Raise SpecError if the derivatives of the solution of recruitment are not known."""
     if recruiter.asked.dynamics == "activation":
         raise SpecError(
-            "gradients are those of frames that are independent of each other, without activation dynamics",
+            "gradients exist only for frames that are independent of each other, without activation dynamics",
             key="recruitment.dynamics",
         )
     if recruiter.is_elastic:

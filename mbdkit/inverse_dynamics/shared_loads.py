@@ -37,7 +37,8 @@ REDUCED_COST = 1e-7
 TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """Options of HiGHS."""
 LEAST_SLOPE = 1e-12
-"""Share of the largest derivative dx/dg to which others are raised for p > 2, where it is infinite at x = 0."""
+"""Share of the largest derivative dx/dg to which smaller ones are raised for p > 2: at x = 0, where the derivative is
+infinite, it is computed as 0."""
 
 
 @dataclass(frozen=True)

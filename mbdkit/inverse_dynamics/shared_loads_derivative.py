@@ -22,8 +22,8 @@ import numpy as np
 from mbdkit.inverse_dynamics.shared_loads import Programme, Shared
 
 LEAST_CURVATURE = 1e-12
-"""Share of the largest second derivative of the cost in a frame to which others are raised: for exponents above 2, it
-vanishes at x = 0."""
+"""Share of the largest second derivative of the cost in a frame to which smaller ones are raised: for exponents above
+2, the second derivative vanishes at x = 0."""
 NEGLIGIBLE = 1e-13
 """Singular values below this share of the largest one belong to equations that no free unknown enters."""
 REFINEMENTS = 2

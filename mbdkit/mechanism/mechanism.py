@@ -120,7 +120,7 @@ class Mechanism(HtmlView):
 
     @property
     def elements(self) -> dict[str, dict[str, Element]]:
-        """Joints, forces, markers, muscles and contacts by name, by kind."""
+        """The joints, forces, markers, muscles and contacts: for each kind, the elements by name."""
         return {kind: getattr(self, kind) for kind in ELEMENTS}
 
     # ---- builder -------------------------------------------------------------------------------------------------

@@ -73,20 +73,21 @@ class FirstOrderState(StrictModel):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("initial", "unit")
 
     initial: Number = 0.0
-    """Its value at the start."""
+    """Value of the state at the start."""
     rate: Expression
-    """Its derivative by time: an expression of t and of the quantities of the mechanism, such as `states.NAME`."""
+    """Derivative of the state by time: an expression of t and of the quantities of the mechanism, such as
+    `states.NAME`."""
     unit: str = "1"
-    """Its unit."""
+    """Unit of the state."""
 
 
 class ControllerState(StrictModel):
     """A state of a controller, which changes at its samples only."""
 
     initial: Number = 0.0
-    """Its value before the first sample."""
+    """Value of the state before the first sample."""
     next: Expression
-    """Its value after a sample, an expression of the state at the sample."""
+    """Value of the state after a sample: an expression of the state of the run at the sample."""
 
 
 class Controller(StrictModel):

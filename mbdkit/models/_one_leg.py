@@ -198,7 +198,7 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
 
 
 class _Names:
-    """Names of the second leg in place of given names of the first."""
+    """Replaces given names of the first leg by the names of the second leg."""
 
     def __init__(self, own: set[str]):
         self._own = own

@@ -136,7 +136,7 @@ class FourBarKneeOptions(StrictModel):
 
 
 def linkage(height: float, links: KneeLinks, pitches: KneePitches) -> CrossedFourBar:
-    """Return the four-bar linkage of a person with this body height [m]; given lengths replace those that scale."""
+    """Return the four-bar linkage of a person with this body height [m]; lengths in `links` replace scaled ones."""
     scale = height / REFERENCE_HEIGHT
     given = links.model_dump(exclude_none=True)
     lengths = {name: given.get(name, scale * length) for name, length in LINKS.items()}

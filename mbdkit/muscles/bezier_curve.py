@@ -25,7 +25,7 @@ HALLEY = 4
 step of Newton's method follows."""
 
 MORE_HALLEY = 6
-"""The same for sums of two coordinates of a curve."""
+"""Iterations of Halley's method for sums of two coordinates of a curve."""
 
 Points = Sequence[Any]
 """First control point of a segment, and the differences to each following one."""

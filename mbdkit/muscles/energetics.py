@@ -30,7 +30,8 @@ LARGEST_SLOW_HEAT = 100.0
 FAST_HEAT = 153.0
 """Rate of heat of fast fibres by shortening at their largest velocity [W/kg]."""
 FAST_OVER_SLOW = 2.5
-"""Ratio of the largest velocities of fast and slow fibres; that of the muscle is that of fast ones."""
+"""Ratio of the largest velocities of fast and slow fibres; the largest velocity of a muscle is that of its fast
+fibres."""
 LENGTHENING = 0.3
 """Rate of heat in lengthening, relative to that of slow fibres in shortening."""
 

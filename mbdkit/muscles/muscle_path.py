@@ -71,7 +71,7 @@ class _Place:
         self.coordinates: dict[str, Quantity] = {name: names.coordinate(name) for name in used}
 
     def is_there(self, q: np.ndarray) -> np.ndarray:
-        """Return the frames (T,) in which the path has the point."""
+        """Return in which frames the path has the point, (T,)."""
         there = np.ones(len(q), dtype=bool)
         for quantity, low, high in self.when:
             value = quantity.value(q)

@@ -1,4 +1,4 @@
-"""The tables of a run's report besides model and answer: misalignment, contacts, errors, events and cost."""
+"""Tables of the report of a run besides model and largest forces: misalignment, contacts, errors, events, cost."""
 
 from __future__ import annotations
 

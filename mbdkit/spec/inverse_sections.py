@@ -264,14 +264,15 @@ class Actuator(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("joint", "bodies", "points", "body", "coordinate")
 
     joint: Named | None = None
-    """Joint whose relative angle or travel it acts on, with a torque or force on the second body."""
+    """Joint on whose relative angle or travel the actuator acts, with a torque or force on the second body."""
     bodies: BodyPair | None = None
-    """Instead of `joint`: the two bodies that it acts between, with `points` as a tension that pulls these together,
-    otherwise as a torque on the second body, positive counter-clockwise, and its reaction on the first."""
+    """Instead of `joint`: the two bodies between which the actuator acts. With `points`, it is a tension that pulls
+    these together; otherwise, a torque on the second body, positive counter-clockwise, and its reaction on the
+    first."""
     points: Points | None = None
     """Points of attachment, each in the frame of its body [m]."""
     body: Named | None = None
-    """Instead of `joint`, with `coordinate`: body that it acts on from the ground."""
+    """Instead of `joint`, with `coordinate`: body on which the actuator acts from the ground."""
     coordinate: Literal["x", "y", "angle"] | None = None
     """Coordinate of `body`: a force at its centre of mass along a global axis, or a torque."""
     weight: Positive = 1.0
@@ -340,7 +341,7 @@ class Recruitment(Section):
     """Largest active tension of a muscle: `full`, max_force times the curves of force by length and velocity times the
     cosine of the pennation; or `isometric`, max_force, which is for rigid tendons."""
     passive: bool = False
-    """Whether the force of passive fibres is added to that of active ones."""
+    """Whether the passive force of the fibres is added to their active force."""
     dynamics: Literal["none", "activation"] = "none"
     """`activation`: from one frame to the next, activations change at most as fast as activation dynamics with the time
     constants of each muscle allow for excitations between 0 and 1. Otherwise, frames are independent of each other."""

@@ -46,10 +46,10 @@ FIRST_EXPLICIT: Mapping[str, Any] = {"name": "dop853", "adaptive": True}
 """First method to try for `accuracy` if a spec names none; for stiff mechanisms another one is chosen."""
 
 FIRST_IMPLICIT: Mapping[str, Any] = {"name": "radau-iia", "stages": 5, "adaptive": True}
-"""The same for formulations that solve for multipliers, which explicit methods do not support."""
+"""First method to try for formulations that solve for multipliers, which explicit methods do not support."""
 
 FIRST_SYMMETRIC: Mapping[str, Any] = {"name": "gauss", "stages": 3}
-"""The same for symmetric projection, which needs fixed steps."""
+"""First method to try for symmetric projection, which needs fixed steps."""
 
 
 def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:

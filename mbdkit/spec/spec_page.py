@@ -112,12 +112,12 @@ def page(installed: Registry) -> str:
         "\n".join([_version("mbdkit_study", study), _keys(study)]),
         "## Spec of inverse dynamics",
         (
-            "The page `inverse` explains it. Instead of a mapping, a column may be a text, its heading. Columns of "
-            "loads have the keys `column`, `unit`, `scale` and `deviation` of those of the motion."
+            "The page `inverse` explains this spec. Instead of a mapping, a column may be given by its heading alone. "
+            "Columns of loads have the same keys `column`, `unit`, `scale` and `deviation` as columns of the motion."
         ),
         "\n".join([_version("mbdkit", inverse), first[0].replace("below", "above"), _keys(_without(inverse, PARTS))]),
         "## Design spec",
-        "The page `design` explains it.",
+        "The page `design` explains this spec.",
         "\n".join([_version("mbdkit_design", design), _keys(design)]),
     ]
     return "\n\n".join("\n".join(_wrapped(part.splitlines())) for part in filter(None, parts)) + "\n"

@@ -29,7 +29,7 @@ adaptive methods, whose steps depend on rounding."""
 
 @check("contract.options")
 def options(integrator: IntegratorUnderTest) -> Result:
-    """Its options round-trip through JSON, reject unknown keys, and have descriptions."""
+    """The integrator's options round-trip through JSON, reject unknown keys, and have descriptions."""
     try:
         integrator.spec(FORCED_PENDULUM, {"end": 1.0, "step": 0.1}, options={"no-such-option": 1})
     except (ValidationError, ValueError):
@@ -39,7 +39,7 @@ def options(integrator: IntegratorUnderTest) -> Result:
 
 @check("contract.method")
 def method(integrator: IntegratorUnderTest) -> Result:
-    """It creates a method, its claims are consistent, and it names references."""
+    """The integrator creates a method, its claims are consistent, and it names references."""
     made: object = integrator.method()
     claims = integrator.claims
     if not isinstance(made, Method):
@@ -59,7 +59,7 @@ def method(integrator: IntegratorUnderTest) -> Result:
 
 @check("contract.inputs")
 def inputs(integrator: IntegratorUnderTest) -> Result:
-    """It does not modify its options, the start of the run, the states passed to it, or those that it returned."""
+    """The method does not modify its options, the start of the run, states passed to it, or states that it returned."""
     given = validated(integrator.plugin.options, integrator.options)
     before = given.model_dump_json()
     made = integrator.plugin.create(given)

@@ -145,7 +145,7 @@ def rows(integrator: IntegratorUnderTest) -> Result:
 
 @check("honesty.needs")
 def needs(integrator: IntegratorUnderTest) -> Result:
-    """It uses tangents if and only if its claims name them in `needs`."""
+    """The method uses tangents if and only if its claims name them in `needs`."""
     with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:
         used = run.stats["jacobian_evaluations"] > 0
     said = "tangents" in integrator.claims.needs
@@ -158,7 +158,7 @@ def needs(integrator: IntegratorUnderTest) -> Result:
 
 @check("honesty.projections")
 def projections(integrator: IntegratorUnderTest) -> Result:
-    """It does not project the state onto the constraints in every step: stabilization is chosen by the spec."""
+    """The method does not project the state onto the constraints in every step: the spec chooses stabilization."""
     if integrator.method().traits.family != "python":
         return skipped("it is not a class with `step`, so it cannot project")
     with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}) as run:

@@ -1,4 +1,4 @@
-"""Failure of a method: with a status code, with the motion up to it, and without delay."""
+"""A method fails with a status code, with the motion up to the failure, and without delay."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def impossible_tolerance(integrator: IntegratorUnderTest) -> Result:
 
 @check("failure.step-limit")
 def step_limit(integrator: IntegratorUnderTest) -> Result:
-    """It stops after limits.max_steps and keeps all steps before."""
+    """The method stops after limits.max_steps and keeps all steps before."""
     with integrator.run(FORCED_PENDULUM, {"end": 5.0, "step": 0.01}, limits={"max_steps": 7}) as run:
         code = run.status_reason.partition(":")[0]
         if run.status != "failed" or code != "max-steps":

@@ -164,13 +164,13 @@ def _at(place: np.ndarray) -> str:
 
 @check("law.options")
 def options(law: ForceLawUnderTest) -> Result:
-    """Its options round-trip through JSON and have descriptions."""
+    """The law's options round-trip through JSON and have descriptions."""
     return options_result(law.plugin.options, law.options)
 
 
 @check("law.finite")
 def finite(law: ForceLawUnderTest) -> Result:
-    """Its values are finite and repeatable over the range of lengths, rates and times."""
+    """The law's values are finite and repeatable over the range of lengths, rates and times."""
     wrong = ~np.all(np.isfinite(law.samples), axis=1)
     if np.any(wrong):
         row = int(np.argmax(wrong))
@@ -186,13 +186,13 @@ def finite(law: ForceLawUnderTest) -> Result:
 
 @check("derivatives.length")
 def by_length(law: ForceLawUnderTest) -> Result:
-    """Its derivative by length agrees with finite differences of its force."""
+    """The law's derivative by length agrees with finite differences of its force."""
     return _derivative(law, 0)
 
 
 @check("derivatives.rate")
 def by_rate(law: ForceLawUnderTest) -> Result:
-    """Its derivative by rate agrees with finite differences of its force."""
+    """The law's derivative by rate agrees with finite differences of its force."""
     return _derivative(law, 1)
 
 
@@ -263,7 +263,7 @@ def _slopes(
 
 @check("law.potential")
 def potential(law: ForceLawUnderTest) -> Result:
-    """The derivative of its potential is its force at rate zero, which does not depend on time."""
+    """The derivative of the law's potential is the force at rate zero, which does not depend on time."""
     if not law.claims["potential"]:
         raise Skip("it claims no potential")
     if not law.is_finite:
@@ -305,7 +305,7 @@ def _jump(law: ForceLawUnderTest) -> float | None:
 
 @check("law.passivity")
 def passivity(law: ForceLawUnderTest) -> Result:
-    """The part of its force without potential never adds energy, at any sample and where a random search climbs."""
+    """The force without potential never adds energy, neither at samples nor at places that a random search finds."""
     if not law.claims["passive"]:
         raise Skip("it does not claim to be passive")
     if not law.is_finite:
@@ -343,7 +343,7 @@ def _climb(merit: Callable[[np.ndarray], np.ndarray], places: np.ndarray, span: 
 
 @check("law.states")
 def states(law: ForceLawUnderTest) -> Result:
-    """The rates of its first-order states are finite over the range, and the states of a run converge with the step."""
+    """The rates of first-order states are finite over the range, and the states of a run converge with the step."""
     if not law.plugin.law.states:
         raise Skip("it has no first-order states")
     for name, rates in law.rates(law.places).items():
@@ -394,7 +394,7 @@ def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:
 
 @check("law.energy")
 def energy(law: ForceLawUnderTest) -> Result:
-    """The energy balance of a mass on it converges to zero with the step."""
+    """The energy balance of a mass on the law converges to zero with the step."""
     found = []
     for step in (0.02, 0.01, 0.005, 0.0025):
         with simulate(_mass_on(law, step)) as run:

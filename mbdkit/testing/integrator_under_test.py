@@ -59,7 +59,7 @@ class IntegratorUnderTest:
 
     @cached_property
     def claims(self) -> Claims:
-        """Its claims with these options."""
+        """The integrator's claims with these options."""
         claims = self.plugin.claims(validated(self.plugin.options, self.options))
         if not isinstance(claims, Claims):
             raise PluginError(f"{self.item.id} returned its claims as {type(claims).__name__}; mbdkit.Claims is needed")
@@ -79,7 +79,7 @@ class IntegratorUnderTest:
 
     @property
     def tableau(self) -> ButcherTableau:
-        """Its tableau; raises Skip if it is not given by one."""
+        """The integrator's tableau; raises Skip if the integrator has none."""
         tableau = self.method().traits.tableau
         if tableau is None:
             raise Skip("it is not given by a tableau")

@@ -56,7 +56,7 @@ class MeasureUnderTest:
 
 @check("measure.options")
 def options(measure: MeasureUnderTest) -> Result:
-    """Its options round-trip through JSON and have descriptions."""
+    """The measure's options round-trip through JSON and have descriptions."""
     return options_result(measure.plugin.options, measure.options)
 
 

@@ -71,7 +71,7 @@ class ModelUnderTest:
 
 @check("model.options")
 def options(model: ModelUnderTest) -> Result:
-    """Its parameters round-trip through JSON and have descriptions."""
+    """The model's parameters round-trip through JSON and have descriptions."""
     return options_result(model.item.plugin.options, model.options, "parameters")
 
 
@@ -103,7 +103,7 @@ def mass(model: ModelUnderTest) -> Result:
 
 @check("model.start")
 def start(model: ModelUnderTest) -> Result:
-    """Its start satisfies all constraints in position and velocity, without a large correction."""
+    """The model's start satisfies all constraints in position and velocity, without a large correction."""
     workspace, assembled = build(model.spec(0.01))
     equations = EquationsOfMotion(workspace)
     t, q, v = equations.t0, equations.q0, equations.v0

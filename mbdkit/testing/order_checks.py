@@ -185,14 +185,14 @@ def _on(problem: str) -> Check[IntegratorUnderTest]:
         return compare_orders(claimed, found.observed, found.errors)
 
     observed.__doc__ = (
-        f"Its error on the {problem.replace('-', ' ')}, nonlinear and non-autonomous, converges with the claimed order."
+        f"The error on the {problem.replace('-', ' ')}, nonlinear and non-autonomous, converges with the claimed order."
     )
     return Check(f"order.{problem}", observed, slow=problem == "driven-pendulum")
 
 
 @check("order.multipliers")
 def multipliers(integrator: IntegratorUnderTest) -> Result:
-    """Its own multipliers converge with the order claimed for them."""
+    """The method's own multipliers converge with the order claimed for them."""
     claimed = integrator.claims.multiplier_order
     if claimed is None:
         raise Skip("it claims no order of multipliers")
@@ -301,7 +301,7 @@ def _with_tolerance(problem: str) -> Check[IntegratorUnderTest]:
                 return failed("its error does not decrease with the tolerance", **figures)
         return passed(**figures)
 
-    obeys.__doc__ = f"Its error on the {problem.replace('-', ' ')} decreases with the tolerance."
+    obeys.__doc__ = f"The error on the {problem.replace('-', ' ')} decreases with the tolerance."
     return Check(f"tolerance.{problem}", obeys, slow=problem == "driven-pendulum")
 
 

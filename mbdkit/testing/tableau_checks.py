@@ -23,7 +23,7 @@ def row_sums(integrator: IntegratorUnderTest) -> Result:
 
 @check("tableau.trees")
 def trees(integrator: IntegratorUnderTest) -> Result:
-    """It satisfies the order conditions of all rooted trees up to the claimed order, and not of the next."""
+    """The method satisfies the order conditions of all rooted trees up to the claimed order, and not of the next."""
     tableau, order = integrator.tableau, int(integrator.order)
     try:
         tableau.check_trees(order)
@@ -38,13 +38,13 @@ def trees(integrator: IntegratorUnderTest) -> Result:
 
 @check("tableau.symmetry")
 def symmetry(integrator: IntegratorUnderTest) -> Result:
-    """It is symmetric (its own adjoint) if and only if it claims to be."""
+    """The method is symmetric (its own adjoint) if and only if it claims to be."""
     return _held("symmetric", integrator.claims.symmetric, integrator.tableau.is_symmetric)
 
 
 @check("tableau.symplecticity")
 def symplecticity(integrator: IntegratorUnderTest) -> Result:
-    """It satisfies the condition of symplecticity if it claims to be symplectic or to conserve quadratic invariants."""
+    """The symplecticity condition holds if the method claims to be symplectic or to conserve quadratic invariants."""
     claimed = integrator.claims.symplectic or integrator.claims.quadratic_invariants
     return _held("symplectic", claimed, integrator.tableau.is_symplectic)
 
@@ -59,7 +59,7 @@ def _held(word: str, claimed: bool, true: bool) -> Result:
 
 @check("tableau.stages")
 def stages(integrator: IntegratorUnderTest) -> Result:
-    """It has the claimed number of stages."""
+    """The method has the claimed number of stages."""
     tableau = integrator.tableau
     if integrator.claims.stages is None:
         return warned(f"it claims no number of stages; it has {tableau.stages}", stages=tableau.stages)

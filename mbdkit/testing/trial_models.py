@@ -58,7 +58,7 @@ def forced_pendulum(start: float) -> Model:
 
 
 DRIVEN_PENDULUM: Model = {**_two_rods((-1.2, 0.1), 1.5), "forces": _forces()}
-"""The same with its first rod moved by a driver: constraints that depend on time."""
+"""The forced pendulum with a driver on its first rod: constraints that depend on time."""
 DRIVEN_PENDULUM["joints"]["motor"] = {
     "type": "driver",
     "bodies": ["ground", "rod1"],
@@ -141,7 +141,7 @@ ORBIT: Model = {
 """A point mass on a spring that is fixed at the origin: no joints, nonlinear, conserves energy and angular momentum."""
 
 HARMONIC: Model = {**ORBIT, "forces": {"spring": {**ORBIT["forces"]["spring"], "free_length": 0.0}}}
-"""The same on a spring without a free length: linear, so that its energy is a quadratic invariant."""
+"""A point mass on a spring without a free length: linear, so that its energy is a quadratic invariant."""
 
 COASTING: Model = {**SWINGING, "gravity": [0.0, 0.0]}
 COASTING["bodies"] = {

@@ -135,7 +135,7 @@ def test_a_property_that_is_not_claimed_is_measured_but_does_not_pass() -> None:
     assert all(value > 1e-7 for one in found[2:] for value in one.figures.values() if isinstance(value, float))
     told = report(*found, result("order.x", "pass"))
     assert told.verdict() == "verified: 5 checks run, 4 of properties that are not claimed"
-    assert "not claimed  symmetric no; It is symmetric" in told.text()
+    assert "not claimed  symmetric no; The method is symmetric" in told.text()
     assert told.to_dict()["not_claimed"] == 4
     assert ">not claimed</span>" in html([told])
 
