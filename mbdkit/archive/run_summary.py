@@ -26,7 +26,7 @@ JOINTS_NAMED = 4
 #: Number of events listed.
 EVENTS_NAMED = 4
 
-#: Residual [m or rad] up to which the model fits the data exactly.
+#: Residual [m or rad], overlap [m] and creep [m/s] up to which there is none but for rounding errors.
 EXACT = 1e-12
 
 #: Distance from a singular position below which the summary reports it.
@@ -123,7 +123,10 @@ def _named(spec: Mapping[str, Any], kind: str) -> str:
 
 def _gravity(spec: Mapping[str, Any]) -> str:
     gravity = spec.get("model", {}).get("gravity")
-    return "" if gravity is None else gravity_text(gravity)
+    if gravity is None:
+        return ""
+    is_number = all(isinstance(part, int | float) for part in gravity)
+    return gravity_text(gravity) if is_number else f"({', '.join(map(str, gravity))}), as in the spec"
 
 
 def _start(run: Run) -> str:
@@ -384,15 +387,19 @@ def _muscles(run: Run) -> str:
 
 
 def _contacts(run: Run) -> str:
-    """Return the deepest overlap of each contact, its time, and the largest slip while it sticks; the deepest first."""
+    """Return the deepest overlap of each contact, its time, and the largest slip while it sticks; the deepest first,
+    without those that are rounding errors.
+    """
     parts = []
     for name, contact in run.contacts.items():
         row = int(np.argmin(contact.gap))
         depth = -float(contact.gap[row])
-        if depth > 0.0:
+        if depth > EXACT:
             creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
-            crept = f", creeps at up to {creep:.2g} m/s" if creep else ""
+            crept = f", creeps at up to {creep:.2g} m/s" if creep > EXACT else ""
             parts.append((depth, f"{name} overlaps by up to {depth:.3g} m at {run.time[row]:.4g} s{crept}"))
+    if run.contacts and not parts:
+        return f"no overlap above {EXACT:g} m"
     parts.sort(key=lambda one: -one[0])
     more = f"; {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
     return "; ".join(text for _, text in parts[:JOINTS_NAMED]) + more

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,3 +147,15 @@ def test_the_summary_tells_the_largest_torque_of_a_motor_and_force_of_a_driven_s
         assert run.drivers == ("motor", "push")
         told = next(line for line in run.summary().splitlines() if line.startswith("drivers"))
     assert told == "drivers       largest torque 1 N m, of motor at 0 s; largest force 6 N, of push at 0.5 s"
+
+
+def test_the_summary_shows_gravity_as_the_spec_gives_it() -> None:
+    spec: dict[str, Any] = {
+        "mbdkit": 1,
+        "parameters": {"slope": 0.1},
+        "model": {"name": "single-pendulum", "gravity": ["9.81*sin(slope)", -9.0]},
+        "time": {"end": 0.1, "step": 0.01},
+        "integrator": {"name": "gauss"},
+    }
+    with mbdkit.run(spec) as run:
+        assert "gravity       (9.81*sin(slope), -9.0), as in the spec" in run.summary()
