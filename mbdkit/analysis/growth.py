@@ -23,7 +23,7 @@ CLEAR = 4.0
 """Difference in AICc above which a law counts as worse; Burnham and Anderson call 4 to 7 "considerably less
 support"."""
 LOOSE = math.log(2.0)
-"""Scatter of the logarithms of the block maxima about the best law above which the law is unclear."""
+"""The law is unclear if the logarithms of the block maxima scatter about the best law by more than this."""
 STEADY = 1.5
 """Minimum factor by which a law must rise over the series to count as growth; otherwise it counts as bounded."""
 

@@ -12,7 +12,7 @@ AGREE = 0.25
 ABOVE_FLOOR = 20.0
 """Minimum ratio of an error to the round-off floor; at this ratio, round-off shifts a slope by about 0.07."""
 SLOPE_AT_FLOOR = 0.5
-"""Slope below which the error at the finest steps counts as round-off; every method has a higher order."""
+"""The error at the finest steps counts as round-off if its slope is below this; every method has a higher order."""
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 ``.part``.
 
 The ``.part`` is the unfinished archive of the run. HDF5 keeps no journal: if a process is killed while HDF5 rearranges
-its tables, HDF5 may be unable to read the file. A
-checkpoint therefore contains the byte offsets of the rows, and all other data that the run needs. HDF5 never moves
-rows, and rows after the checkpoint do not change those before it, so that these can be read without HDF5.
+its tables, HDF5 may be unable to read the file. A checkpoint therefore contains the byte offsets of the rows, and all
+other data that the run needs. HDF5 never moves rows, and rows after the checkpoint do not change those before it, so
+that these can be read without HDF5.
 
 A checkpoint begins with its SHA-256. Its values are stored as JSON, with the content of the arrays behind it.
 """

@@ -695,8 +695,8 @@ class Run(HtmlView):
         Parameters
         ----------
         group
-            ``trajectory``, ``joints``, ``forces``, ``markers``, ``constraints``, ``energy``, ``steps``, ``events`` or
-            ``accuracy``.
+            A group of arrays over time, such as ``trajectory``, ``joints``, ``forces``, ``beams``, ``energy``,
+            ``steps``, ``events`` or ``accuracy``.
 
         Raises
         ------

@@ -29,7 +29,7 @@ EVENTS_NAMED = 4
 #: Residual [m or rad], overlap [m] and creep [m/s] up to which there is none but for rounding errors.
 EXACT = 1e-12
 
-#: Distance from a singular position below which the summary reports it.
+#: The summary reports the distance from a singular position if it is below this value.
 SINGULAR = 0.1
 
 _COUNTERS = {

@@ -67,7 +67,7 @@ _PART = re.compile(rf"({QUOTED})(?=[.\[]|$)|\[(\d{{1,9}})\]|(?:[^.\[]++|\[(?!\d{
 
 
 def quoted(name: str) -> str:
-    """Return a key as it stands in a key path: in double quotes, with backslashes, if it has dots, for example."""
+    """Return a key as it stands in a key path; keys with dots and the like are in double quotes, with backslashes."""
     if name and not _MEANT.search(name):
         return name
     return '"' + re.sub(r'(["\\])', r"\\\1", name) + '"'

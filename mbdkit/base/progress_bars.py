@@ -32,8 +32,8 @@ def _drawing(
 ) -> Iterator[Callable[[float | None, str], None] | None]:
     """Yield a function that draws a bar from a fraction (None if it is unknown) and a note.
 
-    If stderr is not a terminal outside of a notebook, it prints lines if `lines` is set, and None is yielded otherwise.
-    Yields None if `quiet` is set.
+    In a notebook, and if stderr is a terminal, the function draws a bar. Elsewhere, it prints lines if `lines` is set;
+    otherwise, None is yielded. None is also yielded if `quiet` is set.
     """
     make = None if quiet else _kind_of_bar() or (_Lines if lines else None)
     if make is None:

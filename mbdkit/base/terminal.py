@@ -211,7 +211,7 @@ def open_streams() -> None:
 
 
 def keep_results_apart() -> None:
-    """Make file descriptor 1 stderr for the rest of the process, and `sys.stdout` a stream to the former one.
+    """Redirect file descriptor 1 to stderr for the rest of the process, and let `sys.stdout` write to the real stdout.
 
     Compiled code and child processes can then not write into the results.
     """

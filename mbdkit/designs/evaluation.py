@@ -317,7 +317,7 @@ class Evaluator:
         return np.sqrt([situation.weight for situation in self.spec.situations.values()])
 
     def totals(self, x: np.ndarray) -> np.ndarray:
-        """Return the goals (G,) at a point (n,), summed over the scenarios by their weights; or the sum of squares."""
+        """Return the goals (G,) at a point (n,): weighted sums over the scenarios, or their weighted sum of squares."""
         return self.sums(self.values(x[None])[0])
 
     def sums(self, outcomes: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ from mbdkit.designs.problem import Problem
 STEP = 1e-3
 """Step of second differences, as a share of the bounds."""
 NEGLIGIBLE = 1e-5
-"""Singular value, relative to the largest one, below which a direction is not determined."""
+"""A direction is not determined if its singular value, relative to the largest one, is below this."""
 ACTIVE = 1e-5
-"""Distance from a bound or limit, relative to its size, below which it is active."""
+"""A bound or limit is active if the distance from it, relative to its size, is below this."""
 MOST = 10
 """Largest number of variables for which the second derivatives are computed."""
 

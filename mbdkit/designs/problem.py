@@ -105,7 +105,7 @@ class Problem:
         return np.asarray(terms.reshape(len(values), -1))
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return the terms (R,) of a sum of squares at a point (n,), the sum of whose squares is the cost."""
+        """Return the terms (R,) at a point (n,) whose sum of squares is the cost."""
         found = self._terms(self.evaluator.values(x[None]))[0]
         return np.asarray(np.nan_to_num(found / np.sqrt(self.scale), nan=np.sqrt(FAILED)))
 

@@ -159,7 +159,7 @@ def _errors(
     table = np.array([one.errors or (np.nan,) * len(one.values) for one in checked])
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
     of_goals = table[:, :count]
-    if evaluator.spec.sums_squares:  # (r + e)^2 - r^2
+    if evaluator.spec.sums_squares:  # the error of r^2 is (r + e)^2 - r^2
         values = np.abs(evaluator.values(x[None])[0][:, :count])
         of_goals = np.sum(of_goals * (2 * values + of_goals), axis=1, keepdims=True)
     return np.concatenate([weights @ of_goals, np.max(table[:, count:], axis=0, initial=-np.inf)]), tuple(unknown)

@@ -16,9 +16,9 @@ Place = tuple[str, tuple[float, float]]
 def cable_places(joints: Mapping[str, Joint], pathway: JointAngles) -> list[Place]:
     """Return the points that a cable over pulleys passes, from its first body to its last one.
 
-    At every joint, it passes at the distance of its radius, on the side on which its tension turns the second body as
-    the sign of the radius says. It ends beside the centres of mass of the first and the last body, unless these are the
-    ground.
+    The cable passes every joint at the distance of its radius, on the side on which its tension turns the second body
+    in the direction given by the sign of the radius. It ends beside the centres of mass of the first and the last body,
+    unless these are the ground.
     """
     passed = [joints[name] for name in pathway.radii]
     places: list[Place] = []

@@ -29,7 +29,7 @@ def contact_places(mechanism: Mechanism, body: str, shape: Shape) -> list[Place]
 
 
 def _line(mechanism: Mechanism, body: str, line: LineShape) -> list[tuple[float, float]]:
-    """Return the ends of the part of a line that is drawn: along all bodies, and beyond by half of their extent."""
+    """Return the ends of the drawn part of a line, which extends half of the bodies' extent beyond all bodies."""
     (x, y), (nx, ny) = line.point, line.unit
     elements = [*mechanism.joints.values(), *mechanism.contacts.values()]
     places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]

@@ -261,8 +261,8 @@ def joint_point(shown: NamedPose, mechanism: Mechanism, joint: Any) -> Array:
 def _common_point(shown: NamedPose, mechanism: Mechanism, bodies: tuple[str, str]) -> Array:
     """Return the global point [m] at which an angle between two bodies is drawn.
 
-    It is at a joint between them; without one, where joints on the one and on the other are closest; without any, at
-    the centre of mass of the second body.
+    The point is at a joint between the bodies. If there is none, it is between the two closest joints, one on each
+    body; if there are none either, it is at the centre of mass of the second body.
     """
     for joint in mechanism.joints.values():
         if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):

@@ -19,7 +19,7 @@ Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
 """One expression, several, or expressions by name, as in the section `measures` of a spec."""
 
 Definitions = Mapping[str, tuple[str, str]]
-"""The expression of each measure and its unit, which is empty if it follows from the expression, by name."""
+"""Expression and unit of each measure, by name; the unit is empty if it follows from the expression."""
 
 NO_MEASURES: Definitions = MappingProxyType({})
 

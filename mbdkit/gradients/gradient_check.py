@@ -46,8 +46,8 @@ LARGEST_DISCRETIZATION = 1e-2
 """Largest share of the sum of the terms of the derivative by which it may differ from that of the exact motion."""
 
 NOTED = (5e-7, 5e-5)
-"""Shares of the sum of the terms above which this difference is noted, for smooth measures and for those that change
-their form inside steps."""
+"""Above these shares of the sum of the terms, the difference from the derivative of the exact motion is noted: the
+first for smooth measures, the second for those that change their form inside steps."""
 
 Settings = Sequence[tuple[Path, float]]
 """Key paths and their values."""

@@ -158,7 +158,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             side = first + names.index(SIDE.format(i))
             conditions.append(Condition(name, elements[row], first + own_places, side, function))
         values += [float(len(held)), *held.tolist()]
-    for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that no law has
+    for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states outside of laws
         places[place - 1 : place + 1] = len(values), len(values) + 1
         values += top.law_parameters[place - 1 : place + 1].tolist()
     inputs, states, state_places, reactions = (

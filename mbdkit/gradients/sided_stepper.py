@@ -32,7 +32,7 @@ from mbdkit.stepping.run_state import MODIFIED
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
 SAME = 1e-9
-"""Share of a step below which a corner counts as being at its start or end."""
+"""A corner closer to the start or end of a step than this share of the step counts as being there."""
 AHEAD = 1e-6
 """Share of a step after a corner at which the new sides are determined."""
 MOST_AT_ONCE = 8

@@ -41,7 +41,7 @@ LOCATED = 1e-12
 """Tolerance of the position of a critical point on the path, relative to a step along it."""
 
 APART = 1e-6
-"""Distance of critical points, relative to a step along the path, below which they count as one."""
+"""Critical points closer to each other than this, relative to a step along the path, count as one."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ FINEST = 2.0**-12
 """Smallest step that is tried, as a fraction of the interval between two recorded times."""
 
 STILL = 1e-6
-"""Component of a coordinate in the free motions below which it counts as driven."""
+"""A coordinate counts as driven if its component in all free motions is below this."""
 
 COLUMNS = ("x", "y", "angle", "vx", "vy", "rate", "ax", "ay", "angular_acceleration")
 

@@ -22,7 +22,7 @@ NOISE = 64 * float(np.finfo(float).eps)
 """Rounding error of an eigenvalue per degree of freedom, relative to the largest eigenvalue."""
 
 SPREAD = 1e6
-"""Ratio of the largest to the smallest eigenvalue above which the smaller ones are computed from the inverse matrix."""
+"""The smaller eigenvalues are computed from the inverse matrix if the largest exceeds the smallest by this factor."""
 
 FEW = 10
 """Default number of modes for a mechanism that is too large for a dense eigenvalue problem."""

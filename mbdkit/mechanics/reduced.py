@@ -29,7 +29,7 @@ BLURRED = 1e-10
 """An eigenvalue of a dense matrix below this share of the largest one may have rounding errors above one per cent."""
 
 SYMMETRIC = 1e-15
-"""Skew part of a matrix, relative to its largest entry, below which it is rounding."""
+"""The skew part of a matrix below this share of the largest entry is rounding error."""
 
 PILOTS = 3
 """Number of inverse iterations that estimate the lowest frequency."""

@@ -64,7 +64,7 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
     Raises
     ------
     SpecError
-        There is no such kind, or no joint.
+        There is no such kind of misalignment, or the mechanism has no joints.
     UnknownNameError
         There is no such joint.
     """

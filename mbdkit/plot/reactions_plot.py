@@ -106,7 +106,7 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
 
 
 def _components(run: Run, columns: list[int], shown: tuple[str, ...]) -> ElementQuantity:
-    """Return components of the forces in some joints: all of the first joint, then those of the next."""
+    """Return components of the forces in some joints: all components of the first joint, then those of the next."""
     values, labels = [], []
     for column in columns:
         name = run.joint_names[column]

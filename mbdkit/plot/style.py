@@ -35,7 +35,7 @@ _METADATA: dict[str, dict[str, str | None]] = {
     "png": {"Software": "mbdkit"},
     "svg": {"Date": None, "Creator": "mbdkit"},
 }
-"""No dates, and the name by which `mbdkit study --overwrite` recognizes the images of its reports."""
+"""Metadata of image files: no dates, and the name by which `mbdkit study --overwrite` recognizes images of reports."""
 
 
 def new_figure(caption: Caption, width: float = 7.2, height: float = 4.8, dpi: int = DPI) -> Figure:

@@ -156,7 +156,7 @@ class States:
         first = len(known.forces) + len(known.muscles)
         found = np.zeros_like(self.coordinate)
         for place, joint in enumerate(known.friction, first):
-            # a torque is that on the second body; a tension pulls it back
+            # the value of an angle is the torque on the second body; that of a length is a tension, which pulls it back
             sign = 1.0 if known.joint_units[joint] == "rad" else -1.0
             found[:, joint] = sign * self.observed.forces[:, place, 2]
         return found

@@ -32,7 +32,8 @@ UNITS_OF_ELEMENT: Mapping[str, Mapping[str, str]] = {
     "value_row_units": MULTIPLIER_UNITS,
     "multiplier_row_units": MULTIPLIER_UNITS,
 }
-"""Units of quantities of an element by its unit of length or angle, by the array that holds them; else, that unit."""
+"""Units of quantities by the array that holds the units, and by the element's unit of length or angle. For other
+arrays, the unit is that of the element."""
 
 _T = ("time",)
 _N = ("interval",)

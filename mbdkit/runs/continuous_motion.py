@@ -47,7 +47,7 @@ NOISE = 1e-12
 EQUAL = 1e-9
 """Two extrema that differ by less than this share of the range of a quantity count as equal."""
 FEW = 64
-"""Number of steps up to which all of them are searched for an extremum, whatever the second differences."""
+"""In up to this many steps, all steps are searched for an extremum, whatever the second differences."""
 PEAK = 1e-3
 """Accuracy of the time of an extremum in a first search, as a share of the step. The time is then the root of the
 derivative of a polynomial through `PEAK_POINTS` values up to `AROUND` steps away, which is exact up to rounding errors;
@@ -339,7 +339,7 @@ _At = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def _beside(share: np.ndarray) -> np.ndarray:
-    """Return the start of each step and a share of it, (G, 2): a vector is compared with its value at the start."""
+    """Return the shares 0 and `share` of G steps, (G, 2), because vectors are compared with those at the start."""
     return np.stack([np.zeros_like(share), share], axis=1)
 
 

@@ -30,7 +30,8 @@ QUINTIC_ORDER = 4
 """Highest order of methods whose fixed steps may cross the points of a quintic spline."""
 
 OVERSHOOT = 0.1
-"""Overshoot of the spline of a table, as a share of the range of its values, above which there is a warning."""
+"""There is a warning if the spline of a table overshoots the range of its values by more than this share of the range.
+"""
 
 
 @dataclass(frozen=True)

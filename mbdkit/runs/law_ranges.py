@@ -32,8 +32,8 @@ ROUNDING = 1e-9
 """Share of the larger of its bounds by which an argument may exceed a bound."""
 
 BULGE = 0.02
-"""An extreme of the cubic within a step counts if it passes the bound by more than this share of its distance to the
-nearer end of the step; the remainder is the error of the cubic, of order 4 in the step."""
+"""An extreme of the cubic within a step counts only if it exceeds the bound by more than this share of its distance to
+the nearer end of the step. A smaller excess may be an error of the cubic, which is of order 4 in the step."""
 
 UNBOUNDED = ((-math.inf, math.inf),) * len(ARGUMENTS)
 """The bounds of a law that holds everywhere."""
@@ -252,8 +252,10 @@ class LawRanges:
 
 
 def _cubics(states: np.ndarray) -> np.ndarray:
-    """Return (4, T - 1, K, 3) ascending coefficients, in the share of the step, of length, rate and time between states
-    (T, K, 3): the cubic with the lengths and rates at both ends, and its derivative.
+    """Return polynomials for length, rate and time between states (T, K, 3), as functions of the share of the step.
+
+    The length is the cubic with the lengths and rates at both ends, and the rate its derivative. The coefficients
+    (4, T - 1, K, 3) are ascending.
     """
     (s0, v0, t0), (s1, v1, _) = np.moveaxis(states[:-1], -1, 0), np.moveaxis(states[1:], -1, 0)
     h = states[1:, :, 2] - t0

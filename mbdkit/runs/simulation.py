@@ -211,7 +211,7 @@ class _Preparation:
     becomes_run: bool = True
 
     def simulation(self, spec: RunSpec, choice: Choice | None = None) -> SimulatedRun:
-        """Return the simulation of a spec, whose method and step are a `choice` if the spec gives none."""
+        """Return the simulation of a spec; `choice` says how method and step were chosen, unless the user gave them."""
         method = make_method(spec)
         check_jumps(spec)
         if spec.gradients:

@@ -151,9 +151,9 @@ def _started(pid: int) -> str:
 def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "study") -> Iterator[None]:
     """Hold the lock on a part of a study, or on the folder of a design, and release it at the end of the block.
 
-    The lock of a process of this machine that has died is removed. A process in another container may share the folder
-    and the name of the machine, but its number means nothing here; so the file of the lock is itself locked (`flock`)
-    until the end of the block, and belongs to a living process as long as it is. There are no locks on Windows.
+    The lock of a process of this machine that has died is removed. The number of a process in another container, which
+    may share the folder and the name of the machine, means nothing here. The file of the lock is therefore itself
+    locked (`flock`) until the end of the block: as long as it is, its process is alive. There are no locks on Windows.
 
     Parameters
     ----------

@@ -208,7 +208,7 @@ def _own_multipliers(group: RunGroup) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _trends_of(group: RunGroup) -> list[Trend]:
-    """Return the trend of the energy balance of each run, once for the measures that are based on it."""
+    """Return the trend of the energy balance of each run; it is computed once for all measures that are based on it."""
     return trends(group.time, group.array("energy/balance"))
 
 

@@ -26,7 +26,7 @@ RUNS = 1000
 """Number of runs in a block."""
 
 BYTES = 1 << 26
-"""Size of the arrays of a block, which is held in memory, above which it has fewer runs [bytes]."""
+"""Largest size of the arrays of a block [bytes], which is held in memory; blocks of large runs have fewer runs."""
 
 ROWS = 1000
 """Assumed number of recorded rows of a run if it depends on step-size control."""

@@ -23,7 +23,7 @@ LEAST_SHARE = 0.05
 """Smallest share of a variance that a headline mentions."""
 
 ROUND_OFF = 1e-12
-"""Relative range of a measure below which its values differ by rounding errors."""
+"""If the relative range of a measure is below this, its values differ by rounding errors only."""
 
 
 def headlines(study: Study) -> list[tuple[str, str]]:

@@ -55,10 +55,10 @@ values.
 """
 
 ENERGY_JUMP = 0.05
-"""Change of the energy balance in one step, as a share of the largest kinetic energy, above which a run is bad.
+"""A run is bad if the energy balance changes in one step by more than this share of the largest kinetic energy.
 
-Of 61 runs in which an implicit step had accepted a spurious solution of its stage equations, all exceeded it; 2 of
-1,671 other runs did as well, and both had errors above 1e-3.
+All of 61 runs in which an implicit step had accepted a spurious solution of its stage equations exceeded this limit. Of
+1,671 other runs, 2 exceeded it, both with errors above 1e-3.
 """
 
 BRANCH_ANGLE, BRANCH_RATIO = 0.25, 4.0
@@ -71,7 +71,7 @@ ROUNDING = 1e4
 """Energies below this multiple of the round-off of the largest energy count as zero; this matters for runs at rest."""
 
 ROUND_OFF = 1e-12
-"""Misalignment, as a share of the mechanism's size, up to which it counts as round-off in double precision."""
+"""A misalignment up to this share of the mechanism's size counts as round-off in double precision."""
 
 EPS = 2.0**-52
 

@@ -75,7 +75,7 @@ IMPLICIT_STEP = 20.0 * IMPLICIT_WORK
 """Smallest work of a step of Radau IIA with 5 stages, with at least four iterations: 20 evaluations."""
 
 MANY_STEPS = 2_000
-"""Number of steps up to which a limit by stability is accepted, because they take only 0.1 s."""
+"""A limit by stability is accepted for up to this many steps, because they take only 0.1 s."""
 
 APART = 100.0
 """Factor between the tolerances of the first two recorded pilots. Errors of single runs scatter about the tolerance by
@@ -410,7 +410,7 @@ class _Search:
         return setting * min(factor, TENTH if candidate.adaptive else 2.0)
 
     def observed(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> float:
-        """Return the order observed in the last three pilots, within the limits of the expected one."""
+        """Return the order observed in the last three pilots, limited to 0.6 to 1.2 times the expected order."""
         (e0, e1), (x0, x1) = differences[-2:], (runs[-3].setting, runs[-2].setting)
         if not (e0 > 0 and e1 > 0 and e0 < math.inf):
             return candidate.order

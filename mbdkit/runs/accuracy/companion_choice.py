@@ -154,7 +154,7 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
     """Return two companions of an adaptive run with tighter tolerances.
 
     Dense output of SciPy's methods is less accurate than the ends of their steps, and the names of the tolerances of
-    plugins are not known. Their companions therefore use the adaptive Radau IIA method.
+    plugins are not known. Companions of runs with either therefore use the adaptive Radau IIA method.
     """
     options, after = spec.integrator, spec.output.interval is not None
     own = _has_tolerances(spec, method)

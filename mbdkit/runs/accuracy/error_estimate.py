@@ -43,7 +43,8 @@ errors dominate, which chaotic motions amplify from 1e-13 at the start. The larg
 the same reason, the guard may be less accurate than the run; the estimate then includes its difference from the run."""
 
 AT_REST = 1e-12
-"""The same share of the natural unit of the quantity (`Units`), for mechanisms that hardly move."""
+"""The limits that follow from `ROUND_OFF` and `AGREED` are at least this share of the natural unit of the quantity
+(`Units`), for mechanisms that hardly move."""
 
 MINOR = 0.05
 """A body or joint whose differences are below this share of those of all bodies or joints need not have an observed

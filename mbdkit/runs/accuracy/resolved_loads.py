@@ -23,7 +23,7 @@ NODES = 8
 duplicates."""
 
 LOOKS, LOOKS_OF_STEP = 20_000, 16
-"""Number of samples over a run, and the smallest number in one step."""
+"""Approximate number of samples over a run, and smallest number of samples in one step."""
 
 UNRESOLVED = 1e-3
 """Largest deviation from the polynomial, as a share of the range of the motion over the run."""

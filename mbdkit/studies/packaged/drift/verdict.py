@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 NEAR, APART = 0.2, 0.3
-"""Differences between observed and expected order up to which they agree, and from which they disagree."""
+"""Observed and expected order agree up to the first of these differences, and disagree from the second on."""
 TENFOLD = Range.around(10.0, 3.0)
 REVERSIBLE = 1e-11
 """Largest reversibility defect, relative to the size, that round-off over about 20,000 steps explains."""
@@ -100,7 +100,7 @@ def order_meets(found: float | Undetermined, expected: float) -> Answer:
 
 
 def all_of(answers: Sequence[Answer]) -> Answer:
-    """Return whether all of several conditions hold: the first of no, partly and open that occurs, else yes."""
+    """Return whether all of several conditions hold: no, partly or open, in this order, if one is; else yes."""
     for answer in (Answer.NO, Answer.PARTLY, Answer.OPEN):
         if answer in answers:
             return answer

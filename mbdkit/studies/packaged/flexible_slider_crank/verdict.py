@@ -25,7 +25,8 @@ REFERENCE = ("Gauss 3", 2e-6)
 HELD = 1e-7
 """Misalignment [m] below which joints count as held."""
 SMALL, LARGE = 0.1, 0.2
-"""Errors of joint forces, relative to their root mean squares, below which they are right, and above which wrong."""
+"""Joint forces are right if their errors, relative to their root mean squares, are below the first value, and wrong if
+they are above the second."""
 EXPLICIT = 2e-6
 """Largest step of explicit methods, from the fastest oscillation of the rod [s]."""
 

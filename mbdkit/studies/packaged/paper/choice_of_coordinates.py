@@ -17,7 +17,7 @@ BODIES, JOINTS = "bodies", "joints"
 ROUND_OFF = 1e-12
 """Misalignment [m] of rods of 20 m that is round-off."""
 FAR = 1e3
-"""Ratio of the error to the misalignment above which the misalignment says nothing about the error."""
+"""If the error is more than this many times the misalignment, the misalignment says nothing about the error."""
 
 
 def coordinates(study: Study) -> tuple[Claim, Table]:

@@ -22,7 +22,7 @@ SPEED_UP = 10_000.0
 SYMBOLIC_BODIES = (1, 2, 3)
 SECONDS = "wall_min_s"
 STEEP = 2.0
-"""Exponent of growth with the number of bodies above which growth is steep: 3 for dense matrices, 1 for chains."""
+"""Growth with the number of bodies is steep above this exponent, which is 3 for dense matrices and 1 for chains."""
 
 
 def times(study: Study) -> tuple[Claim, Table, Figure]:

@@ -37,7 +37,7 @@ FACTOR = 3.0
 PAPER_STEP = 0.1
 
 VISIBLE = 0.01
-"""Distance between two paths, relative to the length of the pendulum, above which it is visible in a figure."""
+"""A distance between two paths above this share of the length of the pendulum is visible in a figure."""
 
 
 def magnitudes(study: Study) -> tuple[Claim, Table]:
