@@ -105,7 +105,8 @@ def text(description: Mapping[str, Any]) -> str:
         if name == "arrays":
             continue
         if isinstance(value, Mapping):
-            value = _few([f"{key} {_plain(item)}" for key, item in value.items() if item is not None])
+            joined = "{} ({})" if name == "joints" else "{} {}"
+            value = _few([joined.format(key, _plain(item)) for key, item in value.items() if item is not None])
         elif isinstance(value, list):
             value = _few(value)
         if value not in ("", None):

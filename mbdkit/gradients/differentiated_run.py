@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError, StepError
+from mbdkit.base.plain_data import path_text
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
@@ -404,7 +405,11 @@ class _Pass:
         self._use(at.sides)
         here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
         slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))
-        value = series_of(event.expression, here, slopes)
+        try:
+            value = series_of(event.expression, here, slopes)
+        except SpecError as error:
+            message = f"the time of this event has no derivative: {error.message}"
+            raise SpecError(message, key=path_text(("events", event.name, "when"))) from None
         around, distance = self._evaluator.around(here, self.spec.time.step or 1e-3)
         rate = rate_of(series_of(event.expression, around, slopes).value, float(value.value[0]), distance)
         with np.errstate(all="ignore"):

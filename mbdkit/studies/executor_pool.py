@@ -6,7 +6,7 @@ import math
 import os
 import queue
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
@@ -113,6 +113,9 @@ class ExecutorPool:
                 yield from ((task, outcome) for batch in self._begun.values() for task in batch.tasks)
                 self._begun.clear()
                 return
+            except CancelledError:  # not by this process: Dask cancels all tasks when it loses its scheduler
+                outcome = Outcome("missing", "no-resources: the executor cancelled tasks; is its scheduler running?")
+                yield from ((task, outcome) for task in self._begun.pop(future).tasks)
             except ImportError as error:
                 outcome = Outcome("missing", f"no-resources: a worker of the executor cannot begin: {_told(error)}.")
                 yield from ((task, outcome) for task in self._begun.pop(future).tasks)

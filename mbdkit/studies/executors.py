@@ -216,8 +216,8 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
             raise SpecError(
                 f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
             ) from error
-        stack.enter_context(client)
         stack.enter_context(_without_logs("distributed", "tornado", "asyncio"))
+        stack.enter_context(client)  # which is closed first
         if not client.scheduler_info()["workers"]:
             notify("the Dask cluster has no workers yet; the study waits for them (`dask worker ADDRESS`)")
         yield client.get_executor(pure=False)

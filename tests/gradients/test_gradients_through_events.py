@@ -10,6 +10,7 @@ import pytest
 from scipy.special import ellipk
 
 import mbdkit
+from mbdkit import SpecError
 
 ANGLE, LENGTH, INERTIA, GRAVITY = 1.0, 1.3, 1e-3, 9.81
 
@@ -119,3 +120,11 @@ def test_an_event_that_does_not_happen_has_no_derivative() -> None:
     found = mbdkit.gradient(spec, "events.low.time", "L")
     assert np.isnan(found.jacobian[0, 0])
     assert "does not happen" in found.doubts[0]
+
+
+def test_an_event_without_a_derivative_is_named_and_not_the_measures() -> None:
+    spec = pendulum("stop") | {"events": {"low": {"when": "bob.angle + joints.A.misalignment", "action": "stop"}}}
+    with pytest.raises(
+        SpecError, match=r"^events\.low\.when: the time of this event has no derivative: joints\.A\.mis"
+    ):
+        mbdkit.gradient(spec, "final(bob.angular_velocity)", "L")

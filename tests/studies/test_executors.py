@@ -140,6 +140,25 @@ def test_runs_of_a_dask_cluster_without_scheduler_are_missing_and_computed_by_th
     assert index_hash(tmp_path / "s") == index_hash(blocks.folder)
 
 
+def test_runs_that_an_executor_cancels_are_missing_and_not_taken_for_deaths_of_workers(blocks, tmp_path):
+    class Cancelling(Here):
+        """Cancels the third call and those that follow, as Dask does when its scheduler is killed."""
+
+        def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Future[Any]:
+            if self.calls < 2:
+                return super().submit(function, *arguments, **options)
+            future: Future[Any] = Future()
+            future.cancel()
+            future.set_running_or_notify_cancel()
+            return future
+
+    study = pendulums(out=tmp_path / "s", executor=Cancelling())
+    assert set(study.unfinished) == {"no-resources: the executor cancelled tasks; is its scheduler running?"}
+    assert not study.failures
+    assert pendulums(out=tmp_path / "s").computed == 6
+    assert index_hash(tmp_path / "s") == index_hash(blocks.folder)
+
+
 def test_an_executor_that_is_shut_down_computes_nothing_and_its_refusal_is_told(tmp_path):
     executor = ThreadPoolExecutor(1)
     executor.shutdown()

@@ -12,6 +12,7 @@ from typing import Any
 from mbdkit.archive.measured_values import ComparedMeasures
 from mbdkit.base.plain_data import canonical
 from mbdkit.engine.workspace import Workspace
+from mbdkit.methods import radau_iia
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.companion_choice import (
     GUARD_TOLERANCE,
@@ -107,11 +108,15 @@ def other_methods(
     ]
     most = LOOKS + SINGLE_STEPS[0] + SINGLE_STEPS[1] * steps
     projected = {"stabilization": "projection"} if len(workspace.mechanism.rows) else {}
-    return [
+    found = [
         _varied(spec, integrator=one, most_steps=most, interval=interval, **(_index_1(spec) | projected))
         for one in candidates
         if not family.startswith(one["name"]) and (one["name"] != "gauss" or stiff)
     ]
+    if not stiff or not workspace.mechanism.rows or family == radau_iia.tableau(5).name:
+        return found
+    last: dict[str, Any] = {"formulation": "index-2", "stabilization": "none"}
+    return [*found, _varied(spec, integrator=candidates[1], most_steps=most, interval=interval, **last)]
 
 
 def _index_1(spec: RunSpec) -> dict[str, Any]:
