@@ -30,7 +30,7 @@ NUMBERS = 20_000
 ROWS = 300
 """Largest number of points of a curve."""
 CURVES = 6
-"""Number of joints whose forces are drawn, those with the largest."""
+"""Largest number of joints whose forces are drawn: the joints with the largest forces."""
 
 
 class Explorer:
@@ -106,7 +106,7 @@ def explorer_of(source: Any, names: Sequence[str] | None = None, assignments: It
     Raises
     ------
     SpecError
-        If the spec is wrong, or a name is not that of one of its numbers.
+        If the spec is wrong, or a name does not denote one of its numbers.
     """
     document = read_source(source)
     load = load_inverse_spec if is_inverse(document.data) else load_spec

@@ -62,7 +62,7 @@ def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]
     Raises
     ------
     SpecError
-        If a name is not that of a number of the spec, or there is nothing to change.
+        If a name does not denote a number of the spec, or the spec has no number to change.
     """
     data = json.loads(spec.canonical_json())
     if names:

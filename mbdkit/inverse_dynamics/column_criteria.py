@@ -28,9 +28,9 @@ GRIDS = tuple(10.0**-digits for digits in range(1, 7))
 """Intervals [s] of which rounded times are multiples."""
 
 SPIKE, LEAST_SPIKE = 8.0, 0.005
-"""A sample is an outlier if it deviates from its neighbours by more than the first times the robust standard deviation
-of such deviations, and by more than the second, as a share of the range of the column. Gaussian noise exceeds 8 once
-in 1e15 samples."""
+"""A sample is an outlier if its deviation from its neighbours exceeds the first number times the robust standard
+deviation of all such deviations, and the second number times the range of the column. Gaussian noise exceeds 8 once in
+1e15 samples."""
 
 FROZEN = 8
 """Number of equal values in a row that a sensor with noise does not give."""
@@ -45,8 +45,8 @@ TURN = 1.2
 """Change of an angle between two rows [rad] from which its turns are not certain; beyond pi they would be wrong."""
 
 TURNS, TURNING = 4 * np.pi, 0.8
-"""An angle without a unit looks like degrees if its size exceeds the first [rad], unless its net change is at least the
-second of its total variation, as of a crank that turns."""
+"""An angle without a unit looks like degrees if its magnitude exceeds the first number [rad], unless its net change is
+at least the second number times its total variation, as for a crank that turns."""
 
 TRAVELS = 30.0
 """Range of a length without a unit, as a multiple of the mechanism's size, from which it looks like millimetres."""

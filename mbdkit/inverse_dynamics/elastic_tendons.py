@@ -29,7 +29,7 @@ SETTLED = 1e-12
 FARTHEST = 0.2
 """Largest change of a tension from one programme to the next, in `max_force`."""
 LEAST = 1e-9
-"""Least tension, in `max_force`: that of muscles whose fibres are too short to exert one."""
+"""Least tension, in `max_force`, also of muscles whose fibres are too short to exert any."""
 WEAK = 1e-6
 """Active force at full activation, in `max_force`, below which fibres exert none."""
 SMALLEST = 0.05
@@ -51,7 +51,7 @@ class Equilibrium:
     activation, stiffness
         Activations with which the fibres exert the tensions, and derivatives of the tensions by them [N].
     by_velocity
-        Factors of force by velocity; zero where fibres exert no active force, of whatever activation.
+        Factors of force by velocity; zero where fibres exert no active force at any activation.
     """
 
     tension: np.ndarray
@@ -163,7 +163,7 @@ class ElasticMuscles:
 
 
 def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
-    """Return the share of a change to be made, by Aitken's method, from that of the last change.
+    """Return the share of a change that is made, by Aitken's method, from the share of the last change.
 
     Curves of force by velocity bend sharply where fibres begin to lengthen, so that whole changes would alternate.
     """

@@ -30,7 +30,7 @@ KEYS = 50
 """Smallest number of key frames, which are fitted one after the other; more are used if the pose changes much."""
 
 UNSEEN = 1e-7
-"""A direction counts as not observed if its effect on the data is below this share of that of the best observed
+"""A direction counts as not observed if its effect on the data is below this share of the effect of the best observed
 direction."""
 
 MOVES = 1e-3

@@ -34,8 +34,8 @@ the height of the mechanism. J. L. Hicks et al. (Journal of Biomechanical Engine
 most 0.05 for peak forces, and 0.01 for the root mean square of moments."""
 
 NOISY = 0.8
-"""Ratio of the root mean square residual to that of its error bar from which noise does not explain it; noise alone
-gives 0.5."""
+"""Ratio of the root mean square of a residual to that of its error bar above which noise does not explain the residual;
+noise alone gives 0.5."""
 
 EXPLAINS = 0.3
 """Ratio by which a change of the loads must reduce the residual forces to be named as their cause."""

@@ -243,8 +243,8 @@ def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tup
 def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, frames: int) -> np.ndarray:
     """Return the largest violation (T,) of the conditions of optimality.
 
-    That of a derivative of the Lagrangian is relative to the largest derivative of the cost, and that of an equation to
-    its size. Inequalities count by their violation or, where they have a multiplier, by their slack.
+    Derivatives of the Lagrangian count relative to the largest derivative of the cost, and equations relative to their
+    size. Inequalities count by their violation or, where they have a multiplier, by their slack.
     """
     parts = whole.slope(x), whole.equal.T @ y, whole.less.T @ z
     size = max(float(np.max(np.abs(part), initial=0.0)) for part in parts) or 1.0

@@ -203,8 +203,8 @@ def times_of(table: Table, heading: str, key: str) -> np.ndarray:
     if wrong.size:
         row = int(wrong[0]) + 1
         raise table.error(
-            f"column '{shown(heading)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before is no "
-            f"possible one (from {SHORTEST:g} to {LONGEST:g} s)",
+            f"column '{shown(heading)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before is "
+            f"not possible; it should be from {SHORTEST:g} to {LONGEST:g} s",
             row=row,
         )
     return times

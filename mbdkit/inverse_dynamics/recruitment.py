@@ -317,7 +317,7 @@ class Recruiter:
         Parameters
         ----------
         lacking
-            (T, K) these reserves; by default, those of each frame by itself.
+            (T, K) smallest reserves; by default, those that suffice for each frame alone.
         """
         rows, programme = np.flatnonzero(failed), sharing.programme
         driven = [self._actuators[int(k)] for k in np.flatnonzero(sharing.driven)]

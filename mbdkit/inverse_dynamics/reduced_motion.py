@@ -3,11 +3,11 @@
 As many quantities as there are degrees of freedom are chosen as independent coordinates. Their fitted values are
 smoothed and differentiated; positions, velocities and accelerations of all bodies follow from them and the constraints.
 
-What was measured is smoothed: observed quantities are the coordinates if enough of them are independent in all frames,
-however badly they are scaled, since other coordinates would pass the errors of smoothing on to the measured ones, often
-enlarged. Otherwise, coordinates are chosen such that they determine the motion well in all frames. If no choice does,
-as for the cyclic motion of a linkage in which no link rotates fully, different coordinates are used in different
-intervals of the motion.
+Measured quantities are preferred: the coordinates are observed quantities if enough of these are independent in all
+frames, even if they are badly scaled, because other coordinates would pass the errors of smoothing on to the measured
+ones, often enlarged. Otherwise, coordinates are chosen such that they determine the motion well in all frames. If no
+choice does, as for the cyclic motion of a linkage in which no link rotates fully, different coordinates are used in
+different intervals of the motion.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ PREFERRED = 0.2
 quantities do not suffice."""
 
 FOLD = 0.05
-"""Share of its largest value below which the independence of observed quantities means that the motion passes near a
-fold, such as the dead centre of a measured rocker, where they do not determine it."""
+"""If the independence of the observed quantities falls below this share of its largest value, the motion passes near a
+fold, such as the dead centre of a measured rocker, where these quantities do not determine the motion."""
 
 LEAST = 1e-4
-"""Independence below which observed quantities count as dependent even if it does not change during the motion; many
-bodies in series have small values, 1 / 580 for the relative angles of 100 links."""
+"""Independence below which observed quantities count as dependent even if it is constant during the motion. Many bodies
+in series have small values, such as 1 / 580 for the relative angles of 100 links."""
 
 ENOUGH = 0.05
 """Smallest independence of the coordinates of an interval, over all of its frames."""

@@ -8,8 +8,8 @@ to rounding errors: for p = 2 it is piecewise linear, so that the iteration ends
 proximal term keeps the Jacobian regular (method of multipliers); it starts large, and each problem starts from the
 multipliers of the one before.
 
-p = 1 and the minimum of the largest share are linear programmes, which HiGHS solves. Of several solutions, that with
-the smallest sum of squares is chosen: with the multipliers of one solution, the others are those that leave the
+p = 1 and the minimum of the largest share are linear programmes, which HiGHS solves. Of several solutions, the one with
+the smallest sum of squares is chosen. By the multipliers of one solution, all solutions are known: they leave those
 unknowns at their bounds whose reduced costs do not vanish.
 """
 
@@ -254,7 +254,7 @@ def _optimal_face(
     bounds
         Bounds (N,) of the unknowns, none of which may be negative.
     is_largest
-        Whether the largest unknown is minimised, which is one more unknown, instead of their sum.
+        Whether the largest unknown is minimised, as one further unknown, instead of the sum of the unknowns.
     """
     (low, high), count = bounds, len(bounds[0])
     more = {}

@@ -121,8 +121,9 @@ def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
     for sign, first, second in ((1.0, 0, min(1, forces.shape[-2] - 1)), (-1.0, -1, max(-2, -forces.shape[-2]))):
         middle, change = forces[..., first, :], forces[..., first, :] - forces[..., second, :]
         end = middle + 0.5 * change
-        # The moment of an element of three nodes is the mean of two Gauss points, w h^2 / 24 beyond that in the
-        # middle under a distributed load w; the mean shear force of its half is that at a quarter of its length.
+        # The moment of an element of three nodes is the mean of two Gauss points, which differs from the moment in the
+        # middle by w h^2 / 24 under a distributed load w. The mean shear force of half an element is that at a quarter
+        # of the length.
         shear = middle[..., 1] + ((1 / 4 - 1 / 12) * change[..., 1] if nodes == 3 else 0.0)
         end[..., 2] = middle[..., 2] + sign * 0.5 * length * shear
         ends.append(end[..., None, :])

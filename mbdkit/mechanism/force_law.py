@@ -44,9 +44,9 @@ class ExpressionLaw:
         parameters are the numeric options themselves.
     rates
         First-order states of an element with this law: the derivative by time of each, as an expression like `force` or
-        a function that returns it, and its unit, by the name of the state. The name is also that of a parameter, whose
-        value is the initial one; all expressions may contain it. A law with states has no potential, so that its power
-        counts as work, or as dissipated if it is passive.
+        a function that returns it, and its unit, by the name of the state. A parameter of the same name gives the
+        initial value; all expressions may contain the state by its name. A law with states has no potential, so that
+        its power counts as work, or as dissipated if it is passive.
     valid_range
         Where the law holds, such as ``{"length": (0.0, 0.3), "rate": (-1.0, 1.0)}`` [SI units, radians], or a function
         from an instance of the law's options to this; a bound may be infinite. Outside of it, the law must still give

@@ -26,7 +26,7 @@ OF_JOINT, OF_BODY, OF_MARKER = ("angle",), ("x", "y", "angle"), ("x", "y")
 class NamedCoordinate(StrictModel):
     """A quantity with a name of its own: ``scale * of + offset``, or ``scale * (of - angle of a body) + offset``.
 
-    The force or torque of the coordinate is conjugate to it: that of the quantity, divided by `scale`.
+    The generalized force of the coordinate is the force or torque of the quantity, divided by `scale`.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("relative_to", "scale", "offset")

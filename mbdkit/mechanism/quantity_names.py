@@ -39,7 +39,7 @@ class QuantityNames:
         self._number = {name: number for number, name in enumerate(mechanism.bodies)}
 
     def body(self, name: str, key: str, *, may_be_ground: bool = False) -> int:
-        """Return the number of a body, `GROUND` for the ground; raise SpecError if there is none of this name."""
+        """Return the number of a body, `GROUND` for the ground; raise SpecError if no body has this name."""
         if may_be_ground and name == self.mechanism.ground:
             return GROUND
         if name not in self._number:
@@ -138,7 +138,7 @@ class QuantityNames:
         return None
 
     def knows(self, name: str) -> bool:
-        """Return whether a name is that of exactly one quantity."""
+        """Return whether a name denotes exactly one quantity."""
         if name in self.mechanism.coordinates:
             return True
         return len(self._matches(name)) == 1

@@ -26,9 +26,9 @@ Legs
 Segments
     Masses, lengths, centres of mass and radii of gyration are fractions of body mass and height by `table`: Winter's,
     or those of de Leva for women and men. De Leva's shank ends at the lateral malleolus, which counts as the ankle
-    here. The tables say nothing on the heel and on the height of the ankle: for all of them these are 0.06/1.8 and
-    0.039 of body height, and the trunk has the centre of mass and the radius of gyration that gait2d computes with
-    Winter's fractions.
+    here. The tables do not give the position of the heel and the height of the ankle: with all tables, the heel is
+    0.06/1.8 of body height behind the ankle, and the ankle at 0.039 of body height. The trunk has the centre of mass
+    and the radius of gyration that gait2d computes with Winter's fractions.
 Coordinates
     `hip_flexion`, `knee_flexion` and `ankle_dorsiflexion`, with these signs, and with ``root: trunk`` also `hip_x`,
     `hip_y` [m] and `trunk_tilt` (counter-clockwise, that is backward): measured motions and actuators may have these

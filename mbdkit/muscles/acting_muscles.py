@@ -85,8 +85,8 @@ class MuscleForce:
         return np.array([float(excitation_of(form, t, numbers)) for t in time.tolist()])
 
     def excitation_outside(self, start: float, end: float) -> tuple[float, float] | None:
-        """Return a time, from start to end, at which the excitation is far outside of 0 to 1, and its value there; None
-        if there is none, or if the excitation is no function of time.
+        """Return a time, from start to end, at which the excitation is far outside of 0 to 1, and the excitation then;
+        None if there is no such time, or if the excitation is not a function of time.
         """
         form, numbers = self._excitation
         if not form:

@@ -44,8 +44,8 @@ class DeGrooteFregly:
     F. De Groote, A. L. Kinney, A. V. Rao, B. J. Fregly, Evaluation of direct collocation optimal control problem
     formulations for solving the muscle redundancy problem, Annals of Biomedical Engineering 44:2922-2936, 2016,
     supplementary material. Passive force and tendon are scaled as in OpenSim 4.1 (DeGrooteFregly2016Muscle): the
-    passive force is zero at 0.2 and never negative above, and the tendon has no force at its length without force,
-    which the published constants give -0.012 there.
+    passive force is zero at 0.2 and never negative above, and the force of the tendon is zero at its length without
+    force, where the published constants give -0.012.
     """
 
     def active(self, length: np.ndarray) -> Curve:

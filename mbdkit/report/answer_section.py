@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 50
-"""Largest number of joints, force elements or beams in a table, those with the largest forces."""
+"""Largest number of joints, force elements or beams in a table, which has those with the largest forces."""
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def write_report(
     overwrite
         Whether existing files may be replaced.
     workers
-        Number of processes that evaluate what is around the best point of a design.
+        Number of processes that evaluate points around the best point of a design.
 
     Raises
     ------

@@ -91,9 +91,9 @@ def _marks(run: Run) -> tuple[Mark, ...]:
 
 
 LINES = len(PALETTE)
-"""Largest number of curves in a chart, those with the largest values."""
+"""Largest number of curves in a chart, which shows those with the largest values."""
 COMPONENTS = 4
-"""Largest number of joints whose components are shown, those with the largest forces."""
+"""Largest number of joints whose force components are shown: the joints with the largest forces."""
 _POINTS = 1_000
 _SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_force_second"))
 

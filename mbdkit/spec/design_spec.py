@@ -104,7 +104,7 @@ class Limit(_WithUnit):
     NUMBERS: ClassVar[tuple[str, ...]] = ("max", "min")
 
     value: str
-    """Expression of a run, as that of a measure."""
+    """Expression of a run, as in `measures`."""
     max: Number | None = None
     """Largest value."""
     min: Number | None = None
@@ -243,15 +243,15 @@ class DesignSpec(StrictSpec):
     variables: Annotated[dict[str, Variable], AfterValidator(_check_variables)]
     """The numbers to choose, by the name of a parameter or a dotted key, such as `model.forces.spring.stiffness`."""
     minimize: Annotated[str | dict[str, str], BeforeValidator(_check_goals)]
-    """What to minimise: an expression of a run, as that of a measure; or several by name, which give a Pareto front."""
+    """What to minimise: an expression of a run, as in `measures`, or several by name, which give a Pareto front."""
     subject_to: dict[str, Limit] = Field(default_factory=dict)
     """Measures that are kept within limits, by name."""
     optimizer: Annotated[Optimizer, Field(discriminator="name")] = LocalOptimizer(name="slsqp")
     """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, or `cma-es`, and its
     options; `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
     front: Annotated[int, Field(ge=3, le=1000)] = 9
-    """Number of points of a Pareto front of two goals, both ends included; of three goals, number of limits of the
-    second goal and of the third one, with all combinations of which the first one is minimised."""
+    """Number of points of a Pareto front of two goals, both ends included. With three goals: number of limits of the
+    second goal and of the third one; the first goal is minimised for all combinations of these limits."""
     compare: dict[str, Annotated[Overrides, AfterValidator(_check_comparison)]] = Field(default_factory=dict)
     """Other settings of the runs, each under a name of your choice, with which the optimisation is repeated, such as
     another integrator or step: `{coarse: {time.step: 0.1}}`. Their best points are then evaluated with the settings of

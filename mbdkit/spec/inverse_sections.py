@@ -37,8 +37,8 @@ class ColumnOfTable(Section):
     scale: Annotated[float, Field(allow_inf_nan=False)] = 1.0
     """Factor of the numbers, such as -1 for an angle that is counted in the other direction."""
     deviation: Positive | None = None
-    """Standard deviation of the noise, in the unit of the column. By default, that of the motion is estimated from the
-    residuals, and loads have none."""
+    """Standard deviation of the noise, in the unit of the column. By default, the noise of columns of the motion is
+    estimated from the residuals, and columns of loads count as exact."""
 
     @model_validator(mode="after")
     def _has_a_unit(self) -> ColumnOfTable:
@@ -220,7 +220,7 @@ class Load(Section):
     """`plate` if a force plate measured it, which presses on the body near its outline, or `other`; decides which
     criteria of the verdict apply. By default, a plate if columns give the point in the global frame."""
     file: Named | None = None
-    """Table of the load; by default, that of the motion."""
+    """Table of the load; by default, the table of the motion."""
     data: Data | None = None
     """Instead of `file`: columns by heading."""
     time: Named = "time"
@@ -257,8 +257,8 @@ class Load(Section):
 class Actuator(Section):
     """An actuator: on the coordinate of a joint, between two points or two bodies, or on a coordinate of a body.
 
-    With none of `joint`, `bodies` and `body`, it acts on the coordinate of the model that has its name; its value is
-    then the generalized force of this coordinate, with its sign.
+    Without `joint`, `bodies` and `body`, the actuator acts on the coordinate of the model that has the same name; its
+    value is then the generalized force of this coordinate, with the sign of the coordinate.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("joint", "bodies", "points", "body", "coordinate")

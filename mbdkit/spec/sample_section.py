@@ -120,7 +120,7 @@ def _in_si(values: Mapping[str, Any]) -> tuple[dict[str, Any], Unit | None]:
     Raises
     ------
     SpecError
-        If the location has a unit and the scale none or that of another kind, or the reverse.
+        If only one of location and scale has a unit, or if their units are of different kinds.
     """
     numbers, units = dict(values), {}  # type: dict[str, Any], dict[str, Unit]
     for key, value in values.items():

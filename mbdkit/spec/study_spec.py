@@ -258,7 +258,7 @@ class StudySpec(StrictSpec):
 
     @property
     def has_table(self) -> bool:
-        """Whether a table has the values that distinguish the runs: that of `members`, or of a sample."""
+        """Whether the values that distinguish the runs are in a table: that of `members`, or that of a sample."""
         return self.members is not None or self.sample is not None
 
     @property

@@ -218,7 +218,7 @@ def _spaced(kind: str, first: float, last: float, count: int) -> list[int | floa
 
 
 def _log_ratio(first: float, last: float) -> float:
-    """Return the logarithm of last / first, of which the quotient may overflow or underflow."""
+    """Return the logarithm of last / first; the quotient itself may overflow or underflow."""
     ratio = last / first
     return math.log(ratio) if 0 < ratio < math.inf else math.log(abs(last)) - math.log(abs(first))
 

@@ -174,7 +174,7 @@ def test_a_stated_noise_that_the_smoothing_contradicts_is_doubted() -> None:
     ("cell", "message"),
     [
         ("0.03,1e308", "t.csv:5: column 'hip_flexion': 1e+308 rad is not possible: its magnitude exceeds 1e+30"),
-        ("1e-302,0.3", "t.csv:3: column 'time': the interval of 1e-302 s from the row before is no possible one"),
+        ("1e-302,0.3", "t.csv:3: column 'time': the interval of 1e-302 s from the row before is not possible"),
     ],
 )
 def test_impossible_numbers_are_refused_with_line_and_column(cell: str, message: str, tmp_path: Path) -> None:
