@@ -317,7 +317,7 @@ class _Checker:
         if np.any(np.diff(time) < 0):
             self.say("events/time decreases")
         if not np.all(np.abs(direction) == 1):
-            self.say("events/direction is neither 1 nor -1")
+            self.say("events/direction has values other than 1 and -1")
         known = self.spec.get("events")
         if isinstance(known, dict) and (strange := set(group["name"].asstr()[:]) - set(known)):
             self.say(f"events/name has {', '.join(sorted(strange))}, which the spec does not have")

@@ -185,7 +185,9 @@ def refuse(spec: RunSpec, method: Method) -> None:
     if spec.settings():
         raise SpecError("runs in which events set states have no derivatives", key="events")
     if spec.is_to_be_chosen:
-        raise SpecError("a gradient needs a method and a step; it does not choose them", key="accuracy")
+        raise SpecError(
+            "gradients need a given method and step, which a requested accuracy would choose", key="accuracy"
+        )
     if spec.output.interval is not None:
         raise SpecError(
             "states recorded by `interval` have no derivatives; record every k-th step by `every`",

@@ -69,7 +69,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
         return _unknown(spec, name)
     if path[0] != "model":
         raise _refused(
-            f"'{name}' is not a parameter of the model; gradients are by `parameters` and by numbers of `model`"
+            f"'{name}' is not a parameter of the model; gradients are those by `parameters` and by numbers of `model`"
         )
     holder: Any = data
     for i, key in enumerate(path):

@@ -108,7 +108,7 @@ def chart(
     """
     if components not in get_args(BeamForce):
         known = listed(get_args(BeamForce), "or")
-        raise SpecError(f"components is {components!r}; a plot of beams shows {known}")
+        raise SpecError(f"the components of a plot of beams should be {known}, not {components!r}")
     if not run.beams:
         raise SpecError("this run has no beams")
     names = _picked(run, beams, components, most)
@@ -168,7 +168,7 @@ def _rows_at(run: Run, times: Array) -> list[int]:
     first, last = float(run.time[0]), float(run.time[-1])
     for time in times.tolist():
         if not first <= time <= last:
-            raise SpecError(f"times has {time:g} s; the run recorded {first:g} to {last:g} s")
+            raise SpecError(f"the time {time:g} s lies outside of the run, which recorded {first:g} to {last:g} s")
     return list(dict.fromkeys(nearest_rows(run.time, times).tolist()))
 
 

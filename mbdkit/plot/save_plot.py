@@ -128,7 +128,7 @@ def _limit(picture: Figure, x: tuple[float, float] | None, y: tuple[float, float
         if limits is not None and not (np.all(np.isfinite(limits)) and limits[0] != limits[1]):
             raise SpecError(f"the {name} limits should be two different numbers, not {limits[0]:g} and {limits[1]:g}")
     if y is not None and len(picture.axes) > 1:
-        raise SpecError(f"the figure has {len(picture.axes)} panels, each with a vertical axis of its own: draw one")
+        raise SpecError(f"y limits need a figure with one vertical axis, but this one has {len(picture.axes)} panels")
     for axes in picture.axes:
         for name, limits in (("x", x), ("y", y)):
             if limits is not None and getattr(axes, f"get_{name}scale")() == "log" and min(limits) <= 0:

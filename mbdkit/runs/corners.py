@@ -137,8 +137,8 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
         elif corner.jumps[1] and spec.impacts == "refuse":
             raise SpecError(
                 f"the rate of this motion jumps from {corner.before[1]:.6g} to {corner.after[1]:.6g} {unit}/s "
-                f"at t = {corner.time:.6g} s, which takes an impulse; round the corner, for example by a "
-                "smooth ramp such as 0.5*(1 - cos(pi*t)) or a table with a few points around it, or set "
+                f"at t = {corner.time:.6g} s, which takes an impulse; smooth the motion there, for example by a "
+                "ramp such as 0.5*(1 - cos(pi*t)) or a table with a few points around the jump, or set "
                 "`impacts: allow` to change the velocities there by an impulse",
             )
 
@@ -208,5 +208,5 @@ def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: s
             where, side = ("start", "after") if is_start else ("end", "before")
             raise SpecError(
                 f"the {what} of this motion jumps from {corner.before[k]:.6g} to {corner.after[k]:.6g} {unit}{per} at "
-                f"the {where} of the run, t = {corner.time:.6g} s; write the motion that holds {side} it"
+                f"the {where} of the run, t = {corner.time:.6g} s; write the motion that applies {side} this time"
             )

@@ -66,13 +66,13 @@ def _check_equal_but_for_start(one: Mechanism, other: Mechanism) -> None:
     """Raise SpecError if the initial positions determine more than the start."""
     for a, b in zip(compile_mechanism(one).topology, compile_mechanism(other).topology, strict=True):
         if a.shape != b.shape or not np.allclose(a, b, rtol=1e-9, atol=1e-9, equal_nan=True):
-            raise SpecError("joints of this mechanism are given at its initial positions; give `points`", key="initial")
+            raise SpecError("joints placed by `at`, `from` or `to` move with the start; give `points`", key="initial")
 
 
 class _GivenStart:
     def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts):
         if mechanism.beams:
-            raise SpecError("initial values of mechanisms with beams cannot be given", key="initial")
+            raise SpecError("initial values cannot be given for mechanisms with beams", key="initial")
         self.start = starts.at_start(mechanism, spec.time.start, spec.time.final)
         self.names = QuantityNames(mechanism)
         self.length = self.start.mechanism.length

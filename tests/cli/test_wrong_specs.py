@@ -49,7 +49,7 @@ def driver(motion: str) -> str:
 
 #: What is wrong: the spec, the line of the message (None where it names none), the key, and words of the message.
 WRONG = {
-    "a driver with a corner": (driver('"min(t, 0.5)"'), 12, "model.joints.D.motion", "round the corner"),
+    "a driver with a corner": (driver('"min(t, 0.5)"'), 12, "model.joints.D.motion", "smooth the motion"),
     "a driver that wraps": (driver('"atan2(sin(7*t), cos(7*t))"'), 12, "model.joints.D.motion", "no driver can follow"),
     "neither cubic nor linear": (
         free('"0.1*cos(t)"', "{table: [[0, 1], [0, 1]], interpolation: steps}"),

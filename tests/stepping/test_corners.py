@@ -281,7 +281,7 @@ def spec_of(model: Any, integrator: dict[str, Any] = GAUSS, end: float = 2.0, **
 
 
 def test_a_driver_whose_rate_jumps_is_refused_with_the_remedy() -> None:
-    with pytest.raises(SpecError, match=r"jumps from 1 to 0 m/s at t = 1 s.*round the corner.*`impacts: allow`") as no:
+    with pytest.raises(SpecError, match=r"jumps from 1 to 0 m/s at t = 1 s.*smooth the motion.*`impacts: allow`") as no:
         mbdkit.run(spec_of(driven("min(t,1)")))
     assert no.value.key == "model.joints.d.motion"
     line = {"table": [[0.0, 1.0, 2.0], [0.0, 1.0, 1.0]], "interpolation": "linear"}
@@ -298,9 +298,13 @@ def test_a_driver_whose_value_jumps_is_refused_in_any_case() -> None:
 def test_a_driver_may_start_and_end_at_a_corner_if_it_has_the_inner_side_there() -> None:
     with mbdkit.run(spec_of(driven("abs(t) + min(t, 2)"))) as there:
         assert there.check()["a"].velocity[:, 0] == pytest.approx(2.0)
-    with pytest.raises(SpecError, match="at the start of the run, t = 0 s; write the motion that holds after it"):
+    with pytest.raises(
+        SpecError, match="at the start of the run, t = 0 s; write the motion that applies after this time"
+    ):
         mbdkit.run(spec_of(driven("max(0, t)")))
-    with pytest.raises(SpecError, match="at the end of the run, t = 2 s; write the motion that holds before it"):
+    with pytest.raises(
+        SpecError, match="at the end of the run, t = 2 s; write the motion that applies before this time"
+    ):
         mbdkit.run(spec_of(driven("max(t, 2)")))
 
 
