@@ -184,7 +184,11 @@ def _energy(run: Run) -> Claim:
     is_rounding = off <= rounding(max(most, _largest_energy(run)))
     answer = Answer.YES if is_rounding else Answer.OPEN if not math.isfinite(share) else _ANSWERS[ENERGY.level(share)]
     if answer in (Answer.NO, Answer.PARTLY):
-        sentence += " This is too large: use a smaller step or a method of higher order."
+        sentence += (
+            " This is too large: smooth the motion, and cut off its ends, where derivatives are least accurate."
+            if run.kind == "inverse"
+            else " This is too large: use a smaller step or a method of higher order."
+        )
     return Claim("energy", "Energy is balanced", "", f"{off:.3g} J", answer, sentence)
 
 
