@@ -20,8 +20,8 @@ def explore(
         typer.Option(
             "--parameters",
             metavar="NAME",
-            help="A slider for this parameter, or dotted key of a number; may be repeated. By default for the named "
-            "parameters or, without any, for numbers of the model.",
+            help="Add a slider for this parameter, or dotted key of a number; may be repeated. By default, sliders "
+            "change the named parameters or, if there are none, numbers of the model.",
         ),
     ] = None,
     port: Annotated[

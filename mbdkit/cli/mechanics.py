@@ -23,7 +23,7 @@ def equilibrium(
         typer.Option("--write", metavar="FILE.yaml", help="Write the spec with the equilibrium as its start."),
     ] = None,
     output: Annotated[
-        Path | None, output_to("FILE.png", "Draw it, with the internal forces of beams, to a PNG, SVG or PDF file.")
+        Path | None, output_to("FILE.png", "Draw the equilibrium, with internal forces of beams, to PNG, SVG or PDF.")
     ] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,

@@ -58,8 +58,8 @@ class Selection:
         typer.Option(
             "--component",
             metavar="C",
-            help="Of reactions: x, y or both (global); axial, shear or both (body): in the frame of the second body; "
-            "magnitude, the default. Of beams: moment, shear or axial.",
+            help="With reactions: magnitude (the default); x, y or both (global); axial, shear or both (body), in the "
+            "frame of the second body. With beams: moment, shear or axial.",
         ),
     ] = None
 

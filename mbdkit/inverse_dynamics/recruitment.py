@@ -216,7 +216,7 @@ class Recruiter:
         return [reserve.of for reserve in self._reserves]
 
     def is_taken_over(self, driven: np.ndarray) -> np.ndarray:
-        """Return which actuators (U,) muscles replace, without a reserve beside them."""
+        """Return which actuators (U,) are replaced by muscles alone, without a reserve."""
         alone: np.ndarray = driven.copy()
         alone[self.reserve_places] = False
         return alone

@@ -32,7 +32,7 @@ _MOST_VARIABLES = 6
 """Variables against which a measure is drawn: those with the largest total indices or, without these, correlations."""
 _BANDS = (0.05, 0.25, 0.5, 0.75, 0.95)
 _RESAMPLES = 200
-"""Bootstrap samples for each number of members in charts of convergence; tables have more."""
+"""Number of bootstrap samples for each number of members in charts of convergence; tables use more."""
 
 
 @dataclass(frozen=True, eq=False)

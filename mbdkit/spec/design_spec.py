@@ -34,7 +34,7 @@ GOAL = "goal"
 
 
 class _WithUnit(Section):
-    """Base class of sections whose numbers may have a unit, which is checked where the spec of a run expects one."""
+    """Base class of sections whose numbers may have units that fit each other; specs of runs check them by key."""
 
     _unit: Unit | None = PrivateAttr(default=None)
 

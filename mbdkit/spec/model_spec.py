@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class StrictSpec(Section):
-    """Base class of run and study specs.
+    """Base class of all specs.
 
     Raises
     ------

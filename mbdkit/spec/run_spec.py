@@ -262,8 +262,8 @@ class RunSpec(ModelSpec):
     def with_model(self, model: BaseModel) -> RunSpec:
         """Return this spec with other parameters of its model, which are valid.
 
-        No other section is validated again, because none depends on the parameters of the model, unless these are
-        expressions.
+        This spec must have no expressions of parameters: no other section then depends on the model, and none is
+        validated again.
         """
         assert not self.written
         assert type(model) is type(self.model)

@@ -22,7 +22,7 @@ EXACT = 1e-11
 HELD = {name: one.holds for name, one in FORMULATIONS.items() if one.solves_multipliers} | {
     name: ("position", "velocity") for name, one in FORMULATIONS.items() if one.coordinates == "joint"
 }
-"""Levels at which a formulation enforces the constraints of the trial models, which have no loops, on the state."""
+"""Levels, of position and velocity, at which states satisfy the constraints of trial models without closed loops."""
 ROUNDING = 1e-15
 COARSE = 0.1
 """Misalignment [m, m/s] too large to follow a power of the step: a tenth of the mechanism."""

@@ -39,7 +39,7 @@ DECADES = 7.0
 FINE = 4000
 """Intervals of the length in which the change of the potential is compared with the force."""
 CLIMBERS, ROUNDS = 16, 40
-"""Samples from which, and rounds in which, the search for a supply of energy climbs."""
+"""Number of samples from which a random search for a supply of energy starts, and number of its rounds."""
 AGREE = 1e-5
 """Largest relative difference between a derivative and finite differences."""
 SMALL = 2e-4
