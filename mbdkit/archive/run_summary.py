@@ -26,7 +26,7 @@ JOINTS_NAMED = 4
 #: Number of events listed.
 EVENTS_NAMED = 4
 
-#: Residual [m or rad], overlap [m] and creep [m/s] up to which there is none but for rounding errors.
+#: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12
 
 #: The summary reports the distance from a singular position if it is below this value.

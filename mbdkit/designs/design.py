@@ -220,7 +220,7 @@ def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> De
         An evaluator that has evaluated nothing yet, so that the number of runs does not depend on interruptions.
     """
     best = evaluator.point(design.best.variables)
-    evaluator.outcomes(np.array([evaluator.first, best]))  # known ones
+    evaluator.outcomes(np.array([evaluator.first, best]))  # kept from the optimisation, so not computed again
     evaluator.runs, evaluator.failures = design.runs, design.failures
     compared = tuple(compare(evaluator, name, best, stages) for name in design.spec.compare)
     return replace(design, runs=evaluator.runs, failures=evaluator.failures, compared=compared)

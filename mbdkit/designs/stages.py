@@ -31,7 +31,7 @@ class Stages:
     optimum_only
         Whether comparisons are omitted.
     further
-        Number of stages that the caller adds.
+        Number of stages of the caller after these.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Stages:
         self._words, self._evaluator = "", None  # type: str, Evaluator | None
 
     def begin(self, name: str, evaluator: Evaluator | None = None) -> None:
-        """Begin a stage; the best goal is that of `evaluator`."""
+        """Begin a stage; progress reports the best goal of `evaluator`."""
         number = self._names.index(name) + 1 if name in self._names else self._count
         self._words, self._evaluator = f"stage {number} of {self._count}: {name}", evaluator
         self.notify(self._words)

@@ -194,7 +194,7 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
     no_rows = np.zeros(p.m)
 
     def inverse(x: np.ndarray) -> np.ndarray:
-        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` for (dq, dv), free motions only."""
+        """Solve ``dv - shift dq = f``, ``-K dq - C dv - shift M dv = M g`` for (dq, dv) within the free motions."""
         f, g = x[:n], x[n:]
         right = -p.mass * (g + shift * f) - tangents.damping @ f
         dq, _ = matrix.solve(right, no_rows)

@@ -237,7 +237,9 @@ def element_chart(name: str, title: str, caption: str, axis: Axis, quantity: Ele
 
 
 def _band(quantity: ElementQuantity, column: int) -> Array | None:
-    """Return the outline of the estimated error of one element; None if it is unknown or was not estimated."""
+    """Return the outline of the band of the estimated error about the curve of one element; None if the error is
+    unknown or was not estimated.
+    """
     if quantity.errors is None:
         return None
     data = quantity.data

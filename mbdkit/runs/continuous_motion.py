@@ -142,7 +142,7 @@ class MotionPart:
 
 
 def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
-    """Return the values of states; nan from a state on that has no unique accelerations."""
+    """Return the values of states; nan from the first state without unique accelerations on."""
     arrays = observer.arrays(len(time))
     singular = observer.observe(time, q, v, arrays, z=z)
     if singular is not None:

@@ -22,7 +22,9 @@ ERROR = "end_error"
 """Column of the error: the largest distance of a body from the reference at the end [m]."""
 
 FAVOURITES = (1e-6, 1e-3, 1e-9, 1e-12)
-"""Errors [m] of the table, the most relevant first; another power of ten if the runs reach none of them."""
+"""Errors [m] of the table, the most relevant first. If none is in the range of the runs' errors, the table has the
+power of ten closest to the middle of this range.
+"""
 
 MOST = 3
 """Number of errors of the table."""
@@ -46,8 +48,11 @@ def is_timed(points: Iterable[StudyPoint]) -> bool:
 
 
 def cost_at_error(study: Study) -> Table | None:
-    """Return the cost of each sequence of runs at some errors, the cheapest first; None without a reference, or if
-    fewer than two sequences have two different errors.
+    """Return the cost at some errors of each sequence of runs that differ only in their last numeric axis, the cheapest
+    sequence first.
+
+    None without a reference, if fewer than two sequences have two different errors, or if the errors of the runs have
+    no power of ten between them.
     """
     groups = _groups(study)
     if len(groups) < 2:
@@ -79,7 +84,9 @@ def cost_at_error(study: Study) -> Table | None:
 
 
 def error_headlines(study: Study) -> list[tuple[str, str]]:
-    """Return the range of the errors against the reference, and which runs cost least at an error, in words."""
+    """Return in words the range of the errors against the reference, how many runs stay near it, and which sequences
+    of runs cost least at an error.
+    """
     if not study.references:
         return []
     errors = np.array([value(point, ERROR) for point in study.points])
@@ -105,8 +112,8 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
 
 
 def _groups(study: Study) -> dict[str, list[StudyPoint]]:
-    """Return the complete runs that differ only in their last numeric axis, such as the step, by their other values;
-    those with two different errors or more.
+    """Return sequences of complete runs that differ only in their last numeric axis, such as the step, by the names of
+    their other values, without sequences in which all errors are equal.
     """
     found: dict[str, list[StudyPoint]] = {}
     for point in study.points:

@@ -124,7 +124,7 @@ def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
     share = measure.share(a.position - b.position)
     common = np.isfinite(share)
     reached = [np.flatnonzero(np.all(np.isfinite(run.position), axis=(1, 2)))[-1] for run in (a, b)]
-    # beyond an event that would stop the run, both may fail; if only one fails, its states before are wrong
+    # after an event that would stop the run, both may fail; if only one fails, its earlier states are wrong
     if abs(reached[0] - reached[1]) > 1 or not np.any(common[1:]):
         return float("inf")
     return float(np.max(share[common]))
