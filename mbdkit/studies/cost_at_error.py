@@ -104,7 +104,7 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
     if table is not None:
         target = table.columns[1].label.removeprefix("operations for ")
         reached = [row for row in table.rows if row[1] is not None][:3]
-        words = [f"{row[0]} {row[1]}" for row in reached]
+        words = [f"{row[0]} ({row[1]})" for row in reached]
         if words:
             more = f", before {' and '.join(words[1:])}" if words[1:] else ""
             found.append((f"fewest operations for an error of {target}", f"{words[0]}{more}"))

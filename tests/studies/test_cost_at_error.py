@@ -38,5 +38,5 @@ def test_the_cost_at_an_error_lies_between_the_runs_that_miss_and_reach_it(tmp_p
     (_, errors), (question, answer) = error_headlines(study)
     assert "6 of 6 runs stay within 1% of the mechanism's size" in errors
     assert question == "fewest operations for an error of 1e-06 m"
-    assert answer.startswith(f"{table.rows[0][0]} {table.rows[0][1]}")
+    assert answer.startswith(f"{table.rows[0][0]} ({table.rows[0][1]})")
     assert "without the reference" in summary(study)
