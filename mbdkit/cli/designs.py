@@ -22,6 +22,7 @@ from mbdkit.cli.common_options import (
 )
 
 if TYPE_CHECKING:
+    from mbdkit.designs.design import Design
     from mbdkit.designs.robustness import Deviation
     from mbdkit.spec.reading import Document
 
@@ -75,12 +76,10 @@ def design(
 
     Exit status 3 if no point satisfies all limits, or a resource is not available.
     """
-    from mbdkit.base.errors import MbdkitError
-    from mbdkit.designs.gains import costs
-    from mbdkit.designs.robustness import robustness, robustness_text
+    from mbdkit.designs.robustness import robustness
     from mbdkit.designs.solve_design import WORKER, evaluating, solved_in
     from mbdkit.designs.stages import Stages
-    from mbdkit.designs.store import DesignFolder, runs_of
+    from mbdkit.designs.store import DesignFolder
     from mbdkit.spec import load_design_spec
     from mbdkit.studies.executor_pool import Engine
     from mbdkit.studies.executors import opened
@@ -109,19 +108,29 @@ def design(
             | ({} if page is None else {"report": str(page)})
         )
     elif not printing.quiet:
-        summary = result.summary()
-        show(summary)
-        with suppress(MbdkitError), runs_of(result, folder) as pairs:  # archives may have been removed
-            for cost in costs(pairs)[:LOADS_SHOWN]:
-                show(f"elsewhere: {cost.text()}")
-            for warning in dict.fromkeys(text for pair in pairs.values() for text in pair["best"].warnings):
-                if warning not in summary:
-                    show(f"warning: {warning}")
-        if deviations:
-            show(robustness_text(result.spec, deviations))
-        show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
+        _show(result, folder, deviations, page)
     if not result.is_feasible:
         raise typer.Exit(STOPPED_EARLY)
+
+
+def _show(result: Design, folder: Path, deviations: list[Deviation], page: Path | None) -> None:
+    """Print the result of a design, what it costs elsewhere, its warnings, robustness and files."""
+    from mbdkit.base.errors import MbdkitError
+    from mbdkit.designs.gains import costs
+    from mbdkit.designs.robustness import robustness_text
+    from mbdkit.designs.store import runs_of
+
+    summary = result.summary()
+    show(summary)
+    with suppress(MbdkitError), runs_of(result, folder) as pairs:  # archives may have been removed
+        for cost in costs(pairs)[:LOADS_SHOWN]:
+            show(f"elsewhere: {cost.text()}")
+        for warning in dict.fromkeys(text for pair in pairs.values() for text in pair["best"].warnings):
+            if warning not in summary:
+                show(f"warning: {warning}")
+    if deviations:
+        show(robustness_text(result.spec, deviations))
+    show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
 
 
 def validate_design(source: Document, name: str, assignments: list[str]) -> None:

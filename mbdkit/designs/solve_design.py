@@ -51,18 +51,13 @@ def design(
         Folder for the result, for archives of the start and the best point, and for all points that are evaluated. If a
         call was interrupted, the same call continues from these points, with the same result as without the
         interruption; the result of a completed design is read. By default nothing is written.
-    workers
-        Number of processes that compute in parallel, once the design has taken some seconds.
-    executor
-        A `concurrent.futures.Executor` that computes instead of these processes, as for `mbdkit.study`.
-    progress
-        Called with the number of runs so far, and of those that failed, when runs are complete.
-    notify
-        Called with a sentence when a stage begins or a search ends.
+    workers, executor, progress, notify
+        As for `mbdkit.study`. `progress` is called with the numbers of runs so far and of those that failed, `notify`
+        with a sentence when a stage begins or a search ends.
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``.
     overwrite
-        Whether to replace an earlier design in the folder: its files are removed first. Other files are kept.
+        Whether to remove the files of an earlier design in the folder first; other files are kept.
     optimum_only
         Whether to omit the comparisons with other settings (`compare`). A later call with the same folder adds them.
     **sections
@@ -95,10 +90,8 @@ def design(
     >>> m.torque("load", mass, value=1.0)
     >>> base = {"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}}
     >>> stiffness = {"model.forces.spring.stiffness": {"bounds": [1.0, 4.0]}}
-    >>> found = mbdkit.design(
-    ...     {"mbdkit_design": 1, "base": base, "variables": stiffness, "minimize": "rms(mass.angle)"}
-    ... )
-    >>> round(found.best.variables["model.forces.spring.stiffness"], 6)
+    >>> spec = {"mbdkit_design": 1, "base": base, "variables": stiffness, "minimize": "rms(mass.angle)"}
+    >>> round(mbdkit.design(spec).best.variables["model.forces.spring.stiffness"], 6)
     4.0
     """
     spec = load_design_spec(source, assignments, **sections)
