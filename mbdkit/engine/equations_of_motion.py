@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict, Unpack, cast
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.nearest_state import nearest_positions, nearest_velocities
 from mbdkit.engine.observed_states import GivenForces, StateObserver
+from mbdkit.engine.stored_arrays import pattern_of, restore, stored
 from mbdkit.engine.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -413,6 +414,32 @@ class EquationsOfMotion:
         values = self._workspace.scratch.source[terms.source]
         row, rows = (terms.row - self.n, self.m) if below else (terms.row, self.n)
         return csr_array((values, (row, terms.column)), shape=(rows, self.n))
+
+    def stored_pivots(self) -> list[dict[str, Any]]:
+        """Return the pivots of the iteration matrices so far as plain values of a checkpoint."""
+        return [
+            {
+                "matrix": list(key),
+                "pattern": stored(one.pattern),
+                "scatter": one.scatter,
+                "reference": one.reference,
+            }
+            for key, one in self._pivots.items()
+        ]
+
+    def restore_pivots(self, state: Any) -> None:
+        """Use stored pivots; raise ValueError if they are not valid."""
+        unknowns, sources = self._workspace.unknowns, len(self._workspace.scratch.source)
+        for one in state:
+            pattern = pattern_of(one["pattern"], unknowns)
+            scatter, reference = np.zeros((len(one["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
+            restore(
+                {"scatter": scatter, "reference": reference}, {name: one[name] for name in ("scatter", "reference")}
+            )
+            if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
+                raise ValueError("a term of a matrix does not exist")
+            key = tuple(map(bool, one["matrix"]))
+            self._pivots[key] = Pivots((self.n, unknowns - self.n), pattern, scatter, reference)
 
     def _choose_at_start(self, key: tuple[bool, ...], coefficients: np.ndarray) -> None:
         """Choose pivots from the values at the start, if possible.

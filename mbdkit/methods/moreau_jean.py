@@ -26,7 +26,6 @@ CHEN = """@article{chen2013,
   title = {A nonsmooth generalized-$\\alpha$ scheme for flexible multibody systems with unilateral constraints},
   journal = {International Journal for Numerical Methods in Engineering}, volume = {96}, number = {8},
   pages = {487--511}, year = {2013}, doi = {10.1002/nme.4563}}"""
-NOT_STORED = "the state of a method written in Python cannot be stored"
 
 
 class MoreauJeanOptions(Options):
@@ -45,7 +44,7 @@ class MoreauJean(Method):
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        return Traits("moreau-jean", suits_stiff=True, is_time_stepping=True, why_no_checkpoint=NOT_STORED)
+        return Traits("moreau-jean", suits_stiff=True, is_time_stepping=True)
 
 
 class GeneralizedAlphaOptions(Options):
@@ -65,7 +64,7 @@ class GeneralizedAlpha(Method):
     def traits(self) -> Traits:
         """See `Method`."""
         family = "nonsmooth-generalized-alpha"
-        return Traits(family, suits_stiff=True, is_time_stepping=True, why_no_checkpoint=NOT_STORED)
+        return Traits(family, suits_stiff=True, is_time_stepping=True)
 
 
 FAMILY = "moreau-jean"

@@ -21,12 +21,14 @@ from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept
 from mbdkit.engine.stored_arrays import fill, pattern_of, restore, scatter_of, solver_of, stored, stored_solver
 from mbdkit.methods.kinds import Method
+from mbdkit.runs import stored_python_steps
 from mbdkit.runs.integrals import RunIntegrals
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.collocation_stages import new_systems
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.interface import Impact
+from mbdkit.stepping.python_stepper import PythonStepper
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -47,7 +49,7 @@ class Parts:
     """The parts of a run whose state a checkpoint holds."""
 
     workspace: Workspace
-    stepper: CompiledStepper
+    stepper: CompiledStepper | PythonStepper
     watch: Watch | None
     recorder: Recorder
     integrals: RunIntegrals | None
@@ -61,7 +63,11 @@ class Parts:
                 "sides": workspace.scratch.sides,
                 "pivotings": workspace.pivotings,
             },
-            "stepper": _stored_stepper(self.stepper),
+            "stepper": (
+                stored_python_steps.stored_stepper(self.stepper)
+                if isinstance(self.stepper, PythonStepper)
+                else _stored_stepper(self.stepper)
+            ),
             "watch": None if self.watch is None else self.watch.stored(),
             "recorder": self.recorder.stored(),
             "integrals": None if self.integrals is None else self.integrals.stored(),
@@ -81,7 +87,10 @@ class Parts:
             workspace.use_solver(solver_of(workspace, kept["solver"]))
             fill(workspace.scratch.sides, kept["sides"])
             workspace.pivotings = int(kept["pivotings"])
-            _restore_stepper(self.stepper, state["stepper"])
+            if isinstance(self.stepper, PythonStepper):
+                stored_python_steps.restore_stepper(self.stepper, state["stepper"])
+            else:
+                _restore_stepper(self.stepper, state["stepper"])
             if self.watch is not None:
                 self.watch.restore(state["watch"])
             self.recorder.restore(state["recorder"])
@@ -125,8 +134,6 @@ def why_without(spec: RunSpec, method: Method) -> str:
     """Return the reason why a run writes no checkpoints, as a clause; empty if it writes checkpoints."""
     if spec.is_to_be_chosen:
         return "its method or step is chosen by pilot runs, whose results are not stored"
-    if spec.has_rigid_contacts:
-        return "the state of contacts of rigid bodies cannot be stored"
     if method.traits.why_no_checkpoint:
         return method.traits.why_no_checkpoint
     if spec.estimates_errors and "joints" not in spec.output.recorded:

@@ -304,7 +304,7 @@ class SimulatedRun:
     def parts(self) -> Parts | None:
         """Return the parts of the run that a checkpoint stores; None if some of them cannot be stored."""
         stepper = self.inner_stepper
-        if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper):
+        if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper | PythonStepper):
             return None
         return Parts(self.workspace, stepper, self.watch, self.recorder, self.integrals)
 

@@ -34,6 +34,7 @@ from mbdkit.stepping.interface import (
 )
 from mbdkit.stepping.kept_state import kept, protect
 from mbdkit.stepping.python_projection import StabilizedSteps, Taken
+from mbdkit.stepping.step_guards import GuardState
 from mbdkit.stepping.step_watch import StepWatch
 
 if TYPE_CHECKING:
@@ -130,6 +131,16 @@ class PythonStepper:
     def evidence(self) -> StepEvidence:
         """See `Advancing.evidence`."""
         return self._watch.evidence(self.impacts)
+
+    @property
+    def guards(self) -> GuardState:
+        """State of the guards."""
+        return self._watch._step.guards
+
+    def continue_from(self, reached: Reached) -> None:
+        """Continue from a point of the run, for example that of a checkpoint."""
+        self._before = reached
+        self._go_to(reached)
 
     @property
     def contact_state(self) -> ContactState | None:

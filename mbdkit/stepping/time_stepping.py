@@ -39,8 +39,8 @@ from mbdkit.stepping.rigid_contacts import KnownContacts, RigidContacts
 MOST_HALVINGS = 4
 """How often a step may be halved."""
 MANY, ROUGH = 40, 1e-4
-"""Number of overlaps from which on positions are projected once, to this share, which leaves the rest to the next
-steps."""
+"""Number of overlaps beyond which positions are projected once, to this share, which leaves the rest to the next steps,
+and contacts at rest that others press are left to the next step too."""
 AT_REST = 4.0
 """Gaps, rates and impulses of contacts at rest are smaller than this many times those that accelerations cause in a
 step; those of impacts are larger."""
@@ -134,15 +134,16 @@ class TimeStepping(StepMethod):
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
             impact = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess)
             after, found, changed = impact.solved()
-            more = self._pressed(contacts, smooth, h, v, after, some)
-            if len(more):
-                some = np.union1d(some, more)
-                continue
-            strikes = (found.normal > 0.0) & (rows.rates(v)[0] < -AT_REST * _gained(rows, v, smooth.v, h))
-            new = sticks & (friction > contacts.kinetic[some]) & (found.normal > AT_REST * guess[0])
-            if np.any(strikes) and np.any(new):  # impulses of impacts have kinetic friction
-                struck[some[new]] = True
-                continue
+            if len(some) <= MANY:  # with more, the order of their impacts has larger effects, and it takes long
+                more = self._pressed(contacts, smooth, h, v, after, some)
+                if len(more):
+                    some = np.union1d(some, more)
+                    continue
+                strikes = (found.normal > 0.0) & (rows.rates(v)[0] < -AT_REST * _gained(rows, v, smooth.v, h))
+                new = sticks & (friction > contacts.kinetic[some]) & (found.normal > AT_REST * guess[0])
+                if np.any(strikes) and np.any(new):  # impulses of impacts have kinetic friction
+                    struck[some[new]] = True
+                    continue
             forces = np.stack([found.normal, found.tangent]) / h
             slip = SLIP * np.sign(rows.rates(after)[1]).astype(int)
             memory = replace(memory, residual=max(held.residual, found.residual), changed=held.changed.union(changed))

@@ -303,13 +303,31 @@ def examined(seed: int, law: str = "newton", *, compare: bool = True) -> Found:
         # other contacts that strike within a step strike together in time-stepping, where their order may decide
         pairs = zip(run.impacts.time, run.impacts.time[1:], run.impacts.contact, run.impacts.contact[1:], strict=False)
         unclear = [first for first, then, a, b in pairs if a != b and 0.0 < then - first < 2.0 * steps[-1]]
+        unclear += _held_by_static_friction(run, model)
         if unclear:
-            known = min(known, int(unclear[0] / STEP))
+            known = min(known, int(min(unclear) / STEP))
             found.known = (known - 1) / round(END / STEP)
     found.ratios = _ratios(differences, steps, known)
     if not _is_bounded(found.ratios):
         found.faults.append("the treatments do not converge to each other")
     return found
+
+
+def _held_by_static_friction(run: mbdkit.Run, model: dict[str, Any]) -> list[float]:
+    """Return the times of impacts after which a contact sticks that any slip, however small, would let slide away.
+
+    Its friction is beyond the kinetic coefficient, so that the motion does not depend continuously on the velocities
+    after the impact: they decide whether the contact sticks, and have errors in time-stepping.
+    """
+    times = []
+    for time, name in zip(run.impacts.time, run.impacts.contact, strict=True):
+        friction, one = model["contacts"][name.split(".")[0]]["friction"], run.contacts[name]
+        row = int(np.searchsorted(run.time, time))
+        sticks = row < len(run.time) and one.mode[row] == 1.0
+        kinetic = friction["kinetic"] if isinstance(friction, dict) else np.inf
+        if sticks and abs(one.friction_force[row]) > kinetic * one.normal_force[row]:
+            times.append(float(time))
+    return times
 
 
 def _ratios(differences: list[np.ndarray], steps: list[float], known: int) -> tuple[float, ...]:

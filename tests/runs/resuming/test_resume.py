@@ -109,6 +109,33 @@ SPECS = {
 }
 
 
+CONTACTS = {
+    "name": "mechanism",
+    "bodies": {
+        name: {"mass": 1.0, "inertia": 1.0 / 12.0, "position": [x + 0.5, 0.3], "angular_velocity": 0.3}
+        for name, x in (("a", 0.0), ("b", 1.0))
+    },
+    "joints": {"A": {"type": "revolute", "bodies": ["a", "b"], "at": [1.0, 0.3]}},
+    "contacts": {
+        name: {
+            "bodies": ["ground", name], "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"point": [x, 0.0]}],
+            "restitution": e, "friction": {"static": 0.5, "kinetic": 0.3},
+        }
+        for name, x, e in (("a", -0.5, 0.7), ("b", 0.5, 0.0))
+    },
+}  # fmt: skip
+SPECS |= {
+    "rigid contacts, event-driven": spec_of(
+        {"name": "rk4"}, {"end": 0.35, "step": 0.01}, CONTACTS, contact={"treatment": "event-driven"},
+        measures={"lowest": "min(a.y)", "peak": "max(contacts.a.normal_force)"},
+    ),
+    "rigid contacts, time-stepping": spec_of(
+        {"name": "nonsmooth-generalized-alpha"}, {"end": 0.4, "step": 4e-3}, CONTACTS,
+        contact={"treatment": "time-stepping"}, events={"low": {"when": "a.y - 0.2", "direction": "any"}},
+    ),
+}  # fmt: skip
+
+
 @pytest.fixture
 def frequent(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name in (
@@ -140,7 +167,9 @@ def test_killed_run_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["run.h5"]
 
 
-@pytest.mark.parametrize("name", ["rk4 with pivots", "gauss with pivots", "gauss, projection, events"])
+@pytest.mark.parametrize(
+    "name", ["rk4 with pivots", "gauss with pivots", "gauss, projection, events", "rigid contacts, time-stepping"]
+)
 def test_whole_state_of_a_checkpoint_is_restored(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Crossings and pivots depend on some values only in rare cases, so that equal bits do not show them."""
     part = tmp_path / "run.h5.part"
