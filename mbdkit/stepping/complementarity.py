@@ -220,12 +220,13 @@ def swept(
     guess
         (2, k) impulses with which the sweeps begin, normal ones first.
     precision
-        Change in a sweep, relative to the largest velocity, with which sweeps end.
+        Change in a sweep, relative to the largest velocity, with which sweeps end. If it is rough, any result is
+        accepted.
     """
     free, impulses = np.stack([normal, tangent], axis=1), np.ascontiguousarray(guess.T)
     size = float(np.max(np.abs(free), initial=0.0))
     changed = sweep_contacts(*coupled, free, np.ascontiguousarray(friction), precision * size, SWEEPS, impulses)
-    if changed > ACCEPTED * size:
+    if changed > ACCEPTED * size and precision <= PRECISION:
         return None
     pushes, rubs = impulses.T
     return Pushed(pushes, rubs, pushes > 0.0, np.abs(rubs) >= friction * pushes, changed / (size or 1.0))

@@ -11,8 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.contact_forces import ActingContact
+from mbdkit.stepping.near_contacts import NearContacts
 from mbdkit.stepping.polygon_features import EXACT, Feature, features_of, shape_pairs
 
+NEAR = 1e-3
+"""Gap, in lengths of the mechanism, up to which contacts are near each other."""
 FEW = 8
 """Number of contacts of a kind that are evaluated one by one, which takes less time than arrays."""
 
@@ -121,6 +124,7 @@ class ContactKinematics:
         for number, alike in enumerate(self._alike):
             self._place[alike.places], self._kind[alike.places] = np.arange(len(alike.places)), number
         self._polygons = shape_pairs(contacts, self._exact)
+        self._near = NearContacts(features, NEAR * length) if len(contacts) > FEW and not self._polygons else None
         self.held = self.none_held()
 
     def none_held(self) -> np.ndarray:
@@ -151,17 +155,38 @@ class ContactKinematics:
         is_held = self.held >= 0
         return np.where(is_held, self.held, features), np.where(is_held, -np.inf, least)
 
-    def gaps(self, q: np.ndarray) -> np.ndarray:
-        """Return the gaps (C,) of all contacts at a position [m]."""
+    @property
+    def reach(self) -> float:
+        """Gap up to which `gaps` is always exact [m]."""
+        return math.inf if self._near is None else self._near.reach
+
+    def gaps(self, q: np.ndarray, within: float = 0.0) -> np.ndarray:
+        """Return the gaps (C,) of all contacts at a position [m]; of those above `within` and `reach`, lower
+        bounds above them.
+        """
+        if self._near is None:
+            return self.rows(q, 0.0 * q).gap
+        known = self._near.bounds(q) if within <= self._near.reach else None
+        states = self._states(q, 0.0 * q)[:4]
+        if known is None:
+            gaps = np.empty(len(self._first))
+            self._evaluate(states, np.arange(len(gaps)), gaps)
+            self._near.keep(q, gaps)
+            return gaps
+        gaps, near = known
+        self._evaluate(states, near, gaps)
+        return gaps
+
+    def _evaluate(self, states: np.ndarray, some: np.ndarray, gaps: np.ndarray) -> None:
+        """Write the gaps of some contacts (K,), each with one feature, into an array (C,)."""
         from mbdkit.symbolic.contact_rows import gap_function  # loads SymPy
 
-        if len(self._first) <= FEW or self._polygons:
-            return self.rows(q, 0.0 * q).gap
-        gaps, states, none = np.empty(len(self._first)), self._states(q, 0.0 * q)[:4], (0.0,) * 3
-        for alike in self._alike:
-            first, second = (states[:, side] for side in alike.bodies)
-            gaps[alike.places] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers)
-        return gaps
+        none = (0.0,) * 3
+        for number, alike in enumerate(self._alike):
+            which = some[self._kind[some] == number]
+            places = self._place[which]
+            first, second = (states[:, side[places]] for side in alike.bodies)
+            gaps[which] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers[:, places])
 
     def rows(self, q: np.ndarray, v: np.ndarray, some: np.ndarray | None = None) -> Rows:
         """Return the rows of all contacts in a state, or of some (C,), given by their numbers."""

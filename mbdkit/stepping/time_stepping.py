@@ -188,11 +188,15 @@ class TimeStepping(StepMethod):
         is_closed = p.m == 0
         touched = np.zeros(len(contacts.names), dtype=bool)
         for _ in range(MOST_ITERATIONS):
+            if is_closed and is_last:
+                return q
             gaps = contacts.kinematics.gaps(q)
             deepest = -float(np.min(gaps, initial=0.0))
             is_apart = deepest <= SMALL * p.length
-            if is_closed and (is_last or is_apart):
+            if is_closed and is_apart:
                 return q
+            if 2.0 * deepest > contacts.kinematics.reach:
+                gaps = contacts.kinematics.gaps(q, 2.0 * deepest)
             touched |= gaps < (0.0 if is_apart else 2.0 * deepest)  # others may be pushed into each other
             some = np.flatnonzero(touched)
             is_last = len(some) > MANY
@@ -287,7 +291,7 @@ class _Impact:
         contacts, some = self.contacts, self.some
         e = contacts.restitution[some]
         after, found = self._with(e)
-        if not self._gains(after, found) or not np.any(e * self._approach):
+        if not np.any(e * self._approach) or not self._gains(after, found):
             return after, found, []
         normal, tangent = self.rows.rates(self.free)
         if len(some) == 1 and normal[0] < 0.0:

@@ -9,8 +9,10 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.report.run_tables import run_tables
 from mbdkit.stepping.complementarity import coulomb, coupled_by_all, stronge, swept
+from mbdkit.stepping.contact_kinematics import ContactKinematics
 from tests.witness.pit import pit
 
 G = 9.81
@@ -413,3 +415,29 @@ def test_impulses_of_joints_balance_the_momenta_of_all_bodies_at_an_impact() -> 
     assert [row[0] for row in table.rows] == ["hip", "motor", "knee"]
     sizes = np.linalg.norm(impacts.reaction_impulse[:, 2], axis=1)
     assert table.rows[2][2:4] == (np.max(sizes), impacts.time[np.argmax(sizes)])
+
+
+def test_gaps_that_are_not_evaluated_are_above_their_bounds() -> None:
+    """Circles off the centres of their bodies, a line on one of them, and small moves from where all were evaluated."""
+    random = np.random.default_rng(3)
+    bodies = {f"b{i}": {"mass": 1.0, "inertia": 0.1, "position": random.uniform(-1, 1, 2).tolist()} for i in range(8)}
+    circles = {name: {"circle": {"center": [0.1, -0.2], "radius": 0.02}} for name in bodies}
+    line = {"line": {"point": [3.0, 0.0], "normal": [-1.0, 0.2]}}
+    contacts = {
+        "all": {"among": list(bodies), "shapes": circles},
+        "wall": {"bodies": ["b0", "b1"], "shapes": [line, circles["b1"]]},
+    }
+    model = {"name": "mechanism", "bodies": bodies, "contacts": contacts}
+    spec = {"mbdkit": 1, "model": model, "contact": {"treatment": "event-driven"}, "integrator": {"name": "rk4"}}
+    equations = EquationsOfMotion.of(mbdkit.RunSpec(**spec, time={"end": 1.0, "step": 0.1}).mechanism())
+    kinematics = ContactKinematics(equations.contacts, equations.n, equations.length)
+    reach, far, q = kinematics.reach, 0, equations.q0.copy()
+    for _ in range(200):
+        q = q + random.uniform(-1e-3, 1e-3, len(q))
+        found, exact = kinematics.gaps(q), kinematics.rows(q, 0.0 * q).gap
+        is_near = exact <= reach
+        assert np.array_equal(found[is_near], exact[is_near])
+        assert np.all(found <= exact + 1e-15)
+        assert np.all(found[~is_near] > reach)
+        far += int(np.sum(found < exact - 1e-9))
+    assert far > 1000
