@@ -125,18 +125,18 @@ class MotionPart:
 
     def series(self, time: np.ndarray) -> Series:
         """Return the quantities at times [s], in order."""
-        q, v = self.ends.at(time)
-        return self._series_of(time, q, v)
+        return self._series_of(time, *self.ends.at(time), self.ends.held_at(time))
 
     def at_ends(self) -> Series:
         """Return the quantities at the ends of the steps."""
         some = slice(self.steps.start, self.steps.stop + 1)
-        return self._series_of(self.ends.time[some], self.ends.q[some], self.ends.v[some])
+        time = self.ends.time[some]
+        return self._series_of(time, self.ends.q[some], self.ends.v[some], self.ends.held_at(time))
 
-    def _series_of(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Series:
+    def _series_of(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, held: np.ndarray) -> Series:
         mechanism, seen = self._observer.workspace.mechanism, np.clip(time, *self.sides)
         n = mechanism.size
-        q, v, z = (np.ascontiguousarray(x) for x in (q[:, :n], v[:, :n], q[:, n:]))
+        q, v, z = (np.ascontiguousarray(x) for x in (q[:, :n], v[:, :n], q[:, n:] if q.shape[1] > n else held))
         states = States(mechanism, seen, q, v, lambda: observed_at(self._observer, seen, q, v, z), z=z)
         return Series(seen, lambda quantity: quantity.taker(self._names)(states).T)
 

@@ -40,12 +40,21 @@ class StepEnds:
     q, v, a
         (N, 3 (B + 1)) positions, velocities and accelerations. If `a` is None, accelerations are not used, because in
         stiff mechanisms they amplify the errors of positions. All may have a further last axis of derivatives.
+    held
+        (N, Z) forces of rigid contacts, which have no rates and are linear over each step; None without them.
     """
 
     time: np.ndarray
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray | None
+    held: np.ndarray | None = None
+
+    def held_at(self, times: np.ndarray) -> np.ndarray:
+        """Return the forces of rigid contacts at times (T,) [s]: (T, Z)."""
+        held = np.zeros((len(self.time), 0)) if self.held is None else self.held
+        columns = [np.interp(times, self.time, column) for column in held.T]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities at times (T,) from the first to the last end [s], in order."""

@@ -78,6 +78,7 @@ def test_packaged_example_runs_to_its_end_in_balance_and_asks_little(name):
     # expected: conservation of energy; joints that meet
     with mbdkit.run(name) as run:
         run.check()
+        assert "verdict" in run.summary()
         largest = np.max(run.energy.kinetic)
         assert largest > 0
         assert np.abs(run.energy.balance).max() < 1e-6 * largest
@@ -268,6 +269,8 @@ def test_jump_pushes_off_flies_and_lands():
         mass = sum(body.mass for body in load_spec("jump").mechanism().bodies.values())
         needed = of_all_bodies(run, "jump", "acceleration") + mass * np.array([0.0, 9.81])
         np.testing.assert_allclose(foot.force, needed, rtol=0, atol=1e-7)
+        torque = run.joints["knee_motor"].reaction_torque  # largest in the first squat, not between steps around events
+        assert run.measures["knee_torque"] == pytest.approx(abs(torque[0]), rel=1e-12)
         (up, down), time = (event.time for event in run.events), np.asarray(run.time)
         flies = (time > up) & (time < down)
         np.testing.assert_array_equal(np.isnan(foot.center_of_pressure[:, 0]), flies)
