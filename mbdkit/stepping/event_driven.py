@@ -33,8 +33,6 @@ SAMPLES = 8
 """States of a step in which events are looked for."""
 SAME_INSTANT = 4e-16
 """Times that differ by less, in seconds or as a share, are equal."""
-ROUNDING = 1e-16
-"""Relative rounding error of coordinates."""
 SAME = 1e-10
 """Gaps, in lengths of the mechanism, and velocities, in those of the motion, that are zero but for errors."""
 
@@ -324,13 +322,8 @@ class _Step:
         """Return the share of the step at which a function vanishes, found by steps of the method."""
         from scipy.optimize import brentq  # loaded only if a run has such events
 
-        rounding = 0.0
-        if kind == 0 and self.modes[contact] == OPEN:
-            rounding = ROUNDING * float(np.abs(self._forced(self.now).rows.normal[contact]) @ np.abs(self.now.q))
-
         def value(share: float) -> float:
-            found = float(self._values(self._moved(share * h))[kind, contact])
-            return 0.0 if abs(found) <= rounding else found  # it takes long to bisect the signs of rounding errors
+            return float(self._values(self._moved(share * h))[kind, contact])
 
         begin, end = value(low), value(high)
         if end >= 0.0:  # the interpolation is beyond the step of the method
