@@ -55,6 +55,9 @@ NEGLIGIBLE_CHANGE = 1e-12
 Cancellation of forces and the solution of the linear systems amplify `EPS` by factors of some hundred to thousand.
 """
 
+SMALLEST = 1e-300
+"""Least divisor, so that nothing is divided by zero where the quotient is not used or its dividend is zero."""
+
 PATIENCE = 3
 """Stalled iterations after which weaker criteria for round-off apply.
 
@@ -161,7 +164,7 @@ def predicts_failure(n, most, now, ratio, tolerance):
     """
     fails = (n >= 2) & (not now <= NEGLIGIBLE_CHANGE)
     if any_of(fails):
-        last = ratio ** (most - n) / (1.0 - ratio) * now
+        last = ratio ** (most - n) / max(1.0 - ratio, SMALLEST) * now
         fails = fails & ((ratio >= LARGEST_RATE) | (last > max(tolerance, NEGLIGIBLE_CHANGE)))
     return fails
 
@@ -240,8 +243,8 @@ def relative_to_accelerations(acc, change, bodies):
             finite = finite & (now_t + now_r < np.inf)  # `max` ignores NaN
             change_t = max(change_t, now_t)
             change_r = max(change_r, now_r)
-    relative_t = where(change_t > 0.0, change_t / max(size_t, change_t), 0.0)
-    relative_r = where(change_r > 0.0, change_r / max(size_r, change_r), 0.0)
+    relative_t = change_t / max(size_t, max(change_t, SMALLEST))
+    relative_r = change_r / max(size_r, max(change_r, SMALLEST))
     return where(finite, max(relative_t, relative_r), np.inf)
 
 
@@ -319,7 +322,7 @@ def accelerations_are_round_off(c, m, h, patient):
             x, y = abs(w.jac[k, e]) + abs(w.jac[k, 6 + e]), abs(w.jac[k, e + 1]) + abs(w.jac[k, 7 + e])
             arm = abs(top.pair_parameters[k, 2 * side]) + abs(top.pair_parameters[k, 2 * side + 1])
             turn = abs(w.jac[k, e + 2]) + abs(w.jac[k, 8 + e]) + arm
-            inverse_arm = where(arm > 0.0, max(inverse_arm, 1.0 / arm), inverse_arm)
+            inverse_arm = where(arm > 0.0, max(inverse_arm, 1.0 / max(arm, SMALLEST)), inverse_arm)
             level_t = max(level_t, force * max(x, y) * top.weight[b, 0])
             level_r = max(level_r, force * turn * top.weight[b, 2])
     for k in range(len(top.springs)):

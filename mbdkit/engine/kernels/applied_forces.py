@@ -333,6 +333,35 @@ def point_force(top, w, k):
 
 
 @subkernel
+def pathway_hessian(top, w, k, q):
+    """Write s_qq of length k into ``w.hess`` (S, 36), and return whether the length is curved."""
+    springs, points, cs, grad, hess = top.springs, top.spring_points, w.cs, w.grad, w.hess
+    a, b = springs[k, 1], springs[k, 2]
+    curved = True
+    if springs[k, 0] == _TWO_POINTS:
+        curved = w.s[k, 0] != 0.0
+        if any_of(curved):
+            two_points_hessian(k, a, b, q, cs, points, hess)
+    elif springs[k, 0] == _COORDINATE_X:
+        coordinate_x_hessian(k, a, b, q, cs, points, hess)
+    elif springs[k, 0] == _COORDINATE_Y:
+        coordinate_y_hessian(k, a, b, q, cs, points, hess)
+    elif springs[k, 0] == _TRAVEL:
+        travel_hessian(k, a, b, q, cs, points, hess)
+    elif springs[k, 0] == _LIFTED or springs[k, 0] == _TANGENT:
+        if springs[k, 0] == _LIFTED:
+            lifted_hessian(k, a, b, q, cs, points, hess)
+        else:
+            tangent_hessian(k, a, b, q, cs, points, hess)
+        has_part = (grad[k, 3] != 0.0) | (grad[k, 4] != 0.0)
+        for i in range(36):
+            hess[k, i] = where(has_part, hess[k, i], 0.0)
+    else:
+        curved = False
+    return curved
+
+
+@subkernel
 def force_tangents(top, w, q, v):
     """Write K = -dQ/dq and C = -dQ/dv of every force element and load into the terms of ``w.source``.
 
@@ -344,7 +373,7 @@ def force_tangents(top, w, q, v):
     expression of the state; see `load_slope`.
     For beams see `mbdkit.engine.kernels.cross_sections.beam_tangents`.
     """
-    springs, loads, points, cs = top.springs, top.loads, top.spring_points, w.cs
+    springs, loads = top.springs, top.loads
     grad, hess, stiff, damp, load_stiff = w.grad, w.hess, w.spring_stiff, w.spring_damp, w.load_stiff
     pathway_lengths(top, w, q)
     for k in range(len(springs)):
@@ -354,27 +383,7 @@ def force_tangents(top, w, q, v):
         has_derivatives = (abs(stiffness) < np.inf) & (abs(damping) < np.inf)
         if is_refused(has_derivatives | (not abs(pull) < np.inf)):
             w.faulty[0] = springs[k, 3]
-        curved = True
-        if springs[k, 0] == _TWO_POINTS:
-            curved = w.s[k, 0] != 0.0
-            if any_of(curved):
-                two_points_hessian(k, a, b, q, cs, points, hess)
-        elif springs[k, 0] == _COORDINATE_X:
-            coordinate_x_hessian(k, a, b, q, cs, points, hess)
-        elif springs[k, 0] == _COORDINATE_Y:
-            coordinate_y_hessian(k, a, b, q, cs, points, hess)
-        elif springs[k, 0] == _TRAVEL:
-            travel_hessian(k, a, b, q, cs, points, hess)
-        elif springs[k, 0] == _LIFTED or springs[k, 0] == _TANGENT:
-            if springs[k, 0] == _LIFTED:
-                lifted_hessian(k, a, b, q, cs, points, hess)
-            else:
-                tangent_hessian(k, a, b, q, cs, points, hess)
-            has_part = (grad[k, 3] != 0.0) | (grad[k, 4] != 0.0)
-            for i in range(36):
-                hess[k, i] = where(has_part, hess[k, i], 0.0)
-        else:
-            curved = False
+        curved = pathway_hessian(top, w, k, q)
         for i in range(6):
             for j in range(6):
                 stiff[k, 6 * i + j] = stiffness * grad[k, i] * grad[k, j]
