@@ -1,7 +1,7 @@
 """Values of programs with their first two derivatives, over arrays of arguments, in NumPy.
 
-The engine has compiled kernels for this (`mbdkit.engine.kernels.motions`). Here the operands of operations that change
-their form are returned as well, whose changes of sign are the corners of a function.
+The engine has compiled kernels for this (`mbdkit.engine.kernels.motions`). This module also returns the arguments at
+whose changes of sign an operation changes its form, such as that of ``abs``: there, a derivative of the function jumps.
 """
 
 from __future__ import annotations
@@ -35,16 +35,18 @@ class Jet:
 class Switch:
     """An operation that changes its form where `argument` changes sign; see `mbdkit.expressions.operations`.
 
-    An angle ``atan2`` jumps there only if its second operand is not positive.
+    The operation ``atan2`` jumps there only if its second operand is not positive.
     """
 
     level: int
-    """Number of such operations inside each other, 1 for an innermost one."""
+    """Depth of nesting of such operations: 1 if no operand of this one contains another one."""
     argument: Jet
 
 
 def jet_and_switches(program: Program, times: np.ndarray) -> tuple[Jet, list[Switch]]:
-    """Return the value of a program at `times` (T,), and its switches in the order of their operations."""
+    """Return the value and the derivatives of a program at `times` (T,) [s], and its switches in the order in which
+    their operations are executed.
+    """
     none = np.zeros(len(times))
     switches: list[Switch] = []
 

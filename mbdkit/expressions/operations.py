@@ -1,7 +1,7 @@
-"""The table of operations: all that expressions can contain between their operands.
+"""The table of all operators and functions that expressions can contain.
 
-The parser, the compiled kernel of motions, dual numbers, the corners of motions, derivatives of programs, events,
-measures and their gradients follow from this table. A new operation is one entry of `OPERATIONS` with its *rule*.
+The parser, the compiled kernel of motions, dual numbers, the detection of discontinuities of motions, derivatives of
+programs, events, measures and their gradients use this table. A new operation is one entry with its *rule*.
 
 The rule of one operand x returns f(x), f'(x) and f''(x). The rule of two operands takes the value and the first two
 derivatives of each one, (a0, a1, a2) and (b0, b1, b2), and returns those of the result. Rules are written once for all
@@ -31,7 +31,7 @@ class Operation:
     Parameters
     ----------
     name
-        Its name in programs; of a function, also in the text.
+        Name in programs, and of a function in the text of an expression as well.
     arity
         Number of operands in programs.
     number
@@ -39,27 +39,30 @@ class Operation:
     array
         The operation on arrays, by NumPy, for measures.
     rule
-        Value and derivatives, see this module. That of ``powi`` has its exponent as second argument.
+        Value and derivatives; see the docstring of this module. The rule of ``powi`` has the exponent as its second
+        argument.
     dimension
-        Unit of the result: that of the operand (``same``) or of all operands, which must have equal units (``common``),
-        an angle, or a plain number (``plain``, ``angle``: of a plain number); ``root`` and ``power`` change it.
+        How the unit of the result follows from those of the operands. ``same``: that of the only operand. ``common``:
+        that of both operands, which must be equal. ``angle of common``: an angle, from operands of equal units.
+        ``product``, ``quotient``, ``power``, ``root``: by that operation on units. ``plain``: a number without unit,
+        ``angle``: an angle; the operand has no unit or is an angle.
     symbol
         The operator in the text; empty for functions.
     is_function
         Whether the text can contain it as a function.
     takes_more
-        Whether the text can contain it with any number of operands, of which it is applied to two after the other.
+        Whether the text can contain it with more than two operands; it is then applied repeatedly to two at a time.
     switch
         Where the operation changes its form, so that a derivative jumps: where its ``first`` operand or the
         ``difference`` of its operands changes sign; empty if it is smooth.
     jumps
         Whether its value jumps at a switch.
     is_periodic
-        Whether it repeats in its operand.
+        Whether its value is a periodic function of its operand.
     is_never_negative
         Whether its value is never negative.
     roundings
-        Rounding errors of its value, in units of its last place.
+        Bound of the rounding error of its value, in units in the last place.
     """
 
     name: str
@@ -234,7 +237,7 @@ OPERATIONS: Mapping[str, Operation] = {one.name: one for one in _TABLE}
 """All operations by name."""
 
 FUNCTIONS = (*(one.name for one in _TABLE if one.is_function), "degrees")
-"""Names of the functions that texts can contain.
+"""Names of the functions that the text of an expression can contain.
 
 ``degrees(45)`` is the angle of 45 degrees in radians; programs contain a multiplication instead.
 """
@@ -247,7 +250,7 @@ OF_PARTS: Mapping[str, Callable[[np.ndarray], np.ndarray]] = {
 """Operations of measures on the components of vectors (2, T), and on values along a beam (elements, T)."""
 
 REDUCE = "over time: "
-"""Begin of the operations of measures that reduce values over time to one."""
+"""Prefix of the operations of measures that reduce the values at all times to one value."""
 
 
 def arity_of(operation: str) -> int:

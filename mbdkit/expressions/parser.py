@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MAX_LENGTH = 10_000
 MOST_TOLD = 6
-"""Parameters whose values a message names."""
+"""Largest number of parameters whose values a message states."""
 MAX_NESTING = 100
 MAX_INTEGER_POWER = 1_000_000
 
@@ -38,10 +38,10 @@ OPERATORS: dict[type[ast.operator], str] = {
     ast.Div: "div",
     ast.Pow: "pow",
 }
-"""Names of the operations of operators."""
+"""Name of the operation of each Python operator."""
 
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
-"""Hints for names of the time in other programs."""
+"""Hints for names by which other software calls the time."""
 
 _QUOTED = r"""(["'])(?:(?!\1)[^\\]|\\["'\\])*\1"""
 """Pattern of a quoted name."""
@@ -132,8 +132,8 @@ class Compiler:
     error
         Type of the errors raised for a place in the text.
     own_functions
-        Functions of this context alone, with their numbers of arguments. One that is also a function of all contexts
-        is chosen by the number of arguments.
+        Functions of this context only, with their numbers of arguments. If a function of all contexts has the same
+        name, the number of arguments decides which of the two is meant.
     """
 
     wanted = "an expression of t, which consists of numbers, t, pi"
@@ -209,7 +209,10 @@ class Compiler:
         return self.operand(node)
 
     def operand(self, node: ast.expr) -> Code:
-        """Return the program of any other operand; subclasses may add operands, this class rejects them all."""
+        """Return the program of an operand that `compile` does not know.
+
+        This class rejects all of them with SpecError; subclasses may accept some.
+        """
         if isinstance(node, ast.Name):
             name = self.segment(node)
             known = [self.variable, "pi", *FUNCTIONS, *self.parameters]

@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 from mbdkit.expressions.operations import OPERATIONS, arity_of
 
 Instruction = tuple[str, float]
-"""An operation and its number.
+"""Name of an operation, and a number.
 
-``const`` pushes its number and ``t`` the argument; all other operations replace their operands by their result. The
-number of ``powi`` is its exponent, which is an integer.
+``const`` pushes the number and ``t`` the argument; all other operations replace their operands by their result. The
+number of ``powi`` is the exponent, which is an integer; other operations do not use it.
 """
 Program = tuple[Instruction, ...]
 
@@ -37,7 +37,7 @@ def execute(program: Program, step: Callable[..., Value]) -> Value:
 
 
 def value_of(program: Program, leaf: Callable[[str, float], Any]) -> Any:
-    """Return the value of a program by functions of NumPy.
+    """Return the value of a program, evaluated with NumPy functions.
 
     Parameters
     ----------
@@ -63,10 +63,11 @@ def depth_of(program: Program) -> int:
 
 
 def derivative_of(program: Program) -> Program:
-    """Return the program of the derivative of a program without operations that have a switch.
+    """Return the program of the derivative of a program, which must not contain operations with a switch.
 
-    The compiled kernel computes two derivatives of a program. Those of this program are the second and the third. The
-    rules of its operations must consist of operations themselves: that of ``cos`` needs ``sin``.
+    The compiled kernel computes the value and two derivatives of a program; for the program returned here, these are
+    the first three derivatives of the given one. A derivative is a program only because the rules of operations use
+    nothing but operations: that of ``cos`` uses ``sin``.
     """
 
     def step(operation: str, number: float, *operands: tuple[_Term, _Term]) -> tuple[_Term, _Term]:
@@ -90,7 +91,7 @@ def with_slope(operation: str, number: float, operands: Sequence[tuple[Any, Any]
 
 
 class _Term:
-    """A program as an operand of rules, without sums with 0, products with 0 and 1, and quotients by 1."""
+    """A program as an operand of rules; sums with 0, products with 0 or 1, and quotients by 1 are simplified."""
 
     def __init__(self, program: Program):
         self.program = program
@@ -151,7 +152,7 @@ class _Term:
         return self.then("powi", number=float(exponent))
 
     def __array_ufunc__(self, function: Any, method: str, x: _Term) -> _Term:
-        """Return a function of NumPy of this operand."""
+        """Apply the operation of a NumPy function to this operand."""
         return x.then(next(one.name for one in OPERATIONS.values() if one.array is function))
 
 

@@ -250,7 +250,7 @@ def tableau() -> ButcherTableau:
 
 @cache
 def pair() -> EmbeddedPair:
-    """Return its error estimates and dense output."""
+    """Return the error estimates and the dense output of the method of order 8."""
     import numpy as np
 
     from mbdkit.methods.tableau import EmbeddedPair, nested_polynomials

@@ -1,7 +1,7 @@
-"""The method of Dormand and Prince of order 5, its estimate of order 4, and dense output of order 4.
+"""The method of Dormand and Prince of order 5, with an error estimate of order 4 and dense output of order 4.
 
-Seven stages; the last one is the first one of the next step. Dense output is that of Hairer, Norsett and Wanner (1993),
-II.6.
+A step has seven stages; the last one is the first stage of the next step. Dense output is that of Hairer, Norsett and
+Wanner (1993), II.6.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def tableau() -> ButcherTableau:
 
 @cache
 def pair() -> EmbeddedPair:
-    """Return its error estimate and dense output."""
+    """Return the error estimate and the dense output of the method of order 5."""
     import numpy as np
 
     from mbdkit.methods.tableau import EmbeddedPair, nested_polynomials

@@ -43,7 +43,10 @@ _CLOSED_FORMS: dict[int, tuple[list[list[Coefficient]], list[Coefficient], list[
 
 @cache
 def tableau(stages: int) -> ButcherTableau:
-    """Return the tableau with 1 to 6 `stages`: in closed form up to 3, from the Legendre roots to 75 digits beyond."""
+    """Return the tableau with 1 to 6 `stages`.
+
+    The coefficients are exact for up to 3 stages; for more, the nodes are roots of Legendre polynomials to 75 digits.
+    """
     name = f"gauss-{stages}"
     if stages in _CLOSED_FORMS:
         a, b, c = _CLOSED_FORMS[stages]

@@ -1,6 +1,6 @@
-"""What several methods share: bases of their options, as a spec writes them under ``integrator:``, claims, references.
+"""Definitions that several methods share: base classes of options, claims, and references.
 
-What belongs to one method only is in the file of that method.
+Options are the fields that a spec can have under ``integrator:``. Definitions of one method only are in its own file.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows th
 EXPLICIT_FORMULATIONS = ("index-1", "joint-coordinates")
 """Formulations whose equations are ordinary differential equations."""
 OF_TREES = "; with joint-coordinates, joints of the spanning tree hold to round-off"
-"""Continuation of the drift of explicit methods."""
+"""Clause that explicit methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
 
 HAIRER_NORSETT_WANNER = """@book{hairer1993,
   author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},

@@ -29,15 +29,16 @@ CHEN = """@article{chen2013,
 
 
 class MoreauJeanOptions(Options):
-    """How forces are weighted."""
+    """Weight of the forces at the end of a step, relative to those at its start."""
 
     theta: Annotated[float, Field(ge=0.5, le=1, allow_inf_nan=False)] = 0.5
-    """Share of the forces at the end of a step: 0.5 damps least, 1 most."""
+    """Weight of the forces at the end of a step; those at its start have the weight 1 - theta. 0.5 damps least, 1
+    most."""
 
 
 @dataclass(frozen=True)
 class MoreauJean(Method):
-    """The method of Moreau and Jean with a share `theta` of the forces at the end of a step."""
+    """The method of Moreau and Jean with the weight `theta` of the forces at the end of a step."""
 
     theta: float = 0.5
 
@@ -48,10 +49,11 @@ class MoreauJean(Method):
 
 
 class GeneralizedAlphaOptions(Options):
-    """How fast vibrations are damped."""
+    """Damping of fast vibrations."""
 
     spectral_radius: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.8
-    """Factor by which a step multiplies infinitely fast vibrations: 0 removes them, 1 keeps them."""
+    """Factor by which a step multiplies the amplitude of infinitely fast vibrations: 0 removes them, 1 does not damp
+    them."""
 
 
 @dataclass(frozen=True)

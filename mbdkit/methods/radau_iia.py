@@ -1,7 +1,7 @@
 """Radau IIA collocation, s stages, order 2 s - 1: stiffly accurate and L-stable, for stiff springs and dampers.
 
-This is not SciPy's adaptive `Radau`. With a fixed step size, SciPy's solver stops its Newton iteration early, and its
-constraints drift hundreds of times faster.
+This is not SciPy's adaptive `Radau`. If that solver is used with a fixed step size, it stops its Newton iteration
+early, and constraints drift hundreds of times faster than with this method.
 """
 
 from __future__ import annotations

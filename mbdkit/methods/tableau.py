@@ -128,8 +128,8 @@ class ButcherTableau:
     Raises
     ------
     TableauError
-        If the sum of a row differs from its node or an order condition fails. The message contains the condition and
-        its defect.
+        If sizes are inconsistent, a coefficient is not a finite real number, the sum of a row differs from its node, or
+        an order condition fails. In the last two cases, the message contains the defect.
 
     Notes
     -----
@@ -209,7 +209,7 @@ class ButcherTableau:
 
     @cached_property
     def is_diagonalisable(self) -> bool:
-        """Whether ``a`` has a well-conditioned basis of eigenvectors. It may be singular, as for Lobatto IIIA."""
+        """Whether ``a`` has a well-conditioned basis of eigenvectors; ``a`` may be singular, as for Lobatto IIIA."""
         import numpy as np
 
         _, vectors = np.linalg.eig(self.floats()[0])
@@ -303,7 +303,7 @@ class ButcherTableau:
         )
 
     def check_trees(self, order: int) -> None:
-        """Check the order conditions of all rooted trees with at most `order` vertices; raise TableauError if not."""
+        """Raise TableauError if the order condition of a rooted tree with at most `order` vertices fails."""
         a, b, _ = self._numbers
         s = range(self.stages)
         weights: dict[Tree, list[mpmath.mpf]] = {}
@@ -409,7 +409,7 @@ def collocation(name: str, nodes: Sequence[Coefficient], order: int, reference: 
 
 @dataclass(frozen=True, eq=False)
 class EmbeddedPair:
-    """Error estimates and dense output of an explicit tableau with S stages; equal to itself only.
+    """Error estimates and dense output of an explicit tableau with S stages; compared by identity.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ Jet = tuple[sp.Expr, sp.Expr, sp.Expr]
 """A motion and its first two time derivatives."""
 
 _LETTERS = {"stiffness": ("k", "k"), "damping": ("c", "c"), "free_length": ("l", r"\ell")}
-"""Symbol name and LaTeX of common law parameters; the symbols of all others have the name of the option."""
+"""Symbol name and LaTeX of common law parameters; the symbol of any other parameter has the name of its option."""
 
 _KINKED = (sp.Abs, sp.Min, sp.Max)
 
@@ -172,7 +172,7 @@ class _Builder:
         return diagonal
 
     def constraints(self) -> tuple[list[sp.Expr], list[list[sp.Expr]], list[sp.Expr], list[sp.Symbol]]:
-        """Return Phi, the rows of Phi_q, gamma and the multipliers, in the order of the rows' labels."""
+        """Return Phi, the rows of Phi_q, gamma and the multipliers, in the order of the constraint labels."""
         constraints, jacobian, gamma, multipliers = [], [], [], []
         for name, joint in self.mechanism.joints.items():
             a, b = (self.bodies.index(body) for body in joint.bodies)
@@ -319,8 +319,8 @@ class _Builder:
         self.spread([_shortest(x).xreplace(here) for x in terms], first, second, self.forces)
 
     def add_beam(self, name: str, beam: Beam) -> None:
-        """Add the forces of a beam on its nodes: the force conjugate to the state of a cross-section, distributed to
-        its nodes.
+        """Add the forces of a beam on its nodes, to which the force conjugate to the state of each cross-section is
+        distributed.
         """
         held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.section_stiffness), strict=True))
         retardation = self.parameter(beam.damping, "tau", name, tex=r"\tau")
@@ -355,7 +355,7 @@ class _Builder:
         motion: Jet | None = None,
         center: Center | None = None,
     ) -> dict[sp.Symbol, sp.Expr]:
-        """Return the replacement of each symbol of the definitions in an element between bodies `a` and `b`."""
+        """Return what replaces each symbol of the definitions in an element between bodies `a` and `b`."""
         at_rest = [sp.Integer(0)] * 3
         q, v = (
             [x for body in (a, b) for x in (whole[3 * body : 3 * body + 3] or at_rest)] for whole in (self.q, self.v)
@@ -407,8 +407,8 @@ def _section_terms() -> sp.Matrix:
 def _section_state(
     whole: Sequence[sp.Expr], nodes: Sequence[int], shape: Sequence[sp.Expr], slope: Sequence[sp.Expr]
 ) -> tuple[sp.Expr, ...]:
-    """Return the state of a cross-section as a function of the coordinates `whole` of all bodies, or its rates from
-    velocities.
+    """Return the state of a cross-section from the coordinates `whole` of all bodies, or the rates of this state from
+    their velocities.
     """
     x, y, angle = ([whole[3 * node + axis] for node in nodes] for axis in range(3))
     return tuple(

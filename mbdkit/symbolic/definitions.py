@@ -1,4 +1,4 @@
-"""Position-level definitions of all elements in SymPy; all derivatives in the kernels are generated from them.
+"""Position-level definitions of all elements in SymPy, from which all derivatives in the kernels are generated.
 
 A planar body has the coordinates ``q = (x, y, theta)``: centre of mass and orientation. A body-fixed point ``s`` of
 body ``b`` has the global position ``r_b + R(theta_b) s``. An element connects a first body ``a`` and a second body
@@ -30,8 +30,8 @@ gx, gy, length = sp.symbols("gx gy length", positive=True)
 """The gap ``p_b - p_a`` and its norm."""
 straight = sp.Symbol("straight", positive=True)
 tangent_x, tangent_y = sp.symbols("tangent_x tangent_y", real=True)
-"""Length of the tangent from a point to a circle around the other point, whose signed radius is ``p4``, and its
-direction."""
+"""Length of the tangent from one point to a circle around the other point, and components of its direction. The signed
+radius of the circle is ``p4``."""
 CENTER = (sp.symbols("cx0:4", real=True), sp.symbols("cy0:4", real=True))
 """Displacement (x, y) of a moving point in the frame of the first body, and its first three derivatives by the relative
 angle ``theta_b - theta_a``."""
@@ -39,8 +39,8 @@ _TURNED = (sp.symbols("hx0:4", real=True), sp.symbols("hy0:4", real=True))
 """Global components of these vectors."""
 
 SECTION = sp.symbols("dx dy th dth", real=True)
-"""State of a cross-section of a beam: derivatives by the arc length of its position (x, y), its angle, and the
-derivative of the angle. The angle is interpolated between the nodes, as the position is."""
+"""State of a cross-section of a beam: derivatives of its position (x, y) by the arc length, its angle, and the
+derivative of the angle by the arc length. Position and angle are interpolated between the nodes."""
 SECTION_RATES = sp.symbols("dvx dvy w dw", real=True)
 c, s = sp.symbols("c s", real=True)
 """Cosine and sine of the angle of the cross-section."""
@@ -178,7 +178,7 @@ class PathwayKind:
     constants: tuple[tuple[str, str], ...] = ()
     """Name and LaTeX of the parameters after the points, ``p4`` and ``p5``."""
     slopes: tuple[sp.Expr, sp.Expr] | None = None
-    """Derivatives by `gx` and `gy` of what is differentiated instead of the length."""
+    """Derivatives by `gx` and `gy` of the function that is differentiated instead of the length."""
 
 
 PATHWAYS = (
@@ -199,8 +199,9 @@ PATHWAYS = (
         "s = coordinate of b's point in a's frame, along a direction [m]",
         (("e_x", "e^{x}"), ("e_y", "e^{y}")),
     ),
-    # What is differentiated is the length of the tangent plus r times its direction. A string around a circle consists
-    # of two such lengths with opposite r, up to multiples of 2 pi r. Each of them depends on two bodies only.
+    # The derivatives are those of the length of the tangent plus r times the angle of its direction. The length of a
+    # string around a circle is the sum of two such terms with opposite r, up to multiples of 2 pi r. Each term depends
+    # on two bodies only.
     PathwayKind(
         "tangent", straight, "s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent", (("r", "r"),), (tangent_x, tangent_y)
     ),

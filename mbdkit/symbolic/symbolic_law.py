@@ -61,7 +61,7 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
     Parameters
     ----------
     example
-        Names of its parameters in the order of the array, with example values, at which the potential is checked.
+        Names of the law's parameters in the order of the array, with example values for the check of the potential.
 
     Raises
     ------
@@ -108,8 +108,8 @@ def _without_corners(expression: sp.Expr) -> sp.Expr:
 def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, float]) -> None:
     """Raise PluginError unless dV/ds equals the force at rate zero.
 
-    Both are compared numerically at 40 random lengths for every scale, 1 and the sizes of the parameters. The
-    random numbers are the same in every call.
+    Both are compared numerically at 40 random lengths for each of the scales, which are 1 and the absolute value of
+    each parameter. The random numbers are the same in every call.
     """
     at_rest = force.subs(RATE, 0)
     if at_rest.has(T):
