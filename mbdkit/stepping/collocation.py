@@ -116,7 +116,7 @@ class CompiledCollocation(CompiledMethod):
             stages.lam[:] = 0.0
 
     def _rate(self, h: float) -> complex:
-        """Return ``h mu`` of the eigenvalue by which pivots are chosen; real only if all eigenvalues are."""
+        """Return ``h mu`` of the eigenvalue by which pivots are chosen; it is real only if all eigenvalues are real."""
         if len(self.rk.mu_complex):
             return complex(h * self.rk.mu_complex[0])
         return float(h * max(self.rk.mu_real, key=abs))
@@ -148,7 +148,10 @@ class CompiledCollocation(CompiledMethod):
 
 
 def _terms_by_position(workspace: Workspace) -> np.ndarray:
-    """Return the derivatives of the equations by positions, (N, 4): source, row, column, class."""
+    """Return the terms of the matrix that are derivatives by positions, (N, 4).
+
+    The columns are the index in ``Scratch.source``, row and column in the matrix, and the class of the term.
+    """
     terms, classes = workspace.terms, classes_of(workspace)
     wanted = (classes == STIFFNESS) | (classes == GAMMA_V)
     columns = (terms.source, terms.row, terms.column, classes)

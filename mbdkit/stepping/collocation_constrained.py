@@ -130,7 +130,8 @@ def evaluate_residual(c, m, t, h):
 
 @subkernel
 def change_shift(c, m, h, source, acc):
-    """Change mu so that both constraints can be satisfied, and the residual by the resulting change of positions (ggl).
+    """Change mu so that both constraints can be satisfied, and add the effect of the resulting change of positions to
+    the residual (ggl).
 
     The terms of the tangents are in `source`; `acc` (3 (B + 1),) is a work array.
     """
@@ -238,7 +239,7 @@ def _change_of_velocities(c, m, h):
 def _sizes(c, m, h):
     """Return the relative change of the state, and that of the positions.
 
-    With index 3 only positions have to converge: their constraints do not determine velocities to more than the
+    With index 3 only positions have to converge, because constraints on positions determine velocities only to the
     round-off of positions over h.
     """
     bodies = len(c.top.mass) - 1
@@ -255,7 +256,8 @@ def _sizes(c, m, h):
 def _round_off(c, m, h, now, moved, idle):
     """Return whether a change that no longer decreases is the round-off of positions or of single forces.
 
-    The latter is large where stiff springs cancel, but never above `STAGNANT`.
+    The round-off of forces is large where forces of stiff springs cancel. It is accepted only if positions change by at
+    most `STAGNANT`.
     """
     if moves_by_roundings(moved):
         return True
@@ -266,7 +268,10 @@ def _round_off(c, m, h, now, moved, idle):
 
 @subkernel
 def unfold(c, t, q, lam, out):
-    """Write multipliers of the rows that are solved for as multipliers of the pairs; prepares the position `q`."""
+    """Expand the multipliers `lam` of the rows that are solved for to those of the pairs of rows, `out`.
+
+    Calls `prepare` for the position `q`.
+    """
     prepare(c.top, c.w, t, q)
     for k in range(len(out)):
         out[k, 0], out[k, 1] = lam[k, 0], lam[k, 1]
@@ -338,7 +343,7 @@ def dense(run, method, t, h, theta):
 
 
 def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
-    """Choose pivots for stage matrices; rows of constraints on velocities have the factor ``h mu / 2`` of -gamma_v."""
+    """Choose pivots for stage matrices; in rows of constraints on velocities, -gamma_v has the factor ``h mu / 2``."""
     if rate is None:
         raise ValueError("stages on the constraints are solved by Newton's method only")
     row_share = 0.5 if "velocity" in FORMULATIONS[workspace.formulation].holds else 0.0

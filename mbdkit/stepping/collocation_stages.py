@@ -1,4 +1,4 @@
-"""The stages of a collocation step as one bundle of arrays, shared by all formulations."""
+"""The stages of a collocation step as one bundle (a named tuple of arrays for kernels), shared by all formulations."""
 
 from __future__ import annotations
 
@@ -42,7 +42,8 @@ class StageEquations:
     attempt, dense
         Compiled step, and compiled state inside it; see `mbdkit.stepping.step_loop`.
     choose_pivots
-        Chooses pivots for the stage matrix by the tangents evaluated last, for ``h mu``, or without tangents for None.
+        Chooses pivots for the stage matrix from the tangents evaluated last and from ``h mu``. If that is None, the
+        matrix contains no tangents.
     """
 
     attempt: Entry
@@ -53,24 +54,27 @@ class StageEquations:
 class StageKernels(NamedTuple):
     """The parts of stage equations that `mbdkit.stepping.stage_iteration` and a collocation step call.
 
-    Numba compiles their kernels once for each of these records. `c` is the bundle of the run, `m` that of the stages.
-    `tangents`, `changes` and `powers` return a status.
+    Numba compiles the kernels that receive such a record once for each record. `c` is the bundle of the run, `m` that
+    of the stages. `tangents`, `changes` and `powers` return a status. *Lanes* are runs that advance together, one in
+    each element of a SIMD vector.
     """
 
     tangents: Any
-    """``(c, m, t, h, at_start, wanted)``: evaluate and factorize the stage matrices, if there are any: at the start of
-    the step, whose multipliers are those of all pairs, or at the mean of the stages. In lanes only where `wanted`."""
+    """``(c, m, t, h, at_start, wanted)``: evaluate and factorize the stage matrices, if there are any. The state is
+    that at the start of the step, with the multipliers of all pairs, or the mean of the stages. In lanes, matrices
+    change only where `wanted`."""
     changes: Any
     """``(c, m, t, h, before)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
-    unknowns are changed at once. `before` is the relative change by the iteration before, infinite at first."""
+    unknowns are changed in place. `before` is the relative change by the previous iteration, infinite in the first."""
     move: Any
     """``(c, m, h, active)``: change the accelerations, in lanes only where `active`, and evaluate the stages."""
     sizes: Any
     """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
     counts_as_idle: Any
-    """``(now)``: return whether a stalled change of this size counts towards the patience of `round_off`."""
+    """``(now)``: return whether a stalled change of this relative size counts as idle; see `round_off`."""
     round_off: Any
-    """``(c, m, h, now, moved, idle)``: return whether a stalled change is round-off; `idle` counts such changes."""
+    """``(c, m, h, now, moved, idle)``: return whether a stalled change is round-off; `idle` is the number of idle
+    changes so far."""
     powers: Any = None
     """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
     right_side: Any = None
@@ -89,7 +93,7 @@ class Coefficients(NamedTuple):
     """(s, s) A and A A: weights of accelerations in velocities and positions of the stages."""
     b: np.ndarray
     b2: np.ndarray
-    """(s,) the same of the step."""
+    """(s,) b and A^T b: weights of accelerations in the velocities and positions at the end of the step."""
     c: np.ndarray
     inverse: np.ndarray
     """(s, s) A^-1 for stiffly accurate methods; NaN otherwise."""
@@ -238,23 +242,23 @@ class Constraints(NamedTuple):
     phi: np.ndarray
     """(s, P, 2) Phi of the stages."""
     mu: State
-    """(s, P, 2) the additional multipliers of ggl."""
+    """(s, P, 2) the additional multipliers mu of ggl."""
     shift: State
     """(s, 3 (B + 1)) ``w = M^-1 Phi_q^T mu`` of the stages (ggl); no rows in other formulations."""
     shift_change: np.ndarray
-    """Its change by the last iteration."""
+    """Change of w by the last iteration."""
 
 
 class Stages(NamedTuple):
-    """A collocation method of s stages for one mechanism; B bodies and ground, P pairs."""
+    """A collocation method of s stages for one mechanism with B bodies, ground, and P pairs of constraint rows."""
 
     rk: Coefficients
     systems: Systems
     settings: Settings
     previous: Annotated[PreviousStep, STATE]
     solved_apart: State
-    """(1,) iterations in which `mbdkit.stepping.coupled_newton` solved the next attempt, whose stages are in `acc` and
-    `lam`; 0 if it did not."""
+    """(1,) number of iterations in which `mbdkit.stepping.coupled_newton` has solved for the stages of the next
+    attempt, which are then in `acc` and `lam`; 0 if it has not."""
     acc: State
     """(s, 3 (B + 1)) accelerations of the stages."""
     lam: State

@@ -46,7 +46,8 @@ from mbdkit.stepping.stage_polynomials import (
 def _predict(m, t, h):
     """Extrapolate the stages of the previous step, or use free flight; return whether free flight is used.
 
-    Free flight rather than a constant acceleration: a stiff force may be far from constant over the step.
+    In free flight, accelerations are zero. They are not set to the acceleration at the start of the step, because a
+    stiff force may be far from constant over the step.
     """
     size = m.previous.size[0]
     if not any_of(abs(size) > 0.0):
@@ -83,7 +84,8 @@ def evaluate_stages(c, m, h):
 def choose_tangent_state(c, m, t, h, at_start, wanted):
     """Choose the state where the tangents are taken: the start of the step, or the mean of all stages.
 
-    In lanes it changes only where `wanted`; tangents that are evaluated again at the same state are bitwise identical.
+    In lanes (`mbdkit.stepping.collocation_stages.StageKernels`), the mean is taken only where `wanted`. In the other
+    lanes, tangents are evaluated again at the same state and are bitwise identical.
     """
     tangent = m.tangent
     if at_start:
@@ -115,7 +117,7 @@ def move_stages(c, m, h, active):
 
 @subkernel
 def every_change_is_idle(now):
-    """Return that any change that stalls counts towards the patience of an iteration."""
+    """Return that any stalled change counts as idle, unless it is infinite or NaN."""
     return now < np.inf
 
 
@@ -146,7 +148,7 @@ def solve_stages(c, m, t, h, careful, kernels):
 
 @subkernel
 def _keep_first_acceleration(c, m):
-    """Keep the acceleration at the beginning of the step where it is still valid."""
+    """Take over the acceleration at the beginning of the step from the last attempt, or mark it as unknown."""
     s = len(m.rk.c)
     first = m.first
     if (
@@ -204,14 +206,17 @@ def increments(c, m, h):
 
 @subkernel
 def keep_stages(c, m, t, h):
-    """Keep the states of the stages of a step, of a collocation method or a Lobatto pair, as nodes of integrals."""
+    """Store the states of the stages of a step as quadrature nodes of time integrals.
+
+    The method is a collocation method or a Lobatto pair.
+    """
     for i in range(len(m.rk.c)):
         keep_node(c, t + m.rk.c[i] * h, h * m.rk.b[i], m.q_stage[i], m.v_stage[i])
 
 
 @entry
 def keep(run, method, t, h, unused):
-    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.step_loop`."""
+    """Store the stages of the last attempt as quadrature nodes; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_stages(method)
     evaluate_stages(c, m, h)
     keep_stages(c, m, t, h)
@@ -259,8 +264,8 @@ def complete_step(c, m, t, h, kernels):
 def try_step(c, m, t, h, want_error, kernels):
     """Try a step from the base state; return a status. See `mbdkit.stepping.step_loop`.
 
-    With step size control the iteration is careful. Fixed steps cannot be made smaller, so the fast iteration is tried
-    first, and the careful one if it diverges.
+    With step size control the iteration is careful (see `mbdkit.stepping.stage_iteration.iterate`). Fixed steps cannot
+    be made smaller, so the fast iteration is tried first, and the careful one if it diverges.
     """
     _keep_first_acceleration(c, m)
     careful = want_error != 0.0

@@ -22,15 +22,15 @@ class CompiledMethod(ABC):
     Attributes
     ----------
     attempt, dense, keep
-        The compiled functions for a step, for dense output, and for storing its stages as quadrature nodes; see
-        `mbdkit.stepping.step_loop`.
+        The compiled functions for a step, for dense output, and for storing the stages of a step as quadrature nodes;
+        see `mbdkit.stepping.step_loop`.
     stages
         Number of stages of a step.
     hint
         Advice to the user, added to the message when a step fails.
     pinned
-        The bundle of the method at a fixed address, as kernels read it. Its class declares as `State` what a step
-        or dense output reads of the step before.
+        The bundle of the method (a named tuple of arrays) at a fixed address, as kernels read it. Its class declares
+        those arrays as `State` that a step or dense output reads of the previous step.
     has_dense_output
         Whether states within a step can be computed.
     carries_multipliers
@@ -38,7 +38,7 @@ class CompiledMethod(ABC):
     carries_stages
         Whether a step solves equations by iteration, so that a failure may be divergence instead of overflow.
     limit
-        Default limit of this iteration, which fixed steps may extend; None if the user gives one.
+        Default limit of the number of iterations in a step, which fixed steps may extend; None if the user gives one.
     """
 
     attempt: Entry

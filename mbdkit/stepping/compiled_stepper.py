@@ -273,7 +273,7 @@ class CompiledStepper:
         return self._accepted + int(self.run_state.progress.rejected[0])
 
     def _memory(self) -> tuple[np.ndarray, ...]:
-        """Return the state, which a step reads of the step before, and the nodes of integrals, which go with it."""
+        """Return the arrays that a step reads of the previous step, and the quadrature nodes stored so far."""
         return self._state
 
     def _recall(self, memory: list[np.ndarray]) -> None:

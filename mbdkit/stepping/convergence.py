@@ -3,7 +3,8 @@
 An iteration ends in one of three ways. It converges when the change that the next iteration would make is predicted to
 be negligible (Hairer and Wanner 1996, *Solving Ordinary Differential Equations II*, IV.8, equation 8.10; Deuflhard
 2004, *Newton Methods for Nonlinear Problems*, section 2.1). It stalls when changes no longer decrease; this is accepted
-only if round-off explains the remaining change. Otherwise it fails.
+only if round-off explains the remaining change. Otherwise it fails. The *contraction* of an iteration is the ratio of
+its change to that of the previous iteration.
 
 Linear and angular quantities are always compared separately, because their units have no common size.
 
@@ -28,13 +29,13 @@ TOLERANCE = 1e-17
 """Default tolerance of the predicted change: relative to accelerations for index 1, to the state otherwise.
 
 It is below `EPS` so that in fixed steps the iteration adds no error of its own, which would break the symmetry of the
-method. Measured for Gauss with four stages and a double pendulum over 200 000 steps of 0.01 s: the energy drifts by
-4e-10 of its size with 1e-14, 1e-10 with 1e-15, 2e-11 with 1e-16 and 1e-11, by rounding alone, with 1e-17 and 1e-18.
-The last one costs 0.05 to 0.6 iterations per step more.
+method. Measured for Gauss with four stages and a double pendulum over 200 000 steps of 0.01 s: the relative drift of
+the energy is 4e-10 with a tolerance of 1e-14, 1e-10 with 1e-15, 2e-11 with 1e-16, and 1e-11 with 1e-17 and with 1e-18,
+where it is due to rounding alone. With 1e-18, a step takes 0.05 to 0.6 iterations more than with 1e-17.
 """
 
 LARGEST_CONTRACTION = 0.9
-"""Largest contraction for which the next change is predicted; chosen, RADAU5 predicts it up to 0.99.
+"""Largest contraction for which later changes are predicted; chosen. RADAU5 predicts them up to 0.99.
 
 The predicted sum of all later changes is theta / (1 - theta) times the last one; for theta near 1 that is unreliable.
 """
@@ -61,8 +62,8 @@ SMALLEST = 1e-300
 PATIENCE = 3
 """Stalled iterations after which weaker criteria for round-off apply.
 
-Two are not enough: a single large ratio also occurs where the iteration changes its tangent. With four instead, no
-position of the packaged examples differs by more than 4e-15 of the largest within ten steps.
+Two are not enough: a single large ratio also occurs where the iteration changes its tangent. With four instead of
+three, positions in the packaged examples differ by at most 4e-15 of the largest one after up to ten steps.
 """
 
 RUNAWAY = 1e-6
@@ -138,7 +139,7 @@ def is_converged(n, now, ratio, tolerance):
     n
         Number of iterations so far.
     now, ratio
-        Relative change by the last one, and that over the change of the iteration before.
+        Relative change by the last iteration, and its contraction.
     tolerance
         Largest relative change that is negligible.
     """
@@ -148,7 +149,7 @@ def is_converged(n, now, ratio, tolerance):
 
 @subkernel
 def predicts_failure(n, most, now, ratio, tolerance):
-    """Return whether an iteration with one tangent will not converge within its `most` iterations, by its rate so far.
+    """Predict from the last contraction whether an iteration with one tangent fails to converge in `most` iterations.
 
     RADAU5 and SciPy's Radau give up by the same test (Hairer and Wanner 1996, IV.8, p. 121). Changes at the level of
     round-off predict nothing.
@@ -158,7 +159,7 @@ def predicts_failure(n, most, now, ratio, tolerance):
     n, most
         Number of iterations so far, and the largest number.
     now, ratio
-        Relative change by the last one, and that over the change of the iteration before.
+        Relative change by the last iteration, and its contraction.
     tolerance
         Relative change at which the iteration ends.
     """
@@ -173,8 +174,9 @@ def predicts_failure(n, most, now, ratio, tolerance):
 def loses_steadiness(n, limit, peak, earlier, tolerance):
     """Return whether an iteration with an extended limit does not contract steadily enough to converge.
 
-    Every `STEADY` iterations, the largest change among the last ones is compared with the largest among as many before
-    them. An iteration without steady contraction is stopped, so that it cannot converge to a distant solution.
+    Every `STEADY` iterations, the largest change in the last `STEADY` iterations is compared with that in the `STEADY`
+    iterations before them. An iteration without steady contraction is stopped, so that it cannot converge to a distant
+    solution.
 
     Parameters
     ----------
@@ -205,7 +207,7 @@ def moves_by_roundings(moved):
 
 @subkernel
 def has_failed(n, most, now, ratio):
-    """Return whether an iteration diverges, has used up its `most` iterations, or is not finite."""
+    """Return whether an iteration diverges, has used up its `most` iterations, or gives a change that is not finite."""
     runs_away = (n >= FIRST_RUNAWAY) & (ratio > RUNAWAY_GROWTH) & (now > RUNAWAY)
     return (n >= most) | runs_away | (not now < np.inf)
 
@@ -227,10 +229,10 @@ def stays_near(c, acc, h):
 
 @subkernel
 def relative_to_accelerations(acc, change, bodies):
-    """Return the largest change of an acceleration relative to the largest one, separately for linear and angular ones.
+    """Return the largest change of an acceleration relative to the largest acceleration.
 
-    The result is at most 1, because a change can be larger than the resulting acceleration where forces cancel.
-    Infinite if a change is not a number.
+    Linear and angular ones are compared separately, and the larger result is returned. It is limited to 1, because a
+    change can be larger than the resulting acceleration where forces cancel. It is infinite if a change is not finite.
     """
     size_t = size_r = change_t = change_r = 0.0
     finite = True

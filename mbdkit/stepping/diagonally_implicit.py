@@ -5,8 +5,8 @@ Stage i, in second-order form, with A the lower triangular matrix of the tableau
     v_i = v_n + h sum_{j<=i} A_ij a_j,        q_i = q_n + h c_i v_n + h^2 sum_{j<=i} (A A)_ij a_j,
     a_i = f(t_i, q_i, v_i)
 
-Since the earlier stages are known, only ``a_i`` is unknown. With g = A_ii, Newton's method solves for its change and
-that of the multipliers a system of the size of the mechanism,
+Since the earlier stages are known, only ``a_i`` is unknown. With g = A_ii, each iteration of Newton's method solves one
+system for the changes of ``a_i`` and of the multipliers,
 
     [ M + h g C + h^2 g^2 K                               Phi_q^T ] [ da   ]     [ M a + Phi_q^T lambda - Q ]
     [ Phi_q - h g gamma_v + h^2 g^2 (Phi_q a - gamma)_q   0       ] [ dlam ] = - [ Phi_q a - gamma          ]
@@ -36,7 +36,7 @@ MOST_ITERATIONS = 50
 ROUNDING = 4e-16
 """Relative change of the accelerations that counts as rounding."""
 SMALL = 1e-6
-"""Relative change below which an iteration that no longer contracts has reached round-off."""
+"""Relative change below which an iteration that no longer contracts counts as having reached round-off."""
 CONTRACTS = 0.5
 """Ratio of two changes above which an iteration counts as no longer contracting."""
 

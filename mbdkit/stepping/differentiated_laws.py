@@ -1,7 +1,7 @@
 """Derivatives of expressions of the state by parameters: the chain rule over the parameters of their laws.
 
-The inputs of an expression are parameters of its law (`mbdkit.engine.state_expressions`), of which an evaluation of a
-state with dual numbers leaves the values and derivatives.
+The inputs of an expression are parameters of its law (`mbdkit.engine.state_expressions`). An evaluation of a state with
+dual numbers stores their values and derivatives in the array of parameters.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class DifferentiatedLaws:
     mechanism
         The mechanism.
     values
-        (N, 1 + K) parameters of all laws, with their derivatives, as the last evaluation has left them.
+        (N, 1 + K) parameters of all laws, with their derivatives, as stored by the last evaluation.
 
     Raises
     ------

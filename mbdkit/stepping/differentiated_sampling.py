@@ -1,5 +1,6 @@
-"""Derivatives of what sampled controllers hold: the chain rule at each sample, whose time does not depend on
-parameters.
+"""Derivatives of the outputs and states that sampled controllers hold between samples.
+
+The chain rule is applied at each sample. The times of samples do not depend on parameters.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Differentiated(Protocol):
-    """What the sampler reads and changes of a differentiated run; see `DifferentiatedSteps`."""
+    """The part of a differentiated run that the sampler reads and changes; see `DifferentiatedSteps`."""
 
     run: DualRun
     workspace: Workspace
@@ -39,7 +40,7 @@ class Differentiated(Protocol):
 
 
 class DifferentiatedSampler:
-    """Changes the derivatives of what controllers hold.
+    """Updates the derivatives of the outputs and states that controllers hold.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ class DifferentiatedSampler:
         self._last = -math.inf
 
     def passed(self, stop: float, after: np.ndarray) -> None:
-        """Change the derivatives at a time; a repeated call has no effect.
+        """Update the derivatives for the samples at a time; a repeated call has no effect.
 
         Parameters
         ----------

@@ -33,10 +33,10 @@ _CAUSES = {DIVERGED: "the iteration for them does not converge", NOT_FINITE: "a 
 """Reasons why the derivatives of a step are unknown, by status of the kernel."""
 
 NODES = ("node_time", "node_weight", "node_q", "node_v")
-"""Arrays of a `DualRun` with the stages that are kept as nodes of integrals."""
+"""Fields of `DualRun` that store stages as quadrature nodes of time integrals."""
 
 ANY_ERROR = 1e30
-"""Factor of the tolerances of the local error with which every step is accepted."""
+"""Factor of the error tolerances, so large that every step is accepted."""
 
 
 def dual_laws(workspace: Workspace) -> np.ndarray:
@@ -66,7 +66,7 @@ class DifferentiatedSteps:
     seeds
         Derivatives of mechanism and start by parameters.
     rows, nodes
-        Number of recorded states except the first, and of stored stages.
+        Initial sizes of the buffers: numbers of recorded states after the start, and of stored stages.
 
     Attributes
     ----------
@@ -169,12 +169,12 @@ class DifferentiatedSteps:
 
     @property
     def memory(self) -> tuple[np.ndarray, ...]:
-        """The state: what a step reads of the step before."""
+        """Arrays that a step reads of the previous step."""
         return (*kept(self.run, STATE).values(), *kept(self._stages.bundle, STATE).values())
 
     @contextmanager
     def last_nodes_kept(self) -> Iterator[None]:
-        """Keep the nodes of the last step, which another attempt at it overwrites."""
+        """Restore the quadrature nodes of the last step on exit, since another attempt at the step overwrites them."""
         end = int(self.run.nodes[1])
         some = slice(max(0, end - self._stage_count), end)
         before = [np.copy(getattr(self.run, name)[some]) for name in NODES]
@@ -188,8 +188,8 @@ class DifferentiatedSteps:
         np.asarray(self.run.w.law_values)[place] = z[state]
 
     def recorded(self, count: int) -> tuple[np.ndarray, ...]:
-        """Return the first recorded positions, velocities, first-order states and energies after the start, with their
-        derivatives.
+        """Return positions, velocities, first-order states and energies of the first `count` recorded states after the
+        start, with their derivatives.
         """
         run = self.run
         q, v, energy = (np.asarray(x[:count]) for x in (run.row_q, run.row_v, run.row_energy))
@@ -197,7 +197,7 @@ class DifferentiatedSteps:
         return q, v, z, energy
 
     def nodes(self) -> tuple[np.ndarray, ...]:
-        """Return times, weights, positions and velocities of the stages that were kept."""
+        """Return times, weights, positions and velocities of the stored stages."""
         run, some = self.run, slice(int(self.run.nodes[1]))
         return run.node_time[some], run.node_weight[some], np.asarray(run.node_q[some]), np.asarray(run.node_v[some])
 
@@ -212,7 +212,7 @@ class DifferentiatedStepper(CompiledStepper):
     seeds
         Derivatives of mechanism and start by up to `DIRECTIONS` parameters.
     with_nodes
-        Whether the stages are kept as nodes of integrals.
+        Whether the stages are stored as quadrature nodes of time integrals.
     sizes
         Sizes of the steps [s], in place of those that `control` would choose.
 

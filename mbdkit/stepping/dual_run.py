@@ -27,7 +27,7 @@ from mbdkit.stepping.run_state import MODIFIED
 
 MOST_PROJECTIONS = 50
 NEGLIGIBLE = 1e-14
-"""Number of iterations of a projection, and relative change of its derivatives at which they end."""
+"""Largest number of iterations of a projection, and relative change of the derivatives at which they end."""
 
 
 class DualRun(NamedTuple):
@@ -50,9 +50,9 @@ class DualRun(NamedTuple):
     from_z: np.ndarray
     q_low: np.ndarray
     v_low: np.ndarray
-    """Zeros; numbers."""
+    """Low parts of compensated sums; numbers that are zero here."""
     base_state: State
-    """(1,) number: as in `RunState`, before the step."""
+    """(1,) number: ``RunState.base_state`` before the step."""
     dq: np.ndarray
     dv: np.ndarray
     dz: np.ndarray
@@ -60,9 +60,9 @@ class DualRun(NamedTuple):
     projected: np.ndarray
     """(1,) number: whether the run has projected the end of the step."""
     unit: np.ndarray
-    """(1,) of the derivatives: one over the size of each parameter, 0 where there is none."""
+    """(1,) dual number: each derivative is one over the size of the parameter, 0 where there is no parameter."""
     rest: np.ndarray
-    """Zeros."""
+    """Velocities of a mechanism at rest: zeros."""
     end_q: np.ndarray
     """Positions at the end of a step, before projection."""
     push: np.ndarray
@@ -76,12 +76,12 @@ class DualRun(NamedTuple):
     row_v: np.ndarray
     row_energy: np.ndarray
     node_time: np.ndarray
-    """Stages of the steps, if they are kept: (N,) times and (N,) weights, which are numbers, and (N, ...) states."""
+    """Stages of the steps, if they are stored: (N,) times and (N,) weights, which are numbers, and (N, ...) states."""
     node_weight: np.ndarray
     node_q: np.ndarray
     node_v: np.ndarray
     nodes: State
-    """(2,) numbers: whether the stages are kept, and how many there are in `node_time`."""
+    """(2,) numbers: whether the stages are stored, and how many there are in `node_time`."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Seeds:
         return self.arrays.get(name)
 
     def only(self, some: slice) -> Seeds:
-        """Return the derivatives by some of the parameters."""
+        """Return the derivatives by the parameters in a slice."""
         return Seeds({name: x[..., some] for name, x in self.arrays.items()}, self.scale[some])
 
 
@@ -119,7 +119,7 @@ NO_SEEDS = Seeds({}, np.zeros(0))
 
 
 def constants(values: np.ndarray, derivatives: np.ndarray | None = None) -> Duals:
-    """Return an array of dual numbers with given derivatives (..., K), or without."""
+    """Return an array of dual numbers with the given values and derivatives (..., K); None: all derivatives are 0."""
     x = new_duals(*values.shape)
     x[..., 0] = values
     if derivatives is not None:
@@ -128,7 +128,7 @@ def constants(values: np.ndarray, derivatives: np.ndarray | None = None) -> Dual
 
 
 def with_derivatives(given: Any) -> Any:
-    """Return a bundle with arrays of dual numbers in place of arrays of floating-point numbers; or such an array."""
+    """Return a bundle, or an array, with dual numbers in place of floating-point numbers; integers stay as they are."""
     if isinstance(given, tuple):
         return type(given)(*map(with_derivatives, given))
     if given.dtype.kind == "c":
@@ -152,7 +152,10 @@ def dual_topology(top: Topology, seeds: Seeds, laws: np.ndarray) -> Topology:
 
 
 def dual_scratch(workspace: Workspace) -> Scratch:
-    """Return working arrays of dual numbers; times are numbers, and share the clamps of motions with the workspace."""
+    """Return working arrays of dual numbers.
+
+    Times are numbers. The limits of the times at which motions are evaluated are shared with the workspace.
+    """
     scratch = scratch_of(workspace.mechanism, with_derivatives)
     return scratch._replace(time=np.zeros(1), sides=workspace.scratch.sides)
 

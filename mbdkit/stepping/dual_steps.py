@@ -74,7 +74,7 @@ def explicit_step(dual: int, run: int, method: int, t: float, h: float, row: int
     dual, run, method
         Addresses of the `DualRun`, of the `RunState` and of the method's bundle of dual numbers.
     row
-        Place where the end of the step is recorded; -1 if it is not.
+        Index at which the end of the step is recorded; -1 if it is not.
     """
     c, n, m = load_dual_run(dual), load_run_state(run), load_dual_explicit(method)
     take_base(c, n)
@@ -96,16 +96,17 @@ MOST_ITERATIONS = 100
 SMALL = 1e-14
 """Relative change of the derivatives of a step at which the iteration ends, by its rate of convergence."""
 STALLED, NEGLIGIBLE = 0.5, 1e-9
-"""A change that shrinks by less than the first is round-off if it is below the second."""
+"""A relative change is round-off if its ratio to the previous one exceeds the first and it is below the second."""
 FEW_ROUNDINGS = 1e-15
-"""Relative change of positions below which a change that shrinks by less than `STALLED` is round-off, too.
+"""A change whose ratio to the previous one exceeds `STALLED` is also round-off if it moves positions by less than this.
 
 Forces that cancel, as in a driven mechanism, leave their round-off in accelerations that are small.
 """
 PATIENCE, MOST_ROUNDINGS = 30, 1e-13
-"""Number of iterations after which changes of positions below the second are round-off, whatever their ratios.
+"""After the first number of iterations, relative changes of positions below the second are round-off, whatever the
+ratio of successive changes.
 
-In beams, whose forces are small differences of large ones, they wander between 1e-15 and 5e-15.
+In beams, whose forces are small differences of large ones, the changes vary between 1e-15 and 5e-15.
 """
 
 
@@ -195,7 +196,10 @@ def _change_states(c, n, m, k, t, h):
 
 @subkernel
 def _lack(c, m, t, h, first, last):
-    """Write what the rates of the states `first` to `last - 1` lack in every stage, in the order of `linearize`."""
+    """Write the residual ``g - k`` of the states `first` to `last - 1` at every stage, in the order of `linearize`.
+
+    Here g is the rate that the law of a state gives, and k the derivative that is solved for.
+    """
     for i in range(len(m.rk.c)):
         at = t + m.rk.c[i] * h
         for e in range(first, last):
@@ -289,7 +293,7 @@ def _constrained_changes(c, n, m, k, t, h):
 
 
 class _Formulation(NamedTuple):
-    """The parts of a formulation that `_step` calls; Numba compiles it once for each of these records."""
+    """The parts of a formulation that `_step` calls; Numba compiles `_step` once for each of these records."""
 
     changes: Any
     """``(c, n, m, k, t, h)``: write the changes of the derivatives by one iteration; return a status."""
@@ -301,7 +305,7 @@ class _Formulation(NamedTuple):
 
 @inlined
 def _step(dual, run, method, plain, t, h, row, formulation):
-    """Differentiate a step."""
+    """Differentiate a step of a collocation method on a formulation; see `collocation_step`."""
     c, n, m, k = load_dual_run(dual), load_run_state(run), load_dual_stages(method), load_stages(plain)
     take_base(c, n)
     _predict(m, t, h)
@@ -346,7 +350,7 @@ def collocation_step(
 ) -> int:
     """Differentiate the step of size `h` from `t` that a run has taken by a collocation method; return a status.
 
-    Both kinds of equations are one kernel, so that what they have in common is stored once.
+    One kernel serves both kinds of equations, so that the machine code that they share is stored once.
 
     Parameters
     ----------

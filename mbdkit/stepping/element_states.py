@@ -30,10 +30,11 @@ from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 MOST_ITERATIONS = 50
 DIFFERENCE = 1e-7
-"""Relative change of a state by which derivatives of its rate are estimated. Their errors slow the iteration, but do
-not change its limit."""
+"""Relative change of a state for difference quotients of its rate. Errors of these slow the iteration, but do not
+change its limit."""
 ROUND_OFF, NEGLIGIBLE, STALLED = 1e-16, 1e-9, 0.5
-"""Relative changes of states: round-off; small enough to be round-off if they shrink by less than the third."""
+"""A relative change of states is round-off if it is at most the first; or at most the second, and at least the third
+times the previous change."""
 
 
 def solve_states(c, m, t, h):
@@ -75,7 +76,7 @@ def take_lengths(c, m, t, h):
 
 @inlined
 def end_of_element(top, first):
-    """Return the state after those that are solved together with state `first`."""
+    """Return the number of the first state after those that are solved together with state `first`."""
     last = first + 1
     while last < len(top.states) and (is_coupled(top) or top.states[last, 0] == top.states[first, 0]):
         last += 1
@@ -144,7 +145,7 @@ def put_state(c, f, z):
 
 @subkernel
 def state_rate(c, m, i, e, at):
-    """Return the rate of state `e` at stage `i`, at the values of the states taken last."""
+    """Return the rate of state `e` at stage `i`, for the values last passed to `put_state`."""
     top, w, room = c.top, c.w, m.states
     if top.states[e, 2] < 0:
         return 0.0

@@ -105,7 +105,7 @@ class Timetable:
     max_steps
         Steps after which the run stops.
     nodes
-        Whether the steps are kept as nodes of integrals over time; see `Advancing.taken_nodes`.
+        Whether states within the steps are stored as quadrature nodes of time integrals; see `Advancing.taken_nodes`.
     single
         Whether `Stepper.advance` takes one accepted step per call, so that it can be searched for events.
     guards
@@ -116,14 +116,16 @@ class Timetable:
         the previous step. A fixed step is split; N, `every` and the rows then still refer to whole steps, while
         `max_steps` and the counters count the parts.
     stop_margins
-        For each stop, a time [s] by which motions are evaluated before it, at the latest, in the step that ends there,
-        and after it, at the earliest, in the next one. Each step thus uses one-sided limits; see `sides`.
+        Margin of each stop [s]. In the step that ends at a stop, motions are evaluated no later than the stop less its
+        margin; in the next step, no earlier than the stop plus its margin. Each step thus uses one-sided limits; see
+        `sides`.
     impacts
         Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities. A row at
         the end of a step shows the state before the impulse, at the time of the stop less its margin; a row by
         `interval` the state after it, at the time of the stop plus its margin.
     samples
-        Stops at which what controllers hold changes. A row at the end of a step shows it before the change.
+        Stops at which the values that sampled controllers hold change. A row at the end of a step shows the values
+        before the change.
     """
 
     start: float
@@ -142,7 +144,10 @@ class Timetable:
     samples: tuple[float, ...] = ()
 
     def sides(self, passed: int) -> tuple[float, float]:
-        """Return the first and the last time at which motions are evaluated after `passed` stops [s]; may be inf."""
+        """Return the earliest and the latest time [s] at which motions are evaluated after `passed` stops.
+
+        They are infinite before the first stop and after the last one, respectively.
+        """
         begin = self.stops[passed - 1] + self.stop_margins[passed - 1] if passed else -math.inf
         end = self.stops[passed] - self.stop_margins[passed] if passed < len(self.stops) else math.inf
         return begin, end
@@ -217,12 +222,12 @@ class Nodes:
     v: np.ndarray
 
     def part(self, some: slice) -> Nodes:
-        """Return some of the nodes."""
+        """Return the nodes in a slice."""
         return Nodes(*(getattr(self, field.name)[some] for field in fields(self)))
 
     @classmethod
     def none(cls, size: int) -> Nodes:
-        """Return no nodes of a mechanism with this many coordinates."""
+        """Return an empty set of nodes of a mechanism with `size` coordinates, those of the ground included."""
         return cls(np.zeros(0), np.zeros(0), np.zeros((0, size)), np.zeros((0, size)))
 
     @classmethod
@@ -236,7 +241,7 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = (0.5 * x for x in (1.0 + leggauss(4)[0], leggauss
 
 
 class KeptNodes:
-    """Nodes of integrals for steppers that do not know the stages of their method.
+    """Quadrature nodes of time integrals, for steppers that do not know the stages of their method.
 
     Parameters
     ----------
@@ -251,7 +256,7 @@ class KeptNodes:
         self._steps: list[Nodes] = []
 
     def keep(self, t0: float, t1: float, state: Callable[[float], tuple[np.ndarray, np.ndarray]]) -> None:
-        """Keep the nodes of Gauss-Legendre quadrature of order 8 in a step.
+        """Store the nodes of Gauss-Legendre quadrature of order 8 in a step.
 
         Parameters
         ----------
@@ -413,7 +418,7 @@ class Stepper(Advancing, Protocol):
         ...
 
     def within(self, theta: float) -> Moment:
-        """Return the same by a shorter step of the method itself, from the start of the last step.
+        """Return the state at the share `theta` of the last step, by a shorter step of the method from the same start.
 
         This does not change the run, apart from the counters. If the step fails, and for methods that cannot repeat a
         step, the result is that of `inside`.

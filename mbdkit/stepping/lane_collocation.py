@@ -1,9 +1,9 @@
 """Vectorized runs of collocation methods on the index-1 equations, and of other fully implicit Runge-Kutta methods.
 
-The step is that of single runs (`mbdkit.stepping.collocation_step`), compiled for lanes. All lanes share the pivots of
-the stage matrix, so that only runs with equal pivots can share a loop; `StagePivoting` chooses them as single runs do.
-Their scaling may differ. A run that later needs other pivots, a more careful iteration or more iterations is lost, that
-is, repeated alone.
+The step is that of single runs (`mbdkit.stepping.collocation_step`), compiled for lanes (`mbdkit.stepping.lane_loop`).
+All lanes share the pivots of the stage matrix, so that only runs with equal pivots can share a loop; `StagePivoting`
+chooses them as single runs do. The scaling of the matrix may differ between lanes. A run that later needs other pivots,
+a more careful iteration or more iterations is lost, that is, repeated alone.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from mbdkit.stepping.step_guards import distance_by_pivots
 
 
 class LaneKept(NamedTuple):
-    """Values of lanes that have converged; see `mbdkit.stepping.stage_iteration`."""
+    """Values that are restored in lanes that have converged; see `mbdkit.stepping.stage_iteration`."""
 
     lam: np.ndarray
     """(s, P, 2) multipliers of the stages."""
@@ -56,7 +56,7 @@ class LaneStages(NamedTuple):
     """The stages of `WIDTH` runs; see `mbdkit.stepping.collocation_stages.Stages`, which has the same fields."""
 
     rk: Coefficients
-    """Arrays of numbers, as those of `settings`."""
+    """Its arrays, and those of `settings`, hold numbers; all others hold lanes."""
     systems: Systems
     settings: Settings
     previous: PreviousStep
@@ -85,7 +85,7 @@ class StagePivots(NamedTuple):
 
     @property
     def key(self) -> tuple[bytes, ...]:
-        """Equal for pivots that differ in their scaling only."""
+        """Key that is equal for pivots that differ in their scaling only."""
         arrays = (*self.pattern, *self.scatter)
         return tuple(x.tobytes() for x in arrays if x.dtype.kind == "i")
 
@@ -142,7 +142,7 @@ def collocation_in_lanes(method: ImplicitRungeKutta, workspace: Workspace, pivot
 
 
 def _in_lanes(single: Stages) -> LaneStages:
-    """Return the bundle for lanes that belongs to that of a single run."""
+    """Return the bundle for lanes that corresponds to that of a single run."""
     given = single._asdict()
     numbers = {name: given.pop(name) for name in ("rk", "settings")}
     lanes = {name: widened(given[name]) for name in LaneStages._fields if name in given}
@@ -150,7 +150,7 @@ def _in_lanes(single: Stages) -> LaneStages:
 
 
 def load_stage_pivots(m: LaneStages, pivots: Sequence[StagePivots]) -> None:
-    """Take over the pivots of each lane, and forget the stages of earlier runs."""
+    """Copy the scaling of the pivots of each lane, and discard the stages of earlier runs."""
     for name in ("row_scale", "column_scale", "weight"):
         getattr(m.systems.pattern, name)[...] = np.stack([getattr(one.pattern, name) for one in pivots], axis=-1)
     for factors in (m.systems.real, m.systems.cplx):

@@ -69,7 +69,7 @@ class LaneControl(NamedTuple):
 
     run: LaneRun
     control: ControlData
-    """`exponent` and `beta` are numbers, other floating-point values lanes."""
+    """Its fields `exponent` and `beta` hold numbers, the other floating-point fields lanes."""
     progress: LaneProgress
     est_q: np.ndarray
     """Estimates of the local error, see `mbdkit.stepping.run_state.RunState`."""
@@ -89,7 +89,7 @@ class LaneControl(NamedTuple):
     work: np.ndarray
     """(3,) STEPS, SIZE, REJECTED: steps since the last recorded state, size of the last one, rejected steps."""
     row_work: np.ndarray
-    """(R, 3) the same at each recorded state."""
+    """(R, 3) the values of `work` at each recorded state."""
     rows: np.ndarray
     """(WIDTH,) number of recorded states of each run; numbers, as the two fields below."""
     interval: np.ndarray
@@ -178,7 +178,10 @@ def _lose_near_singularities(s, accepted):
 
 @subkernel
 def _check_energy(s, at, accepted):
-    """Note the energy balance of the accepted steps, which end at `at`; lose lanes whose step it would reject."""
+    """Record the energy balance of the accepted steps, which end at `at`.
+
+    Lanes whose step a single run would reject because of its energy are lost.
+    """
     c = s.run
     guards = c.guards
     prepare(c.top, c.w, at, s.new_q)
@@ -301,7 +304,7 @@ def _most_rows(s):
 
 @kernel
 def accelerate(address: int) -> None:
-    """Compute the accelerations of the initial states of the runs into the first stage."""
+    """Write the accelerations in the initial states of the runs into the first stage."""
     c = load_lane_control(address).run
     m = c.method
     prepare(c.top, c.w, c.times.start[0], c.q)
@@ -312,7 +315,7 @@ def accelerate(address: int) -> None:
 def drive_controlled(address: int) -> int:
     """Take steps until all runs in a `LaneControl` have ended or the buffer is full; return ENDED or FULL.
 
-    In the first case, the values of the recorded states are computed.
+    If all runs have ended, the values of the recorded states are computed.
     """
     s = load_lane_control(address)
     c = s.run

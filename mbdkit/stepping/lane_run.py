@@ -1,4 +1,7 @@
-"""Data of vectorized runs (`mbdkit.stepping.lane_loop`) for the compiled loop."""
+"""Data of vectorized runs (`mbdkit.stepping.lane_loop`) for the compiled loop.
+
+An array of lanes has `WIDTH` values for each element, one for each run; the shapes given below omit this dimension.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from mbdkit.stepping.explicit import Explicit, explicit_on
 from mbdkit.stepping.step_guards import new_guard_state
 
 BY_LANE = ("motion_values", "law_parameters")
-"""Parameters that functions of numbers read, so that those of a lane are contiguous: (WIDTH, N)."""
+"""Parameters that are read by functions of numbers, not of lanes; (WIDTH, N), so that those of a run are contiguous."""
 
 
 class LaneGuards(NamedTuple):
@@ -99,7 +102,7 @@ class LaneRun(NamedTuple):
     lost: np.ndarray
     """(1,) 1 in lanes whose run must be repeated alone."""
     near: np.ndarray
-    """(P, 11) vectors of the distance to singularity."""
+    """(P, 11) vectors from which the distance to singularity is computed."""
     row_time: np.ndarray
     """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) positions and velocities; (R, Z)
     first-order states; (R, 2) energies, intervals."""
@@ -113,7 +116,7 @@ class LaneRun(NamedTuple):
 
 
 def widened(given: Any) -> Any:
-    """Return a bundle with arrays of lanes in place of the arrays of floating-point numbers; or such an array."""
+    """Return a bundle, or an array, with lanes in place of floating-point numbers; integers stay as they are."""
     if isinstance(given, tuple):
         return type(given)(*map(widened, given))
     kinds = {"f": new_lanes, "c": new_complex_lanes}

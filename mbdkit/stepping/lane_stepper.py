@@ -60,7 +60,7 @@ class LaneResults:
     energy: np.ndarray
     """(W, T, 2) work and dissipated energy [J]."""
     observed: Observed
-    """Arrays (W, T, ...)."""
+    """Values computed for the recorded states; arrays (W, T, ...)."""
     worst: np.ndarray
     """(W, P) largest squared misalignments."""
     iterations: np.ndarray
@@ -104,8 +104,9 @@ def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
 def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
     """Return whether a run of index-1 equations without stabilization can be vectorized.
 
-    First-order states are supported with explicit methods only. Events are not supported, `output.interval` only with
-    controlled step size, and the Schur complement must be sufficient.
+    First-order states are supported with explicit methods only, and `output.interval` with controlled step size only.
+    Events, stops, sampled controllers, friction in joints, redundant directions within a pair of rows, and mechanisms
+    that need the pivoted solver are not supported.
     """
     is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
@@ -126,7 +127,7 @@ IN_LANES: dict[str, tuple[Callable[[int], object], Callable[..., Any]]] = {
     "explicit": (drive_explicit, lambda method, workspace, pivots: explicit_in_lanes(method, workspace)),
     "collocation": (drive_collocation, collocation_in_lanes),
 }
-"""The loop over fixed steps in lanes, and what makes the bundle of a method for it, by the family of the method."""
+"""Loop over fixed steps in lanes, and function that returns the bundle of a method for it, by the method's family."""
 
 
 class LaneStepper:
@@ -223,7 +224,7 @@ class LaneStepper:
         Parameters
         ----------
         counters
-            Counters of each run that are not counted by lanes.
+            Counters of each run, which are completed by the counts of its lane.
         rows
             Number of recorded states of each run.
         work
@@ -312,7 +313,7 @@ FEW_ROWS = 64
 
 
 def _rows_by_interval(table: Timetable) -> int:
-    """Return a bound of the number of states that a run records by interval; 0 if it records its steps."""
+    """Return an upper bound of the number of states that a run records by interval; 0 if it records its steps."""
     return 0 if table.interval is None else 2 + math.ceil((table.end - table.start) / table.interval)
 
 

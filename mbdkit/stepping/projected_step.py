@@ -24,12 +24,12 @@ from mbdkit.stepping.run_plan import NO_PROJECTION, SYMMETRIC
 from mbdkit.stepping.run_state import MODIFIED, PROJECTIONS, load_run_state
 
 MAX_TRIALS = 100
-"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen. On fast linkages they
-converge slowly."""
+"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen. For fast linkages, the
+iteration converges slowly."""
 
 IDLE, IDLE_RATIO = 2, 0.9
-"""Number of iterations without progress after which the iteration ends. No progress means that the residual exceeds
-this ratio of the smallest one so far, and is below `STAGNANT`, the level of rounding errors. A chosen value."""
+"""Number of iterations without progress after which the iteration ends; chosen. An iteration makes no progress if its
+residual is below `STAGNANT`, the level of rounding errors, but above `IDLE_RATIO` times the smallest one so far."""
 
 
 @subkernel

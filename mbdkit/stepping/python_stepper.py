@@ -85,7 +85,9 @@ class Reached:
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """The next step: start, size and time of a row at its end [s], whether it ends at a stop or a fixed step."""
+    """The next step: its start and size, and the time of a row at its end [s]; whether it ends at a stop, and whether
+    it ends a fixed step (which stops can divide).
+    """
 
     begin: float
     size: float
@@ -267,7 +269,7 @@ class PythonStepper:
         return self._nodes.taken()
 
     def _keep_nodes(self, before: Reached, there: Reached) -> None:
-        """Keep nodes of integrals in a step, on the quintic through positions, velocities and accelerations."""
+        """Store quadrature nodes in a step, on the quintic through positions, velocities and accelerations."""
         if not self.timetable.nodes:
             return
         begin = before.time if before.restart is None else before.restart

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 NO_PROJECTION, PLAIN, SYMMETRIC, NEAR_SINGULARITY = range(4)
 """Projection mode: none, after the step, symmetrically before and after it, or after steps near singular positions.
 
-The last is that of controlled steps without stabilization. With drift, the path through a singular position is deformed
-into a sharp but smooth bend onto another branch, which small steps follow; if the constraints are satisfied, there is
-no such bend.
+`NEAR_SINGULARITY` applies to controlled steps without stabilization. With drift, the path through a singular position
+is deformed into a sharp but smooth bend onto another branch, which small steps follow; if the constraints are
+satisfied, there is no such bend.
 """
 
 NEAR = 0.2
@@ -37,7 +37,7 @@ runs.
 """
 
 MIN_SIZE = 16 * float(np.finfo(float).eps)
-"""Smallest controlled step size, relative to the largest time of the run: a step of a few roundings of the time."""
+"""Smallest controlled step size, relative to the largest time of the run: a few rounding errors of the time."""
 
 
 class Times(NamedTuple):
@@ -67,7 +67,7 @@ class Recording(NamedTuple):
     interval: np.ndarray
     """Distance of recorded states in time [s]; the end is recorded as well."""
     start_of_step: np.ndarray
-    """Whether the state at the start of the last step is kept in ``before_q, before_v``."""
+    """Whether the state at the start of the last step is stored in ``before_q, before_v``."""
 
 
 class Projection(NamedTuple):
@@ -87,11 +87,11 @@ class GuardLimits(NamedTuple):
     """Limits at which a run stops."""
 
     squared_misalignment: np.ndarray
-    """(P,) for each pair [m^2, rad^2]."""
+    """(P,) largest squared misalignment of each pair of constraint rows [m^2, rad^2]."""
     energy_jump: np.ndarray
     """(1,) change of the energy balance in a step, as a share of the largest kinetic energy so far; infinite: off."""
     rejected_jump: np.ndarray
-    """(1,) the same change from which step size control rejects a step."""
+    """(1,) change of the energy balance, in the same form, above which step size control rejects a step."""
 
 
 class RunPlan(NamedTuple):

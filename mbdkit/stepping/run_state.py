@@ -109,7 +109,7 @@ def new_interval() -> Interval:
 class RunState(NamedTuple):
     """Data of a run for the compiled step loop. Vectors are (3 (B + 1),), ground last; multipliers are (P, 2) by pair.
 
-    What a step remembers is declared as `State`; see `mbdkit.engine.kernels.bundle_types`.
+    Arrays that a step reads of the previous step are declared as `State`; see `mbdkit.engine.kernels.bundle_types`.
     """
 
     top: Topology
@@ -164,13 +164,14 @@ class RunState(NamedTuple):
     """State at the end of the current step, with projection if there is one."""
     new_v: np.ndarray
     shift_q: State
-    """Change of that state by projection."""
+    """Change of the state at the end of the step by projection."""
     shift_v: State
     mu: State
-    """(P, 2) multipliers of the symmetric projection, of positions and of velocities; kept from step to step."""
+    """(P, 2) multipliers of the symmetric projection, of positions and of velocities; a step starts from the last
+    ones."""
     nu: State
     rest: np.ndarray
-    """Zeros."""
+    """Velocities of a mechanism at rest: zeros."""
     x: np.ndarray
     """Work arrays of projections."""
     lam: np.ndarray
@@ -198,14 +199,14 @@ class RunState(NamedTuple):
     row_lam: np.ndarray
     """Empty if the method does not compute multipliers."""
     node_time: np.ndarray
-    """Stages of accepted steps, if they are kept as nodes of integrals over time: (N,) times and weights, which are
-    parts of the steps [s], and (N, 3 (B + 1)) states."""
+    """Stages of accepted steps, if they are stored as quadrature nodes of time integrals: (N,) times and weights [s],
+    and (N, 3 (B + 1)) positions and velocities."""
     node_weight: np.ndarray
     node_q: np.ndarray
     node_v: np.ndarray
     nodes: np.ndarray
-    """(3,) address of the function of the method that keeps them, or 0; how many there are in `node_time`; and how many
-    a step has."""
+    """(3,) address of the function ``keep`` of the method, or 0 if stages are not stored; number of stages stored in
+    `node_time`; number of stages of a step."""
 
 
 def new_run_state(
@@ -222,7 +223,7 @@ def new_run_state(
     own_multipliers
         Whether the method computes multipliers, which are then recorded.
     stages, nodes
-        Number of stages of a step, and size of the buffer of those that are kept as nodes of integrals.
+        Number of stages of a step, and size of the buffer of stages that are stored as quadrature nodes.
     """
     top = workspace.stepping_topology
     size, pairs = workspace.mechanism.size, len(top.pairs)
@@ -262,7 +263,7 @@ def new_run_state(
 
 @subkernel
 def keep_node(c, t, weight, q, v):
-    """Keep a stage of a step of the run `c` as a node of integrals over time."""
+    """Store a stage of a step of the run `c` as a quadrature node of time integrals."""
     place = c.nodes[1]
     if c.nodes[0] == 0 or place >= len(c.node_time):
         return

@@ -1,7 +1,7 @@
-"""Sampled controllers: what they hold between samples, and how it changes at a sample.
+"""Sampled controllers: the values that they hold between samples, and how these change at a sample.
 
-The outputs and states of controllers are first-order states with the rate 0. Steps end at samples, and where outputs
-begin to apply; there, the values change before the next step.
+The outputs and states of controllers are first-order states with the rate 0. Steps end at the times of samples and at
+the times at which outputs begin to apply. The values change there, before the next step.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SAME = 1e-6
 
 
 class Sampler:
-    """Changes what controllers hold.
+    """Updates the values that controllers hold.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Sampler:
         return after
 
     def _number(self, stop: float, controller: SampledController, delay: float) -> int | None:
-        """Return the number of the sample that was a delay before a time; None if there is none."""
+        """Return the number of the sample taken `delay` [s] before the time `stop`; None if there is none."""
         begin = self._workspace.t0 + delay
         number = round((stop - begin) / controller.period)
         is_there = number >= 0 and abs(begin + number * controller.period - stop) <= SAME * controller.period
@@ -99,12 +99,12 @@ class Sampler:
 
 
 def _pending(controller: SampledController) -> int:
-    """Return how many samples may wait until their outputs apply."""
+    """Return the largest number of samples whose outputs do not apply yet."""
     return math.floor(controller.delay / controller.period + SAME) + 1
 
 
 def sample_times(periods: Iterable[tuple[float, float]], start: float, end: float) -> list[float]:
-    """Return the times after `start` and before `end` at which what controllers hold changes [s].
+    """Return the times after `start` and before `end` at which the values that controllers hold change [s].
 
     Parameters
     ----------

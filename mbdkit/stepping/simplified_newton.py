@@ -21,7 +21,7 @@ def leading(rk):
 
 @inlined
 def one_of(factors, e):
-    """Return the factors of eigenvalue `e` out of stacked ones."""
+    """Return the factors of the matrix of eigenvalue number `e` from stacked arrays."""
     return Factors(
         factors.a[e], factors.lower[e], factors.upper[e], factors.pivot[e], factors.reference[e], factors.work[e]
     )
@@ -31,7 +31,8 @@ def one_of(factors, e):
 def factorize_all(c, m, h, row_share):
     """Gather and factorize the matrix of every eigenvalue from the terms in ``c.w.source``; return a status.
 
-    ``row_share h mu`` is the factor of -gamma_v: 1 for rows ``Phi_q a - gamma``, 1/2 for rows ``Phi_q v + Phi_t``.
+    The factor of -gamma_v is ``row_share h mu``. `row_share` is 1 for rows ``Phi_q a - gamma``, 1/2 for rows
+    ``Phi_q v + Phi_t``.
     """
     rk, systems, source = m.rk, m.systems, c.w.source
     pattern, scatter, real, cplx = systems.pattern, systems.scatter, systems.real, systems.cplx
@@ -56,7 +57,7 @@ def factorize_all(c, m, h, row_share):
 
 @inlined
 def _transformed(weights, residual, z):
-    """Write the residual of an eigenvalue, ``sum_j weights[j] residual[j]``, into `z`."""
+    """Write the residual transformed to an eigenvector, ``sum_j weights[j] residual[j]``, into `z`."""
     s, width = len(residual), len(residual[0])
     for d in range(width):
         z[d] = 0.0

@@ -19,7 +19,7 @@ class Splitting(Stepper, Protocol):
     def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
         """End the last step at the share `theta` instead, change the first-order states there, and continue.
 
-        Requires ``Timetable.single``. At the end of the run, nothing changes.
+        Requires ``Timetable.single``. States do not change if the shortened step ends the run.
 
         Returns
         -------

@@ -161,11 +161,11 @@ def control_data(control: Control | None, min_size: float) -> ControlData:
 
 
 def unit_of_length(by_size: bool, mechanism: CompiledMechanism) -> float:
-    """Return the unit of length [m] in which a default absolute tolerance applies; 1 for a given one.
+    """Return the unit of length [m] in which an absolute tolerance applies; 1 for one given by the user.
 
-    It is the characteristic length of the mechanism, but at most 1 m: a tolerance of 1e-6 m would allow any error in
-    a mechanism of micrometres. Velocities scale with it, so that a run of the same mechanism in other units of length
-    takes the same steps. Angles and times are the same in all units.
+    For the default tolerance it is the characteristic length of the mechanism, but at most 1 m: a tolerance of 1e-6 m
+    would allow any error in a mechanism of micrometres. Velocities scale with it, so that a run of the same mechanism
+    in other units of length takes the same steps. Angles and times are the same in all units.
     """
     return min(1.0, mechanism.length) if by_size else 1.0
 
@@ -220,7 +220,7 @@ def fitted_size(t, h, end):
 
 @subkernel
 def is_too_small(control, t, h, end):
-    """Return whether the step size is below the smallest one; the last step of a run may be."""
+    """Return whether the step size is not above the smallest one; the last step of a run is never too small."""
     return (not h > control.min_size[0]) & (t + END_MARGIN * h < end)
 
 

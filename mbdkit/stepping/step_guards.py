@@ -77,7 +77,7 @@ class GuardState(NamedTuple):
     exceeded: np.ndarray
     """Whether the jump of the last step exceeded the limit of the run."""
     jumped: np.ndarray
-    """Whether the last rejection was because of the energy."""
+    """Whether the last step was rejected because of its jump of the energy balance."""
     per_square: np.ndarray
     """Square of a path in characteristic lengths, per square of a displacement in the mass metric [1/(kg m^2)]."""
     has_loops: np.ndarray
@@ -87,7 +87,7 @@ class GuardState(NamedTuple):
     distance: np.ndarray
     """Distance to singularity in the last attempt."""
     vectors: np.ndarray
-    """(P, 11) vectors of its inverse iteration, see `mbdkit.engine.kernels.singularity_kernels`."""
+    """(P, 11) vectors of the inverse iteration for this distance; see `mbdkit.engine.kernels.singularity_kernels`."""
     farthest: np.ndarray
     """Largest distance to singularity so far."""
     nearest: np.ndarray
@@ -97,19 +97,19 @@ class GuardState(NamedTuple):
     sample_path: np.ndarray
     """(SAMPLES,) the path at each of the last samples."""
     sample_v: np.ndarray
-    """(SAMPLES, 3 (B + 1)) the velocities."""
+    """(SAMPLES, 3 (B + 1)) the velocities at the last samples."""
     armed: np.ndarray
     """Whether the distance has been above the limit of a dip since the last dip."""
     dip_path: np.ndarray
     """Path at the lowest point of the current dip; NaN outside of dips."""
     dip_distance: np.ndarray
-    """Distance to singularity there, and the time [s]."""
+    """Distance to singularity at the lowest point of the current dip, and the time [s]."""
     dip_time: np.ndarray
     dip_v: np.ndarray
-    """(3 (B + 1),) velocities before the dip, and the path there."""
+    """(3 (B + 1),) velocities before the dip, and the path at which they were sampled."""
     dip_begin: np.ndarray
     sharp: np.ndarray
-    """(2,) smallest turn that is reported [rad], and the same per path."""
+    """(2,) smallest turn that is reported [rad], and smallest turn per path [rad per characteristic length]."""
     turns: np.ndarray
     """(MOST_TURNS, 3) time of the dip [s], turn of the velocity [rad], and the path it took."""
     turn_count: np.ndarray
@@ -203,7 +203,7 @@ def energy_jump(h, guards, gain, q, v):
 def note_jump(guards, t, jump, total, kinetic, rounding, share):
     """Record the jump of a step that ends at `t`, the energy there, and whether the jump exceeds a limit.
 
-    The limit is `share` of the largest kinetic energy so far, and the rounding error.
+    The limit is `share` times the largest kinetic energy so far, plus the rounding error of the jump.
     """
     size = abs(jump)
     is_larger = (not size <= max(guards.jump[0], rounding)) & (guards.energy[0] == guards.energy[0])
@@ -229,8 +229,8 @@ def limit_status(guards, worst, limits):
 def distance_to_singularity(h, vectors):
     """Return an estimate of the distance to singularity at the last solution for the accelerations.
 
-    It is the square root of the largest reduction of a pivot block by elimination. Where pivots are chosen instead,
-    inverse iteration gives the distance itself.
+    With the Schur complement, see `distance_by_pivots`. With the pivoted solver, inverse iteration gives the distance
+    itself.
     """
     if h.solver.pivoted[0] != 0:
         return singularity_distance(h.top, h.w, h.solver, vectors)
@@ -239,7 +239,10 @@ def distance_to_singularity(h, vectors):
 
 @subkernel
 def distance_by_pivots(schur):
-    """Return the square root of the largest reduction of a pivot block by elimination."""
+    """Return the smallest ``sqrt(det / (xx yy))`` of all pivot blocks of the Schur complement, at most 1.
+
+    Here det is the determinant of a block when it becomes the pivot; xx and yy are its diagonal before elimination.
+    """
     diagonal, whole = schur.diagonal, schur.whole
     largest = 1.0
     for k in range(len(diagonal)):

@@ -12,7 +12,7 @@ bundle of the run (`mbdkit.stepping.run_state`), and `method`, of the method's o
     Writes ``point_q, point_v, point_z, point_gain`` and ``point_lam``: the state at ``t + theta h`` within the last
     attempt.
 ``keep(run, method, t, h, unused)``
-    Stores the stages of the last attempt as nodes of integrals over time, with the weights of the method
+    Stores the stages of the last attempt as quadrature nodes of time integrals, with the weights of the method
     (`mbdkit.stepping.run_state.keep_node`).
 
 All return a status of `mbdkit.engine.kernels.system`. The loop calls them by their addresses, so that it is compiled
@@ -200,7 +200,7 @@ def _note_end_of_step(c, plan, t):
 def _try_step(run, method, attempt, plan):
     """Attempt the next step with its projection, and accept or reject it; return a status.
 
-    An accepted step is then pending: its increments are known, but the state is still the one before it.
+    An accepted step is then pending: its increments are known, but the state is still that at its start.
     """
     c = load_run_state(run)
     progress, interval, control, mode = c.progress, c.interval, plan.control, plan.projection.mode[0]
@@ -424,7 +424,7 @@ def _advance(c, plan):
 
 @subkernel
 def _has_room(c):
-    """Return whether the stages of another step can be kept, if they are kept."""
+    """Return whether the buffer has room for the stages of another step; true if stages are not stored."""
     return c.nodes[0] == 0 or c.nodes[1] + c.nodes[2] <= len(c.node_time)
 
 
