@@ -157,7 +157,7 @@ class CompiledForces:
         self.law_parameters += block
 
     def _add_friction(self, number: int, friction: FrictionForce) -> None:
-        """Add the friction of a joint, and for each multiplier in its law the joint, its row and its place."""
+        """Add the friction of a joint, and where in its parameters each multiplier of the joint is stored."""
         begin, law = len(self.law_parameters), len(self.laws)
         self.frictions.append(len(self.springs))
         self._add_law(friction.name, friction, "joints")
@@ -299,7 +299,7 @@ class CompiledForces:
             self._add_law_row(name, slope, begin)
 
     def _add_expression(self, numbering: Numbering, key: str, name: str, text: str) -> tuple[int, int, StateExpression]:
-        """Add an expression; return its row of laws, the place of its parameters, and the expression."""
+        """Add an expression; return the row of its law, the index of its first parameter, and the expression."""
         try:
             expression = numbering.expression(text, name)
         except SpecError as error:

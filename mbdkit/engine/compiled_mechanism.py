@@ -93,8 +93,8 @@ class SampledController:
     period, delay
         Time between two samples, and from a sample until its outputs apply [s].
     outputs, states
-        For each output and state its number among the first-order states, and the row of ``topology.laws`` of its
-        value after a sample.
+        For each output and state its number among the first-order states, and the row of ``topology.laws`` that gives
+        its value at a sample.
     """
 
     name: str
@@ -155,9 +155,9 @@ class CompiledMechanism:
     forces
         Force elements and loads, in the order of the mechanism.
     muscles
-        Muscles that act in runs; kernels have them after the force elements and loads.
+        Muscles that act in runs; in kernels, they are numbered after the force elements and loads.
     friction
-        Numbers of the joints with friction; kernels have it after the muscles.
+        Numbers of the joints with friction; in kernels, their friction forces are numbered after the muscles.
     beams
         Name and number of elements of each beam.
     markers
@@ -181,12 +181,12 @@ class CompiledMechanism:
     redundancy
         Constraints that are excluded because they follow from the others.
     states
-        First-order states of force elements and of the mechanism, and what controllers hold.
+        First-order states of force elements and of the mechanism, and the values that sampled controllers hold.
     controllers
         Sampled controllers.
     members
-        Name and bodies of each element of the kinds that have no arrays of their own above, by kind; of contacts, of
-        each corner.
+        Name and bodies of each element, by kind, for the kinds without an attribute of their own above. A contact of a
+        polygon has one entry for each corner.
     """
 
     topology: Topology
@@ -237,8 +237,8 @@ class CompiledMechanism:
 
     @property
     def stiffest_muscle(self) -> str:
-        """Name of the muscle with an elastic tendon that is shortest for the speed of its fibres; empty if tendons are
-        rigid.
+        """Name of the muscle whose elastic tendon is shortest relative to the speed of its fibres; empty if all tendons
+        are rigid.
         """
         muscles = [one.force.muscle for one in self.muscles]
         slack = {

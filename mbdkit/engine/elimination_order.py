@@ -12,7 +12,8 @@ from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.schur import Schur
 
 PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1), ("COLAMD", 1.0))
-"""SuperLU's column ordering and threshold for diagonal pivots relative to their column, in order of preference."""
+"""Pairs of SuperLU's column ordering and threshold for diagonal pivots, relative to the largest entry of the column, in
+order of preference."""
 
 ACCURATE = 1e-11
 """Largest residual of a trial solution, relative to the right-hand side, for pivots to be accepted."""

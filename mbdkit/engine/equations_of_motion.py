@@ -156,7 +156,7 @@ class EquationsOfMotion:
 
     @property
     def contacts(self) -> tuple[ActingContact, ...]:
-        """Rigid contacts, whose forces the methods of this class do not include; those of compliant ones are forces."""
+        """Rigid contacts. The methods of this class do not include their forces, but those of compliant contacts."""
         return tuple(one for one in self._workspace.mechanism.contacts if one.first_state >= 0)
 
     @property

@@ -121,7 +121,7 @@ def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
 
 
 def _code_of(law: ForceLaw, example: dict[str, float], *, duals: bool) -> tuple[int, int, Any]:
-    """Return address and program of a law, and what keeps them in memory."""
+    """Return the addresses of a law's function and of its program, and an object that keeps them in memory."""
     if law in _STORED and tuple(example) == law_kernels.PARAMETERS.get(_STORED[law].function.__name__, ()):
         stored = _STORED[law]
         return (stored.address_for_duals if duals else stored.address), 0, stored

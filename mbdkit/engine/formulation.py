@@ -1,4 +1,4 @@
-"""Formulations of the equations of motion: what the stepped equations demand of the constraints."""
+"""Formulations of the equations of motion: the levels at which the integrated equations impose the constraints."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Formulation:
     name
         Its name in specs.
     holds
-        Levels at which the stepped equations impose the constraints.
+        Levels at which the integrated equations impose the constraints.
     coordinates
         Coordinates that are integrated: those of all bodies, or those of the joints of a spanning tree
         (`mbdkit.engine.spanning_tree`), whose constraints then hold in any state.
@@ -32,8 +32,8 @@ class Formulation:
     def solves_multipliers(self) -> bool:
         """Whether multipliers are unknowns of their own. Otherwise they follow from the state, with the accelerations.
 
-        In the latter case the equations are ordinary differential equations, which every method can step, and
-        Baumgarte's terms have equations to modify.
+        In the latter case the equations are ordinary differential equations. Every method can integrate them, and
+        Baumgarte's terms can be added to their constraint rows.
         """
         return "acceleration" not in self.holds
 

@@ -21,16 +21,16 @@ REACTIONS = ("reaction_0", "reaction_1")
 
 @dataclass(frozen=True)
 class FrictionForce:
-    """Friction in a joint as a force element along the coordinate of the joint, and its own pathway.
+    """Friction in a joint as a force element along the coordinate of the joint; it is its own pathway.
 
     Attributes
     ----------
     name, joint
-        The joint.
+        Name of the joint, and the joint.
     number
-        Its number among the joints.
+        Number of the joint.
     friction
-        Its friction.
+        Friction of the joint.
     """
 
     name: str
@@ -63,12 +63,12 @@ class FrictionForce:
 
     @property
     def reactions(self) -> tuple[str, ...]:
-        """Parameters that are multipliers, in the order of the rows of the joint."""
+        """Names of the parameters that are multipliers, in the order of the rows of the joint."""
         return REACTIONS[: len(self.joint.rows)]
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Parameters of the law."""
+        """Values of the parameters of the law by name; those of multipliers are 0."""
         static, kinetic = self.friction.coefficients
         arm = 0.0
         if isinstance(self.friction, PinFriction):
@@ -91,7 +91,7 @@ def _pin(rate: Any, p: Mapping[str, Any]) -> Any:
 def _slide(rate: Any, p: Mapping[str, Any]) -> Any:
     """Return the force against the motion of a slide of length ``1 / arm``.
 
-    The multipliers are its normal force and its moment, which make a normal force at each end.
+    The multipliers are the normal force and the moment, which are equivalent to one normal force at each end.
     """
     half, couple = 0.5 * p["reaction_0"], p["arm"] * p["reaction_1"]
     return _against(np.absolute(half + couple) + np.absolute(half - couple), rate, p)

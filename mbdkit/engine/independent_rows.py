@@ -114,7 +114,7 @@ def direction_frames(
 
 
 def _in_frame(directions: np.ndarray, angle: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Fit one direction, rotating by `angle` (K,), to directions (K, 2); return its largest deviation and itself."""
+    """Fit one direction, rotating by `angle` (K,), to directions (K, 2); return the largest deviation and the fit."""
     c, s = np.cos(angle), np.sin(angle)
     x, y = directions.T
     own = np.column_stack([c * x + s * y, -s * x + c * y])

@@ -201,9 +201,9 @@ class _Terms:
         name
             Its arrays are `name` with ``_stiff`` and ``_damp``.
         first
-            Place of the first tangent of each element in these arrays, by rows of `width`.
+            Index of the first number of each element's tangent in these arrays; a tangent has rows of `width` numbers.
         bodies
-            Bodies of each element on which the force acts, and by whose coordinates it is differentiated.
+            For each element, the bodies on which the force acts, and those by whose coordinates it is differentiated.
         entries
             Numbers of the coordinates that occur.
         """

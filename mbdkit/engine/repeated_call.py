@@ -1,7 +1,7 @@
 """Repeated calls of a kernel with the same bundles, whose words are written once.
 
 Checking a mechanism and its working arrays, and writing their words, takes a hundred times longer than a kernel on a
-small mechanism. As those of `PinnedBundle`, the bundles are not checked. The layout of the block is that of
+small mechanism. Like those of `PinnedBundle`, the bundles are not checked. The layout of the block is that of
 `mbdkit.engine.native.kernel`.
 """
 

@@ -23,7 +23,7 @@ MOST_DENSE = 300
 TRACE = 1e-12
 """Regularisation of the sparse solves.
 
-An iteration suppresses the components of singular values far above its square root.
+An iteration suppresses the components of singular values far above the square root of this value.
 """
 
 

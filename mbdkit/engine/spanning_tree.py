@@ -25,9 +25,9 @@ _ROWS = {KINDS["point_on_line"]: 1, KINDS["fixed_angle"]: 1, KINDS["driver_angle
 def spanning_tree(top: Topology) -> np.ndarray:
     """Return a spanning tree with as few coordinates as possible, as the kernels read it.
 
-    It grows from ground by the joint that leaves the fewest coordinates free, at equal numbers by the one that is
-    closest to ground (Prim's algorithm). Bodies that no joint can place are free. Redundant constraints, which are not
-    solved for, are not part of the tree.
+    The tree grows from ground (Prim's algorithm). The next joint is the one that leaves the fewest coordinates free;
+    among equals, the one closest to ground. Bodies that no joint can place are free. Redundant constraints, which are
+    not solved for, are not part of the tree.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def spanning_tree(top: Topology) -> np.ndarray:
     reached: list[tuple[int, int, int, int, int]] = []
 
     def turned(body: int) -> tuple[int, int]:
-        """Return the pair that determines the angle of a body by those of placed bodies, -1 for none, and its side."""
+        """Return the pair that determines the angle of a body from that of a placed one (-1: none), and its side."""
         known = (one for one in turning[body] if depth[int(top.pairs[one[0], 2 - one[1]])] >= 0)
         return next(known, (-1, 0))
 

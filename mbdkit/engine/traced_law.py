@@ -1,4 +1,4 @@
-"""Laws that are functions of numbers: they are called once with objects that write down what is computed."""
+"""Laws that are functions of numbers: each is called once with objects that record its operations as source."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TEXTS: Mapping[Any, str] = {
     np.less: "{} < {}", np.less_equal: "{} <= {}", np.greater: "{} > {}", np.greater_equal: "{} >= {}",
     np.where: "({1} if {0} else {2})",
 }  # fmt: skip
-"""Functions that can be traced, and how the source has them."""
+"""Functions that can be traced, and their form in the source."""
 
 _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.add: lambda f, x, y: (1.0, 1.0),
@@ -155,13 +155,15 @@ def _plain(slope: Any) -> Any:
 
 
 def traced_source(law: TracedLaw, names: Sequence[str]) -> str:
-    """Return the source of ``law(length, rate, time, parameters)``, which returns the force, its derivatives by length
-    and by rate, and 0 for the potential; a rate of a state has no derivatives.
+    """Return the source of ``law(length, rate, time, parameters)``, which returns four numbers.
+
+    They are the force, its derivatives by length and by rate, and 0 for the potential. The derivatives are 0 if the law
+    has none.
 
     Parameters
     ----------
     names
-        Names of its parameters in the order of the array.
+        Names of the law's parameters in the order of the array.
     """
     source = Source()
     seeds: tuple[tuple[float, ...], ...] = ((1.0, 0.0), (0.0, 1.0)) if law.has_derivatives else ((), ())

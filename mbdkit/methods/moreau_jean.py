@@ -32,8 +32,8 @@ class MoreauJeanOptions(Options):
     """Weight of the forces at the end of a step, relative to those at its start."""
 
     theta: Annotated[float, Field(ge=0.5, le=1, allow_inf_nan=False)] = 0.5
-    """Weight of the forces at the end of a step; those at its start have the weight 1 - theta. 0.5 damps least, 1
-    most."""
+    """Weight of the forces at the end of a step, from 0.5, which damps least, to 1; those at its start have the
+    remaining weight."""
 
 
 @dataclass(frozen=True)

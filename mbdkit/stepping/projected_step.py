@@ -24,8 +24,8 @@ from mbdkit.stepping.run_plan import NO_PROJECTION, SYMMETRIC
 from mbdkit.stepping.run_state import MODIFIED, PROJECTIONS, load_run_state
 
 MAX_TRIALS = 100
-"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen. For fast linkages, the
-iteration converges slowly."""
+"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen. The iteration
+converges slowly for fast linkages."""
 
 IDLE, IDLE_RATIO = 2, 0.9
 """Number of iterations without progress after which the iteration ends; chosen. An iteration makes no progress if its

@@ -4,9 +4,10 @@ build
     Build the stored libraries of this platform, or of ``--platform linux-aarch64`` and the like; with ``--only SYMBOL``
     one library for the folder ``built``.
 check
-    Build them again and compare every byte with what is stored; with ``--level x86-64-v3``, those of one level.
+    Build the libraries again and compare every byte with the stored ones; with ``--level x86-64-v3``, those of one
+    level.
 laws
-    Generate the kernels of the packaged force laws; with ``--check``, compare them with what is there.
+    Generate the kernels of the packaged force laws; with ``--check``, compare them with the file in the repository.
 list
     List all symbols and whether their stored code is up to date.
 """

@@ -62,7 +62,7 @@ def _call_law(typing, address, program, length, rate, time, parameters, begin, o
 
 
 def _call_with_derivatives():
-    """Return signature and code of `call_law` for dual numbers, but for the time."""
+    """Return signature and code of `call_law` for dual numbers; the time is an ordinary number."""
     number, vector, matrix = types.int64, DualArray(1), DualArray(2)
     signature = types.void(number, number, DUAL, DUAL, types.float64, vector, number, matrix, number)
 

@@ -34,7 +34,7 @@ _read_only: Any = intrinsic(_read_only_typing)
 
 
 def _dual_at_typing(typing, pointer, index):
-    """Return the dual number with an index behind a pointer."""
+    """Return item `index` of an array of dual numbers at a pointer."""
 
     def generate(context, builder, signature, arguments):
         return DualArray.load(builder, DualArray.behind(builder, *arguments))
@@ -46,7 +46,7 @@ _dual_at: Any = intrinsic(_dual_at_typing)
 
 
 def _put_dual_typing(typing, pointer, index, x):
-    """Store a dual number with an index behind a pointer."""
+    """Store a dual number as item `index` of an array at a pointer."""
 
     def generate(context, builder, signature, arguments):
         DualArray.store(builder, arguments[2], DualArray.behind(builder, *arguments[:2]))
@@ -59,7 +59,7 @@ _put_dual: Any = intrinsic(_put_dual_typing)
 
 
 def _duals_behind_typing(typing, pointer, count):
-    """Return `count` dual numbers as an array, beginning with the second one behind a pointer."""
+    """Return items 1 to `count` of the dual numbers at a pointer as an array, without item 0."""
     kind = DualArray(1)
 
     def generate(context, builder, signature, arguments):

@@ -4,7 +4,7 @@ An element is an *item*: lanes (`mbdkit.engine.compiler.lane_types`) or a dual n
 (`mbdkit.engine.compiler.dual_types`). A complex item has two parts, which are real items.
 
 This module uses the public API of Numba (``numba.extending``) and llvmlite. It also uses internals of Numba:
-`AbstractTemplate`, `infer_global`, `signature`, and the memory layout of an array (`mbdkit.engine.compiler.bundle`).
+`AbstractTemplate`, `infer_global`, `signature`, and the memory layout of an array (`mbdkit.engine.native.bundle`).
 """
 
 from __future__ import annotations
@@ -84,7 +84,10 @@ class ItemArray(types.Type):
 
 
 class ItemArrayModel(models.StructModel):
-    """The members of an array of numbers with more dimensions; see `mbdkit.engine.compiler.bundle`."""
+    """Represents an array of items as an array of numbers, with further dimensions for the parts of an item.
+
+    Its members are those of `mbdkit.engine.native.bundle`.
+    """
 
     def __init__(self, manager: Any, kind: Any):
         sizes = types.UniTuple(types.intp, kind.ndim + kind.parts)

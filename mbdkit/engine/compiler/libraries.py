@@ -1,7 +1,8 @@
 """Build the stored machine code: object files in several processes, libraries by the linker of Zig, and a manifest.
 
 Single runs, gradients and lanes are separate libraries, so that a run loads only what it uses. Code for lanes is built
-for every level of a platform, since each has another number of lanes; other code only where a level has its own.
+for every level of a platform (set of processor instructions, `mbdkit.engine.native.levels`), since the number of lanes
+depends on it. Other code is not built for levels that share the code of another one.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
 
 
 def symbols() -> dict[str, Callable[[], Any]]:
-    """Return what makes the LLVM module of each symbol; imports all kernels."""
+    """Return, for each symbol, a function that makes its LLVM module; imports all kernels."""
     for room in ("mbdkit.engine.kernels", "mbdkit.stepping"):
         for module in pkgutil.iter_modules(importlib.import_module(room).__path__):
             importlib.import_module(f"{room}.{module.name}")

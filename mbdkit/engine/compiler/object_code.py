@@ -227,7 +227,8 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
         cpu=level.processor, features=features, opt=3, reloc="pic", codemodel="small"
     )
     if group_of(symbol) == "gradients":
-        # Twelve derivatives with each number: copies of every function at each of its calls would be ten times larger.
+        # Every number has twelve derivatives: with a copy of each function at each of its calls, the code would be ten
+        # times larger.
         copy = llvm.parse_assembly(str(module).replace("alwaysinline", "nounwind"))
     else:
         copy = llvm.parse_bitcode(module.as_bitcode())
@@ -236,7 +237,7 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
     options.loop_vectorization = True
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(copy, builder)
-    # Only now, so that functions that are called once are not all copied into their callers.
+    # After the optimization: it would copy every internal function that is called once into its caller.
     for value in (*copy.functions, *copy.global_variables):
         if not value.is_declaration and value.name != symbol:
             value.linkage = "internal"

@@ -4,8 +4,8 @@ Numba optimizes each function together with all its callees and generates machin
 kernels call, this code is never used, because each kernel is linked and optimized again as a whole. The wasted time
 grows with the depth of calls. A subkernel is therefore only lowered to LLVM IR, without optimization.
 
-This module uses internals of Numba: `JITCodeLibrary`, the pass builder and `NativeLowering`. It is imported only within
-the tested range of versions (`mbdkit.engine.compiler.numba_version`).
+This module uses internals of Numba: `JITCodeLibrary`, the pass builder and `NativeLowering`. The stored machine code is
+built with the version of Numba that ``pyproject.toml`` names under ``build``.
 """
 
 from __future__ import annotations

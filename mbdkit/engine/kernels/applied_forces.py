@@ -39,7 +39,7 @@ coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinat
 
 @inlined
 def any_forces(top):
-    """Return whether `applied_forces` are not always zero: whether there are force elements, loads or beams."""
+    """Return whether there are force elements, loads or beams; without them, `applied_forces` writes zeros."""
     return len(top.springs) + len(top.loads) + len(top.sections) > 0
 
 
@@ -83,7 +83,7 @@ def pathway_lengths(top, w, q):
 
 @subkernel
 def choose_side_of_circle(k, points, s, grad):
-    """Decide whether a string touches a circle, and set its segments that have no part in it to zero.
+    """Decide whether a string touches a circle, and set the segments that are not part of its path to zero.
 
     Segment `k` is the straight line, the two before it are the tangents, onto the circle and off it. Their unit vectors
     and lengths give the vectors from the center to both ends. The length is NaN where the string would have to pass the

@@ -1,12 +1,12 @@
-"""What the arrays of a bundle are: their types, and which of them a run has to keep.
+"""Types of the arrays of a bundle, and declarations of those that repeated steps and checkpoints need.
 
 A bundle is a NamedTuple whose fields are arrays of these types, or other bundles. Compiled code reads a bundle from its
 address, so the type of every array must be known at compile time. An example bundle of empty arrays provides the types.
 
-The fields of the bundles of runs and methods are of three kinds. `State` is what a step reads of the steps before: a
-step that is taken back restores it, and checkpoints hold it. `Record` is what accumulates over a run, and what failures
-change; checkpoints hold it as well. All other fields are constants, scratch and output, and are never kept. `kept`
-collects the arrays by these declarations, so that there is no other list of them.
+The fields of the bundles of runs and methods are of three kinds. Arrays of type `State` are read by the next step: they
+are restored before a step is repeated, and checkpoints store them. Arrays of type `Record` accumulate over a run, or
+are changed by failed steps; checkpoints store them as well. All other fields are constants, scratch and output, and are
+never stored. `kept` collects the arrays by these declarations, so that there is no other list of them.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def example_of(bundle: Any, number: type = np.float64) -> Any:
 def kept(bundle: Any, *roles: str) -> dict[str, np.ndarray]:
     """Return the arrays of a bundle that are declared with one of the roles STATE and RECORD, by name.
 
-    A field with a role that is itself a bundle is kept as a whole; of one without a role, those arrays are kept that
-    its own class declares. Names of nested fields are joined by dots.
+    If a field with one of these roles is itself a bundle, all its arrays are returned; if a field without a role is a
+    bundle, the arrays that its own class declares. Names of nested fields are joined by dots.
     """
     arrays: dict[str, np.ndarray] = {}
     cls: Any = type(bundle)

@@ -68,10 +68,10 @@ def beam_tangents(top, w, q, v):
 
 @inlined
 def _spread(p, k, i, j, given, out):
-    """Write the block of nodes `i` and `j` of the tangent with respect to nodal coordinates, `out` (G, 81), given that
-    with respect to the state of the cross-section.
+    """Write the block of nodes `i` and `j` of a tangent with respect to nodal coordinates into `out` (G, 81).
 
-    The bending moment depends on the curvature only, and no other force does (`given` (G, 16)).
+    `given` (G, 16) is the tangent with respect to the state of the cross-section. In it, the bending moment depends on
+    the curvature only, and no other force depends on the curvature.
     """
     shape_i, slope_i, shape_j, slope_j = p[k, i], p[k, NODES + i], p[k, j], p[k, NODES + j]
     first = 27 * i + 3 * j  # rows of nine columns

@@ -84,7 +84,8 @@ def observe_duals(address: int) -> tuple[int, int]:
 def describe_duals(address: int) -> None:
     """Evaluate the states of a `DualStates` whose accelerations and multipliers, of all rows, are given.
 
-    These do not follow from the mechanism alone, as with actuators, whose forces are the residual.
+    With actuators, for example, these do not follow from the mechanism alone; the residual forces are those of the
+    actuators.
     """
     c = load_dual_states(address)
     top, w, out, lack = c.top, c.w, c.observed, c.lack

@@ -39,7 +39,7 @@ def add_friction(top, w, f, change):
 
 @subkernel
 def take_reactions(top, w, lam):
-    """Use the multipliers `lam` in the friction that is evaluated next, and keep them in ``w.response``."""
+    """Use the multipliers `lam` in the friction that is evaluated next, and store them in ``w.response``."""
     take_multipliers(top, w, lam)
     for i in range(len(top.reactions)):
         w.response[i, len(top.frictions)] = lam[top.reactions[i, 0], top.reactions[i, 1]]
@@ -47,10 +47,10 @@ def take_reactions(top, w, lam):
 
 @subkernel
 def begin_frictions(top, w, v, lam):
-    """Begin with the multipliers `lam` of the solution without friction; return whether it needs to be changed.
+    """Begin with the multipliers `lam` of the solution without friction; return whether friction changes it.
 
-    The scale of each friction is what its law demands there. No joint has friction if none moves or bears a force, and
-    nothing is changed if numbers have overflowed.
+    The scale of each friction is the value of its law in that solution, at least `NUDGE` times the sum of all of them.
+    The result is false if no joint both moves and bears a force, and if numbers have overflowed.
     """
     count, room = len(top.frictions), w.friction
     take_reactions(top, w, lam)

@@ -128,7 +128,7 @@ class Observed(NamedTuple):
 def describe(top, w, q, v, out, r):
     """Write what follows from a state, its forces and its multipliers into row `r` of `out`, an `Observed`.
 
-    Joints are left out: redundant reactions are distributed first.
+    Values of joints are left out, because redundant reactions have to be distributed before.
     """
     force_values(top, w, q, v, out.forces[r])
     marker_values(top, w, q, v, out.markers[r])

@@ -66,7 +66,10 @@ def largest_residual(top, phi):
 
 @subkernel
 def scaled_residual(top, phi):
-    """Return the same with lengths in units of ``top.length``, for comparison with `largest_size`."""
+    """Return the largest absolute residual of the rows that are solved for; infinity if one is not finite.
+
+    Lengths are in units of ``top.length``, for comparison with `largest_size`.
+    """
     worst = 0.0
     for k in range(len(phi)):
         for r in range(top.rows[k]):

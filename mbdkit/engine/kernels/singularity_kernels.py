@@ -43,8 +43,9 @@ INDEPENDENT = 1e-12
 remainder is rounding error, and only the first vector is used; chosen."""
 
 X, Y, X_IMAGE, Y_IMAGE, L_XX, L_YX, L_YY, COLUMNS = 0, 2, 4, 6, 8, 9, 10, 11
-"""First columns of the parts of `near` (P, 11), which is kept between recorded rows, and the number of columns. For
-each pair it holds two entries of the vectors x and y and of their images, and the entries of its Cholesky factor L."""
+"""First columns of the parts of `near` (P, 11), and the number of columns. The array is reused from one recorded row to
+the next. For each pair of constraint rows it holds two entries of the vectors x and y and of their images, and the
+entries of the Cholesky factor L of the pair."""
 
 
 @subkernel

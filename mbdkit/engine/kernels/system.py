@@ -70,8 +70,8 @@ class Topology(NamedTuple):
 
     B is the number of bodies without ground, P of pairs of constraint rows, S of segments of springs, X of pairs of
     segments of the same spring, L of loads, G of cross-sections of beams, E of their elements, J of joints, K of
-    markers. All force elements on a pathway are called
-    springs, whatever their law. Most have one segment; the length of one with several is the sum over its segments.
+    markers. All force elements on a pathway are called springs, whatever their law. Most have one segment; the length
+    of one with several is the sum over its segments.
     """
 
     mass: RealMatrix
@@ -108,7 +108,8 @@ class Topology(NamedTuple):
     """(W, 4) laws of all other springs: address of the compiled law, index of its first parameter in `law_parameters`,
     claims, and address of its program (`mbdkit.engine.native.calls`)."""
     law_parameters: RealVector
-    """(N,) for each law its number of parameters, followed by their values; of a state, the initial value."""
+    """(N,) for each law its number of parameters, followed by their values; a parameter that is a state has its initial
+    value."""
     states: IntMatrix
     """(Z, 3) first-order states: first segment of the force element (-1: none), place among `law_parameters`, row of
     `laws` of its rate (-1: it is held between samples); the states of an element follow one another."""
@@ -206,8 +207,8 @@ class Scratch(NamedTuple):
     section_damp: RealMatrix
     """(G, 16) derivatives of the forces by the rates."""
     law_values: RealVector
-    """(N,) parameters of laws as in `Topology.law_parameters`, with the present values of states and inputs in their
-    places. It is the same array if there are none."""
+    """(N,) parameters of laws as in `Topology.law_parameters`, but with the present values of states and inputs.
+    Without states and inputs, it is that array itself."""
     friction: RealMatrix
     """(F, F + 3) matrix and right side of Newton's method for the friction in joints, the frictions, and their
     scales."""
@@ -232,17 +233,17 @@ class Scratch(NamedTuple):
     coupled_stiff: RealMatrix
     """(X, 36) -dQ/dq of springs with several segments: Q on the first segment of a coupling, q of the second."""
     coupled_damp: RealMatrix
-    """(X, 36) -dQ/dv likewise."""
+    """(X, 36) -dQ/dv of the same springs."""
     slope_stiff: RealMatrix
     """(D, 36) -dQ/dq of loads whose value is an expression of the state, by one of its inputs."""
     slope_damp: RealMatrix
-    """(D, 36) -dQ/dv likewise."""
+    """(D, 36) -dQ/dv of the same loads."""
     load_stiff: RealMatrix
     """(L, 3) -dQ/dq of the loads; see `mbdkit.engine.kernels.applied_forces.force_tangents`."""
     beam_stiff: RealMatrix
     """(G, 81) -dQ/dq of the cross-sections of beams, for three nodes."""
     beam_damp: RealMatrix
-    """(G, 81) -dQ/dv likewise."""
+    """(G, 81) -dQ/dv of the cross-sections of beams, for three nodes."""
     loose: RealMatrix
     """(D, 6) Jacobian of the redundant directions."""
     push: RealVector
@@ -250,9 +251,9 @@ class Scratch(NamedTuple):
     right: RealVector
     """(n,) right-hand side of the pivoted system."""
     solution: RealVector
-    """(n,) its solution."""
+    """(n,) solution of the pivoted system."""
     correction: RealVector
-    """(n,) its correction by iterative refinement, later its residual."""
+    """(n,) correction of that solution by iterative refinement, later the residual."""
 
 
 class Scatter(NamedTuple):
@@ -596,7 +597,7 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
 
 @inlined
 def solve_loaded(top, w, solver, q, v, acc, lam, refine):
-    """Solve the index-1 system with the applied forces, and ``w.jac`` and ``w.gamma`` of the independent rows.
+    """Solve the index-1 system with the applied forces, for ``w.jac`` and ``w.gamma`` of the independent rows.
 
     The multipliers `lam` remain those of the rows that are solved for. Returns a status.
     """

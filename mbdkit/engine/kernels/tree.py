@@ -1,12 +1,12 @@
 """Coordinates of the joints of a spanning tree, and the states of all bodies that follow from them.
 
-Each body has three places for its coordinates, as in the vectors of states. A body that no joint of the tree places has
-its x and y there, one that a line places its travel along the line in the first, and a pin none. The third is the angle
-of the body unless a weld, a slide or a driver determines it. Angles are absolute: they differ from those relative to
-the body before in the tree by a linear transformation with constant coefficients, under which the steps of Runge-Kutta
-methods are invariant. Places without a coordinate are zero.
+Coordinates are stored as vectors of states are, with three numbers for each body. The first two are x and y if no joint
+of the tree places the body; the travel along the line and zero if a constraint to a line places it; and zeros if a pin
+or a moving center places it. The third is the angle of the body, or zero if a weld, a slide or a driver determines it.
+Angles are absolute. They differ from angles relative to the parent body in the tree by a linear transformation with
+constant coefficients, under which the steps of Runge-Kutta methods are invariant.
 
-Bodies are processed from the root, so that the state of the body before is known: O(B) operations for B bodies.
+Bodies are processed from the root, so that the state of the parent is known: O(B) operations for B bodies.
 Accelerations of bodies come from the equations with multipliers, which include those of the joints of the tree.
 """
 
@@ -19,7 +19,8 @@ from mbdkit.engine.native.functions import inlined, subkernel
 
 BODY, PLACE, PLACE_SIDE, TURN, TURN_SIDE, COLUMNS = range(6)
 """Columns of a tree (B, 5), bodies in order from the roots: the body; the pair of constraint rows that places it, -1
-for none, and whether it is the second body of that pair; the pair that determines its angle, and the same."""
+for none, and whether it is the second body of that pair; the pair that determines its angle, -1 for none, and whether
+it is the second body of that pair."""
 
 _LINE, _DRIVER, _CENTER = KINDS["point_on_line"], KINDS["driver_angle"], KINDS["moving_center"]
 
@@ -118,7 +119,7 @@ def _place(top, w, tree, y, rates, q, v):
 
 @subkernel
 def turn_tree(top, w, tree, t, y, rates, q, v):
-    """Write the angles of all bodies and their rates into `q` and `v`, and do what `prepare` does there."""
+    """Write the angles of all bodies and their rates into `q` and `v`; evaluate motions, cosines and sines at `t`."""
     prepare_motions(top, w, t)
     _turn(top, w, tree, y, rates, q, v)
     prepare_angles(top, w, q)
@@ -126,7 +127,7 @@ def turn_tree(top, w, tree, t, y, rates, q, v):
 
 @subkernel
 def place_bodies(top, w, tree, t, y, rates, q, v):
-    """Write the state of all bodies into `q` and `v`, and do what `prepare` does there."""
+    """Write the state of all bodies into `q` and `v`; evaluate motions, centers, cosines and sines at `t`."""
     turn_tree(top, w, tree, t, y, rates, q, v)
     _place(top, w, tree, y, rates, q, v)
 
@@ -138,7 +139,7 @@ def accelerate_coordinates(top, w, tree, y, v, acc):
     `y` are the coordinates and `v` the velocities of the bodies; needs `place_bodies`.
     """
     p, cs = top.pair_parameters, w.cs
-    for n in range(len(tree) - 1, -1, -1):  # from the leaves, since the acceleration of the body before is needed
+    for n in range(len(tree) - 1, -1, -1):  # from the leaves, since the acceleration of the parent is needed
         i, k = tree[n, BODY], tree[n, PLACE]
         if k >= 0:
             if top.pairs[k, 0] == _LINE:

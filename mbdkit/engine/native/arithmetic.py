@@ -78,7 +78,7 @@ def renewed(new, old, condition):
 
 
 def put_in_place(values, place, x):
-    """Store `x` in an array of numbers (N,); lanes in one (WIDTH, N), each in its own row."""
+    """Store the number `x` at index `place` of `values` (N,), or each lane of `x` in its row of `values` (WIDTH, N)."""
     values[place] = x
 
 
@@ -103,7 +103,7 @@ def angle_of_each(y, x):
 
 
 def value_of(x):
-    """Return the value of a dual number; a number itself."""
+    """Return the value of a dual number; an ordinary number is returned unchanged."""
     return x
 
 

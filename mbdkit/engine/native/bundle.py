@@ -1,8 +1,8 @@
 """Bundles of arrays at a fixed address: a call from Python passes one address instead of all arrays.
 
-A bundle is a NamedTuple whose fields are arrays, or other bundles. Unpacking the arrays of
-a mechanism takes 4 to 8 us per call, ten times the computing time of a kernel on a small mechanism. A bundle is
-therefore unpacked once into a block of memory, and kernels read the arrays from this block.
+A bundle is a NamedTuple whose fields are arrays, or other bundles. Unpacking the arrays of a mechanism takes 4 to 8 us
+per call, ten times the computing time of a kernel on a small mechanism. A bundle is therefore unpacked once into a
+block of memory, and kernels read the arrays from this block.
 
 In compiled code, a loaded bundle is a pointer to the block. It is passed as one word, and only those arrays that the
 code names are read. The types of its arrays follow from an example.

@@ -1,4 +1,4 @@
-"""What kernels are written with: decorators, overloads, and placeholders for operations of the compiler.
+"""Building blocks of kernels: decorators, overloads, and placeholders for operations of the compiler.
 
 A compiled function is an ordinary function of Python. `subkernel` and `inlined` mark functions that only compiled code
 calls; `kernel` is for functions that Python calls, and `entry` for functions that kernels call by address. Functions
@@ -18,7 +18,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SUBKERNELS: dict[Callable[..., Any], bool] = {}
 """Functions that only compiled code calls, and whether they are copied into their callers."""
 OVERLOADS: list[tuple[Callable[..., Any], Callable[..., Any]]] = []
-"""Functions, and what returns their source for the types of their arguments."""
+"""Overloaded functions, each with a function that returns its source for given types of arguments."""
 PLACEHOLDERS: set[Callable[..., Any]] = set()
 """Functions that only the compiler can express; in Python, they are not called or have a body of their own."""
 KERNELS: dict[str, Kernel] = {}
@@ -54,7 +54,7 @@ def overload(function: Callable[..., Any]) -> Callable[[Function], Function]:
 
 
 def placeholder(function: Function) -> Function:
-    """Declare a function that only the compiler can express (`mbdkit.engine.compiler.typing.implement`)."""
+    """Declare a function that only the compiler can express (`mbdkit.engine.compiler.implementation.implement`)."""
     PLACEHOLDERS.add(function)
     return function
 

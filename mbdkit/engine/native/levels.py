@@ -43,7 +43,7 @@ class Level:
     shared: tuple[tuple[str, str], ...] = ()
 
     def of(self, library: str) -> str:
-        """Return the name of the level whose code of a library it uses: ``core``, ``collocation`` and so on."""
+        """Return the name of the level whose code is used for a library, such as ``core`` or ``collocation``."""
         return dict(self.shared).get(library, self.name)
 
 

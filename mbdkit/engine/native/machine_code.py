@@ -136,7 +136,7 @@ def _from_temporary_file(content: bytes) -> ctypes.CDLL:
 
 
 def code_id() -> str:
-    """Return what identifies the machine code of this platform: a digest of all stored libraries."""
+    """Return a digest of all stored libraries of this platform, which identifies its machine code."""
     digests = manifest().get("sha256", {})
     return hashlib.sha256(json.dumps(digests, sort_keys=True).encode()).hexdigest()[:16] if digests else "none"
 

@@ -12,7 +12,7 @@ from mbdkit.expressions import operations
 from mbdkit.expressions.operations import Operation
 
 Code = int
-"""What a kernel knows an operation by."""
+"""Value by which a kernel identifies an operation."""
 
 
 @overload(operations.where)
@@ -38,7 +38,7 @@ def compiled_rule(operation: Operation) -> Any:
 def chosen_rule(choices: Sequence[tuple[Code, Operation]]) -> Any:
     """Return a function of a code and operands that applies the rule of the operation with this code.
 
-    The last one applies to all other codes.
+    The rule of the last operation also applies to all other codes.
     """
     *others, (_, last) = choices
     rule = _without_code(compiled_rule(last))

@@ -1,4 +1,4 @@
-"""The sources of machine code: which files the code of a kernel follows from, and their digests.
+"""The sources of machine code: the files on which the code of a kernel depends, and their digests.
 
 The code of a symbol follows from the module that defines it, from all modules of kernels that this one imports,
 directly or not, and from the compiler.
