@@ -201,7 +201,7 @@ class CompiledForces:
     def _add_wrench(self, name: str, body: int, laws: Sequence[int]) -> list[tuple[int, int, int]]:
         """Add a force at the centre of mass of a body, and a torque if there is a third law.
 
-        Returns for each law its load, its place there, and its own number.
+        Returns for each law the number of the load, the component of the load that it gives, and its index in `laws`.
         """
         added = []
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:

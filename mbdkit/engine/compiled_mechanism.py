@@ -249,16 +249,16 @@ class CompiledMechanism:
         return min(slack, key=slack.__getitem__, default="")
 
     def refuse_states(self, what: str, hint: str = "") -> None:
-        """Raise SpecError if the mechanism has first-order states, for something that does not include them.
+        """Raise SpecError if the mechanism has first-order states.
 
-        The `hint` says what includes them.
+        `what` names the computation that does not include them; `hint` is a clause that names others that do.
         """
         if self.states:
             names = listed([state.name for state in self.states], "and")
             raise SpecError(f"{what} does not include first-order states ({names}){hint and '; ' + hint}", key="model")
 
     def refuse_friction(self, sentence: str) -> None:
-        """Raise SpecError with this sentence if a joint has friction, for something that does not include it."""
+        """Raise SpecError with the message `sentence` if a joint has friction."""
         if self.friction:
             raise SpecError(sentence, key=f"model.joints.{quoted(self.joints[self.friction[0]])}.friction")
 

@@ -1,4 +1,4 @@
-"""Factorized sparse matrix of a Newton iteration; its pivots are kept from one factorization to the next."""
+"""Factorized sparse matrix of a Newton iteration, whose pivots are reused from one factorization to the next."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class StateObserver:
 
     @property
     def kept(self) -> np.ndarray:
-        """(P, 11) vectors that are kept from one state to the next, for the distance to singularity."""
+        """(P, 11) vectors of the distance to singularity, which are reused from one state to the next."""
         return self._near
 
     def arrays(self, states: int) -> Observed:

@@ -37,7 +37,7 @@ LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
 FAR, FAR_MOVE = 40, 0.2
 """Number of distant positions, and the displacement from one to the next. Together they cover a full rotation.
 
-Half of them lie on either side of the start.
+Half of the positions lie on each side of the start.
 """
 
 FAR_COORDINATES = 12_000

@@ -30,8 +30,8 @@ NEAR = 0.05
 
 
 def new_vectors(mechanism: CompiledMechanism) -> np.ndarray:
-    """Return (P, 11) zeros: the initial data of `singularity_distance`, which are kept between the recorded states of a
-    run.
+    """Return (P, 11) zeros: the initial vectors of `singularity_distance`, which are reused from one recorded state of
+    a run to the next.
     """
     return np.zeros((len(mechanism.topology.pairs), COLUMNS))
 

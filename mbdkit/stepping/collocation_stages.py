@@ -210,7 +210,7 @@ class TangentState(NamedTuple):
     acc: np.ndarray
     lam: np.ndarray
     jac: np.ndarray
-    """(P, 12) the constraint Jacobian there."""
+    """(P, 12) constraint Jacobian at this state."""
 
 
 class StageStates(NamedTuple):

@@ -21,7 +21,7 @@ def impulse(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: 
     """Return the impulse at a stop, and the velocities after it (3 (B + 1),), ground last.
 
     The impulse Lambda of the constraints leads to ``M (v+ - v) + Phi_q^T Lambda = 0`` with ``Phi_q v+ + Phi_t+ = 0``:
-    v+ is nearest to v in the mass metric. Its work is the change of the kinetic energy.
+    v+ is nearest to v in the mass metric. The work of the impulse is the change of the kinetic energy.
 
     Parameters
     ----------

@@ -74,7 +74,8 @@ class StepEvidence:
     kinetic
         Largest kinetic energy [J].
     branch
-        Sharp turns near singular positions, in order of time.
+        Sharp turns of the velocity near singular positions, in order of time. There the run may have changed to another
+        branch, that is, another possible motion.
     impacts
         Impulses of the drivers, which are not part of the energy jumps.
     """
@@ -402,7 +403,7 @@ class Advancing(Protocol):
 class Stepper(Advancing, Protocol):
     """Advances one run with a method; returned by `mbdkit.stepping.start.start_method`.
 
-    The members below refer to the step taken by the last `advance`, and require ``Timetable.single``.
+    The attribute and methods below refer to the step taken by the last `advance`, and require ``Timetable.single``.
     """
 
     @property

@@ -36,7 +36,9 @@ class LaneGuards(NamedTuple):
 
 
 class LaneWatch(NamedTuple):
-    """State of the branch guard, which processes one lane after another; arrays of numbers."""
+    """State of the guard against a change of branch (`mbdkit.stepping.step_guards`), which processes one lane after
+    another; arrays of numbers.
+    """
 
     has_loops: np.ndarray
     """(1,) whether joints close a loop."""

@@ -24,8 +24,8 @@ NO_PROJECTION, PLAIN, SYMMETRIC, NEAR_SINGULARITY = range(4)
 """Projection mode: none, after the step, symmetrically before and after it, or after steps near singular positions.
 
 `NEAR_SINGULARITY` applies to controlled steps without stabilization. With drift, the path through a singular position
-is deformed into a sharp but smooth bend onto another branch, which small steps follow; if the constraints are
-satisfied, there is no such bend.
+is deformed into a sharp but smooth bend onto another branch (another possible motion), which small steps follow; if the
+constraints are satisfied, there is no such bend.
 """
 
 NEAR = 0.2

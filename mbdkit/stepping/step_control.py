@@ -65,7 +65,7 @@ class Control:
     """Tolerances and parameters of step-size control.
 
     The estimate of an implicit method has a lower order than the method. Keeping the estimate below the user's
-    tolerance itself would make the error of the run proportional to a power of the tolerance. It is therefore compared
+    tolerance itself would make the error of the run proportional to a power of the tolerance. The estimate is compared
     with ``scale tolerance^(estimate_order / order)``, which makes the error proportional to the tolerance.
 
     Parameters

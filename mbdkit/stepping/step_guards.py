@@ -53,7 +53,7 @@ SPACING = 0.002
 """Path between two samples of the velocity, in characteristic lengths."""
 
 SAMPLES = 16
-"""Number of samples kept; more than ``WINDOW / SPACING``."""
+"""Number of samples that are stored; more than ``WINDOW / SPACING``."""
 
 AT_REST = 1e-12
 """Share of the largest kinetic energy so far below which the direction of the velocity is not used."""

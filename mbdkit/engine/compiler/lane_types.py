@@ -6,8 +6,8 @@ element of such an array is a vector of `WIDTH` doubles, one for each run, and a
 operation on a vector rounds like the operation on a number, and nothing is reassociated or contracted, so that the
 result in a lane is bitwise identical to that of the single run.
 
-A comparison of vectors is a mask (`LaneMask`), on which Python cannot branch. Code that serves both widths uses `where`
-and ``&`` instead of branches, and the other functions of this module.
+A comparison of vectors is a mask (`LaneMask`), on which Python cannot branch. Code for numbers and for lanes uses
+`where` and ``&`` instead of branches, and the other functions of this module.
 
 This module uses the public API of Numba (``numba.extending``) and llvmlite. It also uses internals of Numba:
 `AbstractTemplate`, `infer_global` and `signature`.

@@ -37,8 +37,8 @@ _EXCEPTION = re.compile(r"^(@\.const\.picklebuf\.\S+ = .*?constant (\{[^}]*\})) 
 the path of a source file, so that the code would depend on the folder in which it was built."""
 
 _OBJECT = re.compile(r"^(@numba\.dynamic\.globals\.\S+ = .*?global ptr) inttoptr \(.*$", re.MULTILINE)
-"""The address of a Python function among the arguments of a compiled one, which nothing reads either: Numba compiles a
-function for each of them."""
+"""The address of a Python function that is an argument of a compiled one. Nothing reads it either, because Numba
+compiles a version of the function for each such argument."""
 
 _LIBRARY_NAMES = {"numba_gamma": "tgamma"}
 """Functions of Numba's own library, and those of the C library that take their place."""

@@ -122,7 +122,7 @@ def articulated_accelerations(top, cs, tree, has_forces, force, v, bodies, acc):
     has_forces, force
         Whether there are generalized forces besides gravity, and these.
     v : (3 (B + 1),) array
-        Angular velocities of the bodies in every third place; the others are not used.
+        Angular velocities of the bodies in every third element; the others are not used.
     bodies : (B + 1, 13) array
         Work array.
     """

@@ -1,4 +1,4 @@
-"""Force laws as programs: what SymPy expressions become, so that no compiler is needed to use them.
+"""Force laws as programs, to which SymPy expressions are translated so that no compiler is needed to use them.
 
 A program works on registers. The first ones hold length, rate and time, then follow the parameters and the constants of
 the program, and the others hold results of its instructions. An instruction has five integers: the operation, up to

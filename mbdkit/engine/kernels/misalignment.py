@@ -1,6 +1,6 @@
 """Misalignment of a pair of constraint rows: the Euclidean norm of its residual Phi.
 
-The largest misalignment over all steps is kept as a square, which saves a square root per pair and step. The recorder
+The largest misalignment over all steps is stored as a square, which saves a square root per pair and step. The recorder
 adds the squares of the pairs of a joint and takes the root at the end of a run.
 """
 

@@ -111,13 +111,13 @@ class Topology(NamedTuple):
     """(N,) for each law its number of parameters, followed by their values; a parameter that is a state has its initial
     value."""
     states: IntMatrix
-    """(Z, 3) first-order states: first segment of the force element (-1: none), place among `law_parameters`, row of
+    """(Z, 3) first-order states: first segment of the force element (-1: none), index in `law_parameters`, row of
     `laws` of its rate (-1: it is held between samples); the states of an element follow one another."""
     state_places: IntMatrix
-    """(Y, 2) all places among `law_parameters` that hold the value of a state: state, place."""
+    """(Y, 2) all elements of `law_parameters` that hold the value of a state: state, index."""
     inputs: IntMatrix
     """(N, 3) inputs of expressions of the state: kind (`mbdkit.engine.kernels.applied_forces`), coordinate or first
-    segment, place among `law_parameters`."""
+    segment, index in `law_parameters`."""
     load_values: IntMatrix
     """(V, 2) components of loads that are expressions of the state: row of `laws`, motion whose value they replace."""
     slopes: IntMatrix
@@ -125,7 +125,7 @@ class Topology(NamedTuple):
     frictions: IntVector
     """(F,) segment of the force element of each joint with friction."""
     reactions: IntMatrix
-    """(N, 4) multipliers on which these frictions depend: pair, row, place among `law_parameters`, friction."""
+    """(N, 4) multipliers on which these frictions depend: pair, row, index in `law_parameters`, friction."""
     loads: IntMatrix
     """(L, 5) kind, body, reaction body, motion x (or of the torque), motion y."""
     load_points: RealMatrix
@@ -213,7 +213,7 @@ class Scratch(NamedTuple):
     """(F, F + 3) matrix and right side of Newton's method for the friction in joints, the frictions, and their
     scales."""
     response: RealMatrix
-    """(N, F + 1) change of each of ``Topology.reactions`` by a unit of each friction, and its value."""
+    """(N, F + 1) change of each of ``Topology.reactions`` by a unit of each friction; its value in the last column."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector

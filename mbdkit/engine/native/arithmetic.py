@@ -2,7 +2,8 @@
 
 Kernels are compiled for the types of their arguments. With arrays of lanes, the same source advances several runs
 together (`mbdkit.engine.compiler.lane_types`); with arrays of dual numbers, it computes derivatives as well
-(`mbdkit.engine.compiler.dual_types`). Conditions of lanes cannot branch: such code uses `where` and ``&``.
+(`mbdkit.engine.compiler.dual_types`). Python cannot branch on a condition of lanes: code for lanes uses `where` and
+``&``.
 
 In Python, these functions serve numbers.
 """

@@ -105,7 +105,7 @@ def _format(kind: Any) -> str:
 
 
 def _with_bundles(kinds: Iterable[Any], given: Iterable[Any]) -> list[Any]:
-    """Return the words of arguments with those of bundles in their place."""
+    """Return arguments with each bundle replaced by its words."""
     words: list[Any] = []
     for kind, argument in zip(kinds, given, strict=True):
         if hasattr(kind, "_fields"):

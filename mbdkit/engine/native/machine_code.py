@@ -1,4 +1,4 @@
-"""Find and load machine code: the stored libraries, and what a developer has built since.
+"""Find and load machine code: the stored libraries, and libraries that a developer has built from changed sources.
 
 The folder ``stored`` holds compressed shared libraries for each platform and processor level, and a manifest with the
 digests of the sources that they were built from. Where these sources are unchanged, the stored code is used. Where they
