@@ -29,7 +29,7 @@ CHEN = """@article{chen2013,
 
 
 class MoreauJeanOptions(Options):
-    """Weight of the forces at the end of a step, relative to those at its start."""
+    """Weights of the forces at the start and at the end of a step."""
 
     theta: Annotated[float, Field(ge=0.5, le=1, allow_inf_nan=False)] = 0.5
     """Weight of the forces at the end of a step, from 0.5, which damps least, to 1; those at its start have the

@@ -128,8 +128,9 @@ class ButcherTableau:
     Raises
     ------
     TableauError
-        If sizes are inconsistent, a coefficient is not a finite real number, the sum of a row differs from its node, or
-        an order condition fails. In the last two cases, the message contains the defect.
+        If sizes are inconsistent, the order is not a positive integer, a coefficient is not a finite real number, the
+        sum of a row differs from its node, or an order condition fails. In the last two cases, the message contains the
+        defect.
 
     Notes
     -----

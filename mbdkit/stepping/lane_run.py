@@ -1,6 +1,7 @@
 """Data of vectorized runs (`mbdkit.stepping.lane_loop`) for the compiled loop.
 
-An array of lanes has `WIDTH` values for each element, one for each run; the shapes given below omit this dimension.
+An array of lanes has `WIDTH` values for each element, one for each run; the shapes below do not include this
+number. Arrays of numbers are ordinary arrays.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from mbdkit.stepping.explicit import Explicit, explicit_on
 from mbdkit.stepping.step_guards import new_guard_state
 
 BY_LANE = ("motion_values", "law_parameters")
-"""Parameters that are read by functions of numbers, not of lanes; (WIDTH, N), so that those of a run are contiguous."""
+"""Fields of `Topology` that functions of numbers read; they are (WIDTH, N), so that those of a run are contiguous."""
 
 
 class LaneGuards(NamedTuple):

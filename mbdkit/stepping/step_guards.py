@@ -77,7 +77,7 @@ class GuardState(NamedTuple):
     exceeded: np.ndarray
     """Whether the jump of the last step exceeded the limit of the run."""
     jumped: np.ndarray
-    """Whether the last step was rejected because of its jump of the energy balance."""
+    """Whether the jump of the energy balance was the reason for the last rejection of a step."""
     per_square: np.ndarray
     """Square of a path in characteristic lengths, per square of a displacement in the mass metric [1/(kg m^2)]."""
     has_loops: np.ndarray

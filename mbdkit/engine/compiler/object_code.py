@@ -237,7 +237,7 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
     options.loop_vectorization = True
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(copy, builder)
-    # After the optimization: it would copy every internal function that is called once into its caller.
+    # Only after the optimization, which would copy every internal function that is called once into its caller.
     for value in (*copy.functions, *copy.global_variables):
         if not value.is_declaration and value.name != symbol:
             value.linkage = "internal"
