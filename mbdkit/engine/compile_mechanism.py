@@ -239,7 +239,7 @@ def _pairs(mechanism: Mechanism, number: dict[str, int], motions: CompiledMotion
 
 
 def _add_centers(pairs: list[_Pair], motions: CompiledMotions) -> list[_Pair]:
-    """Add the programs of moving centers after those of all motions; return the pairs that have one, in their order."""
+    """Add the programs of moving centers after those of all motions; return the pairs of moving centers in order."""
     centered = []
     for k, pair in enumerate(pairs):
         if pair.center is not None:

@@ -156,7 +156,7 @@ class EquationsOfMotion:
 
     @property
     def contacts(self) -> tuple[ActingContact, ...]:
-        """Rigid contacts. The methods of this class do not include their forces, but those of compliant contacts."""
+        """Rigid contacts. The methods of this class include the forces of compliant contacts, but not of rigid ones."""
         return tuple(one for one in self._workspace.mechanism.contacts if one.first_state >= 0)
 
     @property

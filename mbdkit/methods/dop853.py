@@ -154,7 +154,7 @@ _A: tuple[dict[int, float], ...] = (
         14: -9.150958472179870010818701871,
     },
 )
-"""Row of each stage, the 13th being that of the step itself: its entries are the weights b."""
+"""Coefficients of each stage, row by row; the entries of the 13th row are the weights b of the step."""
 
 _B3 = {0: 0.244094488188976377952755905512, 8: 0.733846688281611857341361741547, 11: 0.0220588235294117647058823529412}
 """Weights of the formula of order 3, whose difference from b is the second estimate."""

@@ -66,7 +66,7 @@ class PairOptions(RattleOptions):
 
 
 def _claims(stages: int) -> Claims:
-    """Return the claims of a pair: Jay (1996) on constrained Hamiltonian systems."""
+    """Return the claims of a pair, with the orders that Jay (1996) proved for constrained Hamiltonian systems."""
     return Claims(
         order=2 * stages - 2,
         multiplier_order=stages - 1,

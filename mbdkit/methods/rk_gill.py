@@ -1,8 +1,8 @@
 """Gill's variant of the four-stage Runge-Kutta method of order 4.
 
 Gill (1951) chose the free parameters, which contain 1/sqrt(2), so that a step needs three storage registers and
-compensates its own rounding errors. Neither is used here: the tableau is treated like any other explicit one, and all
-explicit methods use compensated summation.
+compensates its own rounding errors. Neither property is used here: the tableau is treated like any other explicit one,
+and all explicit methods use compensated summation.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolve
 
 
 def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bool = False) -> IntegratorPlugin:
-    """Return the plugin item of a solver class; `jacobian`: the solver takes the Jacobian of the right side."""
+    """Return the integrator of a solver class of SciPy; `jacobian` says whether it uses the Jacobian of the rates."""
     needs = ("accelerations", "tangents") if jacobian else ("accelerations",)
     return IntegratorPlugin(
         name=name,

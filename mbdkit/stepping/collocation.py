@@ -124,8 +124,8 @@ class CompiledCollocation(CompiledMethod):
     def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the stages of the next attempt with a tangent for each stage; return whether that succeeded.
 
-        Only for index-1, because other formulations do not fail near singular positions in this way, and without
-        first-order states.
+        This applies to index-1 only, because other formulations do not fail near singular positions in this way, and
+        only without first-order states.
         """
         stages, settings = self.bundle, self.bundle.settings
         is_other = settings.solver[0] == FIXED_POINT or self.formulation.solves_multipliers

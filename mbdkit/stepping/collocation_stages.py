@@ -184,9 +184,9 @@ class PreviousStep(NamedTuple):
     """The step to which the stage values belong; arrays of one item."""
 
     begin: np.ndarray
-    """Time at which it began [s]."""
+    """Time at which this step began [s]."""
     size: np.ndarray
-    """Its size [s]; NaN if there are no stage values to extrapolate."""
+    """Size of this step [s]; NaN if there are no stage values to extrapolate."""
 
 
 class FirstAcceleration(NamedTuple):

@@ -89,8 +89,8 @@ MOST_ITERATIONS = 50
 """Default limit of the iterations in a step."""
 
 STEADY = 10
-"""Number of iterations over which contraction has to be steady in extended iterations; chosen. Over fewer iterations,
-it may occur by chance."""
+"""Number of iterations over which contraction has to be steady if their limit is extended; chosen. Over fewer
+iterations, steady contraction may occur by chance."""
 
 MOST_EXTENDED = 500
 """Limit of the iterations in a fixed step that contract steadily, unless the user gives one; chosen. Iterations that
@@ -276,8 +276,8 @@ def relative_to_state(change, x, bodies):
     """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, separately for linear and
     angular ones.
 
-    `x` (3 (B + 1),) holds positions or velocities; sizes below 1 m, 1 rad, 1 m/s or 1 rad/s count as 1. Infinite if a
-    change is not a number.
+    `x` (3 (B + 1),) holds positions or velocities; sizes below 1 m, 1 rad, 1 m/s or 1 rad/s count as 1. The result is
+    infinite if a change is not a number.
     """
     size_t, size_r, change_t, change_r = _largest_sizes(x, change, bodies)
     return max(change_t / size_t, change_r / size_r)

@@ -357,7 +357,7 @@ def collocation_step(
     dual, run, method, plain
         Addresses of the `DualRun`, of the `RunState`, and of the method's bundles of dual numbers and of numbers.
     row
-        Place where the end of the step is recorded; -1 if it is not.
+        Index at which the end of the step is recorded; -1 if it is not.
     solves_multipliers
         Whether the step is one on the constraints themselves (index 2, index 3 or ggl), not on the index-1 equations.
     """

@@ -16,8 +16,8 @@ from mbdkit.engine.counters import Counters
 from mbdkit.trust.criteria import BranchSuspicion
 
 SAME_TIME = 16.0
-"""A stop and the end of a fixed step, or of the run, count as equal if they are closer than this many margins of the
-stop."""
+"""A stop and the end of a fixed step, or of the run, count as equal if they differ by less than this number times the
+margin of the stop."""
 
 STRETCH = 0.1
 """Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""

@@ -142,7 +142,7 @@ def explicit_in_lanes(method: ExplicitRungeKutta, workspace: Workspace) -> Expli
 
 
 def new_lane_run(method: Any, workspace: Workspace, rows: int) -> LaneRun:
-    """Return the bundle of `WIDTH` runs with the bundle of a method that record `rows` states; see `LaneStepper`."""
+    """Return the bundle of `WIDTH` runs that record `rows` states, for the bundle of a method; see `LaneStepper`."""
     given = workspace.mechanism.topology
     size, pairs, motions = workspace.mechanism.size, len(given.pairs), len(given.motion_start) - 1
     by_lane = {name: np.zeros((WIDTH, len(getattr(given, name)))) for name in BY_LANE}

@@ -232,7 +232,10 @@ def _sizes(c, m, h):
 
 @subkernel
 def _is_small(now):
-    """Return whether a stalled change is small: a contraction of O(h) can be slow without being stalled."""
+    """Return whether a stalled change is small enough to count as idle.
+
+    Larger changes do not count, because a contraction of O(h) can be slow without being stalled.
+    """
     return now <= NEGLIGIBLE_CHANGE
 
 

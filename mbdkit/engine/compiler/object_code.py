@@ -144,8 +144,9 @@ def _words_of_part(kind: Any) -> int:
 def _array(context: Any, builder: Any, kind: Any, members: Any, dtype_: Any) -> tuple[Any, Any]:
     """Generate code for an array, and for whether it has the expected type.
 
-    It is read from the members of NumPy's array object (``PyArrayObject_fields`` of its public binary interface): data,
-    number of dimensions, sizes, strides, base, type and flags, of which the first is that the array is C-contiguous.
+    The array is read from the members of NumPy's array object (``PyArrayObject_fields`` of its public binary
+    interface): data, number of dimensions, sizes, strides, base, type and flags, of which the first is that the array
+    is C-contiguous.
     """
     half = ir.IntType(32)
 

@@ -19,8 +19,8 @@ from mbdkit.engine.native.functions import inlined, subkernel
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TRAVEL, _TANGENT = range(len(PATHWAYS))
 BEHIND = np.pi / 6
-"""The angle that a string sweeps about the center of its circle is counted from minus this value on; see
-`mbdkit.muscles.muscle_path`."""
+"""The angle that a string sweeps about the center of its circle is between minus this value and 2 pi minus this value;
+see `mbdkit.muscles.muscle_path`."""
 FARTHEST = 2.0 * np.pi - 2.0 * BEHIND
 """The largest angle that a string may sweep. Beyond, it would change to the other side of the circle, and its length
 would jump; steps are assumed to turn it by less than `BEHIND`."""

@@ -21,7 +21,10 @@ NUDGE = 1e-6
 
 @inlined
 def friction_law(top, w, v, f):
-    """Return the friction `f` by its law, with the multipliers taken last; requires `applied_forces`."""
+    """Return the value of the law of friction `f` for the multipliers passed last to `take_multipliers`.
+
+    Requires `applied_forces`.
+    """
     k = top.frictions[f]
     evaluate_tension(top, w, k, path_rate(k, top.springs, v, w.grad))
     return w.tension[k, 0]

@@ -141,7 +141,7 @@ def _is_true(op, a, b):
 
 @inlined
 def _power_of_integer(x, n):
-    """Return x**n for a constant integer that is not 0, in the order of multiplications of compiled powers."""
+    """Return x**n for a constant integer n other than 0; the order of multiplications is that of compiled powers."""
     power, base, rest, is_first = x, x, abs(n), True
     while rest != 0:
         if rest & 1:

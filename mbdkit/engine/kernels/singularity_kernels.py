@@ -26,7 +26,8 @@ from mbdkit.engine.native.functions import inlined, kernel, overload, subkernel
 CLOSE = 0.03
 """Residual of the Ritz vector, relative to its Ritz value, at which the iteration ends; chosen. It bounds the relative
 error of the eigenvalue, which is the square of the distance. Recorded distances of the packaged examples differ from
-the smallest singular value by 2e-4 at most, because the error of a Ritz value is of second order in its vector's."""
+the smallest singular value by 2e-4 at most, because the error of a Ritz value is of second order in that of its Ritz
+vector."""
 
 MOST_ITERATIONS = 40
 """Largest number of iterations; chosen. After that the current Ritz value is used, which is an upper bound."""

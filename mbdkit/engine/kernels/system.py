@@ -716,7 +716,7 @@ def by_pivots_or_schur(top, w, solver, has_forces, acc, lam, refine):
 
 @inlined
 def _by_schur(top, w, solver, has_forces, acc, lam, refine):
-    """Solve the index-1 system by the Schur complement; a lane in which it loses accuracy becomes NaN; return OK."""
+    """Solve the index-1 system by the Schur complement, and return OK; lanes in which it loses accuracy become NaN."""
     for i in range(3):
         acc[len(acc) - 3 + i] = 0.0
     schur_accelerations(top, w, solver.schur, has_forces, acc, lam, refine)

@@ -134,7 +134,7 @@ def _check_array(kind: Any, x: Any) -> None:
 
 
 def _checked(kinds: Iterable[Any], arguments: Iterable[Any]) -> list[Any]:
-    """Return the arguments with arrays whose types are the objects that the machine code knows.
+    """Return the arguments, with arrays viewed as the dtype objects whose addresses the machine code knows.
 
     Raises
     ------
