@@ -53,6 +53,10 @@ class SpecError(MbdkitError, ValueError):
         return new
 
 
+class UnsupportedMechanismError(SpecError):
+    """A method does not support elements of a mechanism; its claims say which ones it supports."""
+
+
 class ResourceError(MbdkitError):
     """A resource is not available: disk space, memory, a permission, or a file that another process uses.
 

@@ -154,6 +154,7 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
         validate_inverse(document, spec, assignments or [])
         return
     checked = load_spec(document, assignments or ())
+    from mbdkit.base.errors import SpecError
     from mbdkit.engine.formulation import FORMULATIONS
     from mbdkit.engine.spanning_tree import cut_joints
     from mbdkit.mechanism.mechanism import gravity_text
@@ -168,6 +169,10 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
 
         check_gradients(checked, make_method(checked))
     problem, start = build(checked)
+    try:
+        make_method(checked).require_mechanism(problem.mechanism)
+    except SpecError as error:
+        raise checked.placed(error) from None
     for warning in (*caution(checked), *start_warnings(checked, start)):
         say(f"warning: {warning}")
     show(f"{spec}: this spec is valid")

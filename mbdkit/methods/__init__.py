@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mbdkit.registry.items import IntegratorPlugin
 
-FAMILIES = ("explicit", "collocation", "partitioned", "scipy")
+FAMILIES = ("explicit", "taylor", "collocation", "partitioned", "scipy")
 """Values of ``FAMILY`` in a module of a method, in the order in which `integrators` lists them; others come last."""
 
 

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from mbdkit.engine.formulation import Formulation
+from mbdkit.engine.known_series import require_series
 from mbdkit.methods.tableau import ButcherTableau, TableauError
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.methods.tableau import EmbeddedPair
 
@@ -116,6 +118,9 @@ class Method(ABC):
     def require_formulation(self, formulation: Formulation) -> None:  # noqa: B027
         """Raise TableauError unless the steps can be taken on a formulation that the claims allow."""
 
+    def require_mechanism(self, mechanism: CompiledMechanism) -> None:  # noqa: B027
+        """Raise UnsupportedMechanismError unless the method supports all elements of a mechanism."""
+
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(Method):
@@ -154,6 +159,37 @@ class ExplicitRungeKutta(Method):
             has_lanes=True,
             has_derivatives=True,
         )
+
+
+@dataclass(frozen=True)
+class TaylorSeries(Method):
+    """Taylor series of the joint coordinates of a tree of pins, with fixed or controlled step size.
+
+    Parameters
+    ----------
+    order
+        Order of the series of velocities, 4 or more.
+    tolerances
+        For a controlled step size; None: fixed steps.
+    """
+
+    order: int
+    tolerances: Tolerances | None = None
+
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        return Traits(
+            "taylor",
+            tolerances=self.tolerances,
+            local_error=None if self.tolerances is None else LocalError(self.order, self.order),
+            is_explicit=True,
+            can_be_projected=False,
+        )
+
+    def require_mechanism(self, mechanism: CompiledMechanism) -> None:
+        """See `Method`."""
+        require_series(mechanism)
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,9 @@ class Claims:
     stabilizations
         Supported stabilizations, of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``. Baumgarte's
         terms are part of the equations; the step loop applies the projections.
+    mechanisms
+        What mechanisms the method supports, as a noun phrase; empty: all. Of others, it raises
+        UnsupportedMechanismError, and checks that use them are skipped.
     orders
         Orders by formulation, where they differ from `order` and `multiplier_order`, which hold for the first one.
     """
@@ -80,6 +83,7 @@ class Claims:
     needs: tuple[str, ...] = ()
     formulations: tuple[str, ...] = ("index-1",)
     stabilizations: tuple[str, ...] = ("none", "baumgarte", "projection", "symmetric-projection")
+    mechanisms: str = ""
     orders: Mapping[str, Orders] = field(default_factory=dict)
 
     def orders_on(self, formulation: str) -> Orders | None:

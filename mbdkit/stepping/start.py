@@ -24,12 +24,14 @@ from mbdkit.stepping.lobatto_iiia_iiib import CompiledLobattoPair
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.scipy_bridge import SciPyStepper
 from mbdkit.stepping.step_control import Control, unit_of_length
+from mbdkit.stepping.taylor_series import CompiledTaylor
 from mbdkit.stepping.time_stepping import MoreauJeanSteps
 
 COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] = {
     "explicit": lambda method, workspace, control: CompiledExplicit(method, workspace),
     "collocation": CompiledCollocation,
     "partitioned": lambda method, workspace, control: CompiledLobattoPair(method, workspace),
+    "taylor": lambda method, workspace, control: CompiledTaylor(method, workspace),
 }
 """Compiled methods, which all have the same stepper, by family."""
 
@@ -73,8 +75,11 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     ------
     mbdkit.methods.tableau.TableauError
         If it cannot be used with the formulation of the workspace.
+    mbdkit.base.errors.UnsupportedMechanismError
+        If it does not support the mechanism.
     """
     method.require_formulation(FORMULATIONS[workspace.formulation])
+    method.require_mechanism(workspace.mechanism)
     control = step_control(method.traits, workspace.mechanism)
     return COMPILED[method.traits.family](method, workspace, control), control
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-from mbdkit.base.errors import MbdkitError, with_place
+from mbdkit.base.errors import MbdkitError, UnsupportedMechanismError, with_place
 from mbdkit.testing.check_result import Result, failed, skipped
 
 UnderTest = TypeVar("UnderTest")
@@ -62,10 +62,16 @@ class Check(Generic[UnderTest]):
         except _TimeLimitError:
             result = failed(f"it did not finish within {TIME_LIMIT:g} s")
         except MbdkitError as error:
-            result = failed(str(error).rstrip("."))
+            is_claimed = isinstance(error, UnsupportedMechanismError) and _supported_mechanisms(under_test)
+            result = (skipped if is_claimed else failed)(str(error).rstrip("."))
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
             result = failed(f"it raised {with_place(error)}")
         return replace(result, name=self.name, what=self.what, seconds=time.perf_counter() - begin)
+
+
+def _supported_mechanisms(under_test: Any) -> str:
+    """Return what mechanisms a plugin claims to support; empty: all."""
+    return getattr(getattr(under_test, "claims", None), "mechanisms", "")
 
 
 def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]], Check[Any]]:

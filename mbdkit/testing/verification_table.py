@@ -26,6 +26,7 @@ VARIANTS: tuple[tuple[str, dict[str, Any]], ...] = (
     *(("radau-iia", {"stages": s}) for s in (2, 3, 5)),
     ("dopri5", {}),
     ("dop853", {}),
+    ("taylor", {}),
     ("rattle", {}),
     ("lobatto-pair", {}),
     ("moreau-jean", {}),

@@ -45,6 +45,7 @@ def test_every_built_in_loads_and_states_summary_and_origin():
         "rk4",
         "dopri5",
         "dop853",
+        "taylor",
         "gauss",
         "rattle",
         "lobatto-pair",

@@ -6,6 +6,7 @@ import functools
 from typing import Any
 
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.observed_states import StateObserver
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit.stepping.interface import Timetable
@@ -47,6 +48,15 @@ ADAPTIVE: dict[str, dict[str, Any]] = {
 }
 """In steps that follow a tolerance."""
 
+IN_JOINTS: dict[str, dict[str, Any]] = {
+    "dop853, joints, adaptive": {"name": "dop853", "adaptive": True},
+    "taylor, joints, adaptive": {"name": "taylor", "adaptive": True},
+}
+"""The same in joint coordinates."""
+WITH_FORCES = "taylor, joints, adaptive, with joint forces"
+"""The last one, with all joint forces after every step among what is timed."""
+ADAPTIVE |= IN_JOINTS | {WITH_FORCES: IN_JOINTS["taylor, joints, adaptive"]}
+
 FIRST = {2: 40, 100: 25}
 MOST_STEPS = 10_000_000
 
@@ -57,9 +67,10 @@ def ours(motion: Motion) -> tuple[list[Contender], list[str]]:
     for method, integrator in (METHODS | ADAPTIVE).items():
         adaptive = method in ADAPTIVE
         ladder = TOLERANCES if adaptive else steps_from(FIRST[motion.rods.count])
-        run = functools.partial(_run, motion, integrator, adaptive)
+        in_joints, with_forces = method in IN_JOINTS or method == WITH_FORCES, method == WITH_FORCES
+        run = functools.partial(_run, motion, integrator, adaptive, in_joints, with_forces)
         try:
-            load_spec(_spec(motion, integrator, adaptive, ladder[0]))
+            load_spec(_spec(motion, integrator, adaptive, in_joints, ladder[0]))
         except SpecError:
             missing.append(f"{OURS} {method}")
         else:
@@ -67,7 +78,9 @@ def ours(motion: Motion) -> tuple[list[Contender], list[str]]:
     return found, missing
 
 
-def _spec(motion: Motion, integrator: dict[str, Any], adaptive: bool, setting: float) -> dict[str, Any]:
+def _spec(
+    motion: Motion, integrator: dict[str, Any], adaptive: bool, in_joints: bool, setting: float
+) -> dict[str, Any]:
     if adaptive:
         integrator = {**integrator, "rtol": setting, "atol": setting}
         times, every = {"end": motion.end}, MOST_STEPS
@@ -77,29 +90,36 @@ def _spec(motion: Motion, integrator: dict[str, Any], adaptive: bool, setting: f
         "mbdkit": 1,
         "model": motion.model,
         "integrator": integrator,
+        "formulation": "joint-coordinates" if in_joints else "index-1",
         "time": times,
         "output": {"every": every, "quantities": []},
     }
 
 
-def _run(motion: Motion, integrator: dict[str, Any], adaptive: bool, setting: float) -> Outcome:
+def _run(
+    motion: Motion, integrator: dict[str, Any], adaptive: bool, in_joints: bool, with_forces: bool, setting: float
+) -> Outcome:
     """Drive the stepper by hand: as for the others only steps are timed, not the recorder."""
-    spec = load_spec(_spec(motion, integrator, adaptive, setting))
+    spec = load_spec(_spec(motion, integrator, adaptive, in_joints, setting))
     problem, _ = build(spec)
     timetable = Timetable(
         start=0.0,
         end=motion.end,
         step=spec.time.step,
         steps=spec.time.count or 0,
-        every=spec.output.every or MOST_STEPS,
+        every=1 if with_forces else spec.output.every or MOST_STEPS,
         max_steps=MOST_STEPS,
     )
     stepper = start_method(spec.integrator_plugin.create(spec.integrator), problem, timetable)
     states: list[Array] = []
+    observer = StateObserver(problem)
 
     def work() -> None:
         while not (stepper.finished or stepper.failure):
-            states.extend(stepper.advance().q)
+            stretch = stepper.advance()
+            states.extend(stretch.q)
+            if with_forces:
+                observer.observe(stretch.time, stretch.q, stretch.v, observer.arrays(len(stretch.time)))
 
     _, wall, cpu = timed(work)
     count = motion.rods.count

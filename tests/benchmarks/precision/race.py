@@ -18,6 +18,7 @@ from .measure import Curve, climb, take_times
 from .motions import MOTIONS, Motion
 from .ours import ours
 from .tables import as_mapping, machine, show
+from .taylor import SECONDS, taylor
 
 PICTURE, NUMBERS = "work-precision.png", "work-precision.json"
 
@@ -26,7 +27,7 @@ def contenders(motion: Motion) -> tuple[list[Contender], list[str]]:
     """Return all contenders that are installed, and the names of the others."""
     found: list[Contender] = []
     missing: list[str] = []
-    for room in (ours, compiled, collocation, interpreted):
+    for room in (ours, compiled, taylor, collocation, interpreted):
         some, absent = room(motion)
         found += some
         missing += absent
@@ -58,6 +59,10 @@ def precision(console: Console, output: Path | None = None, motions: Sequence[Mo
     for motion, curves in found.items():
         take_times(curves, lambda text, name=motion.name: console.print(f"{name}: {text}", style="dim"))
         show(console, motion, curves, missing[motion])
+    if SECONDS:
+        console.print(
+            f"heyoka compiled its integrators in {min(SECONDS):.2g} to {max(SECONDS):.2g} s each, which is not counted"
+        )
     after = machine()
     console.print(f"load afterwards {after['load']}")
     if output is not None:

@@ -23,7 +23,7 @@ GOALS = {1e-6: 5.0, 1e-9: 10.0}
 AGREES = 1e-4
 """An error that every contender must get below, or it solves another problem, or is slow [m]."""
 
-PACKAGES = ("mbdkit", "exudyn", "mujoco", "casadi", "scipy", "scikit-sundae", "numpy", "numba")
+PACKAGES = ("mbdkit", "exudyn", "mujoco", "casadi", "scipy", "scikit-sundae", "heyoka", "numpy", "numba")
 
 
 def winner(curves: Sequence[Curve], target: float, ours: bool) -> tuple[Curve, float] | None:

@@ -100,6 +100,9 @@ SPECS = {
         GAUSS, {"steps": 600, "step": 2e-3}, stabilization="projection", events=EVENTS, measures=MEASURES
     ),
     "dopri5, adaptive": spec_of({"name": "dopri5", **TIGHT}, {"end": 20.0}, output={"interval": 0.01}),
+    "taylor, adaptive": spec_of(
+        {"name": "taylor", **TIGHT}, {"end": 60.0}, output={"interval": 0.01}, formulation="joint-coordinates"
+    ),
     "radau-iia, adaptive": spec_of({"name": "radau-iia", **TIGHT}, {"end": 10.0}, output={"interval": 0.01}),
     "radau-iia, index-3": spec_of(
         {"name": "radau-iia", "stages": 2}, {"steps": 1500, "step": 1e-3}, formulation="index-3"

@@ -1,0 +1,72 @@
+"""Taylor series of any order for trees of pins in joint coordinates.
+
+The coefficients follow from recurrences instead of differences of stages; see `mbdkit.engine.kernels.tree_series`. A
+higher order costs little, so that the order follows the tolerance: with the radius of convergence rho, steps of
+``rho rtol^(1/p)`` are cheapest at ``p = -ln(rtol) / 2`` if their cost is proportional to p^2 (Jorba and Zou 2005). Here
+most of it is proportional to p, which favours higher orders.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from mbdkit.methods.kinds import TaylorSeries
+from mbdkit.methods.method_options import ControlledOptions
+from mbdkit.registry.items import Claims, IntegratorPlugin
+
+JORBA_ZOU = """@article{jorba2005,
+  author = {Jorba, {\\`A}ngel and Zou, Maorong},
+  title = {A Software Package for the Numerical Integration of {ODE}s by Means of High-Order {T}aylor Methods},
+  journal = {Experimental Mathematics}, volume = {14}, number = {1}, pages = {99--117}, year = {2005},
+  doi = {10.1080/10586458.2005.10128904}}"""
+
+FIXED_ORDER = 8
+"""Order of fixed steps by default."""
+LEAST, PER_DIGIT = 4.0, 0.75
+"""Order of adaptive steps at ``rtol = 1``, and per -ln(rtol): close to the fastest on the double pendulum."""
+
+
+class TaylorOptions(ControlledOptions):
+    """Taylor series with fixed or adaptive steps."""
+
+    ABSENT_BY_DEFAULT = (*ControlledOptions.ABSENT_BY_DEFAULT, "order")
+
+    order: Annotated[int, Field(ge=4, le=40)] | None = None
+    """Order of the series of velocities; by default 8 with fixed steps, and 4 - 0.75 ln(rtol) with adaptive ones."""
+
+    def chosen_order(self) -> int:
+        """Return the order."""
+        tolerances = self.tolerances()
+        if self.order is not None:
+            return self.order
+        return FIXED_ORDER if tolerances is None else math.ceil(LEAST - PER_DIGIT * math.log(tolerances.rtol))
+
+
+def _claims(options: TaylorOptions) -> Claims:
+    return Claims(
+        order=None if options.adaptive else options.chosen_order(),
+        adaptive=options.adaptive,
+        drift="none",
+        constraints_hold=("position", "velocity"),
+        needs=("accelerations",),
+        formulations=("joint-coordinates",),
+        stabilizations=("none",),
+        mechanisms="trees of pins with linear springs, torques and point forces",
+    )
+
+
+FAMILY = "taylor"
+INTEGRATORS = (
+    IntegratorPlugin(
+        name="taylor",
+        summary="Taylor series of any order: explicit, fixed or adaptive steps, for trees of pins.",
+        options=TaylorOptions,
+        create=lambda options: TaylorSeries(options.chosen_order(), options.tolerances()),
+        claims=_claims,
+        references=(JORBA_ZOU,),
+        dense_output=True,
+    ),
+)
