@@ -157,7 +157,7 @@ def test_a_run_that_cannot_be_made_again_is_told_from_the_one_that_was_stored(tm
     other = study.points[1]
     object.__setattr__(other.row, "data_sha256", study.points[2].row.data_sha256)
     (tmp_path / "s" / "runs" / "block-000000.h5").unlink()  # the index alone tells what was computed
-    with pytest.raises(MbdkitError, match="run 2 has different data"):
+    with pytest.raises(MbdkitError, match="run 2, computed again, has other data"):
         study.remake(other)
 
 

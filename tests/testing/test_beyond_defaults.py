@@ -69,7 +69,7 @@ def test_a_pass_says_what_was_compared_with_what() -> None:
     text = verify("force-law", "one-sided", {"stiffness": 50.0, "acts": "tension"}, quick=True).text()
     lines = {line.split()[0]: line for line in text.splitlines() if line.startswith("  ")}
     assert "(at most 1e-05)" in lines["derivatives.length"]
-    assert "Its values are finite and repeatable" in lines["law.finite"]
+    assert "The law's values are finite and repeatable" in lines["law.finite"]
 
 
 def test_one_error_is_told_once() -> None:
