@@ -85,7 +85,7 @@ FORMAT_VERSION = VERSIONS[-1]
 #: Groups that `output.quantities` chooses.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)
 
-#: Groups that exist only if the mechanism has such elements.
+#: Groups of optional kinds of elements: each exists only if the mechanism has elements of its kind.
 ELEMENTS = frozenset(kind.group for kind in KINDS if kind.is_optional)
 
 #: Groups whose numbers may be nan: unknown errors, and gaps in measured data.

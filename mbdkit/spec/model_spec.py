@@ -1,6 +1,7 @@
 """Base classes of specs: strict, frozen pydantic models with readable validation errors, canonical JSON and a hash.
 
-`ModelSpec` is the base of specs with a model: named parameters, and the mechanism that the model builds.
+`ModelSpec` is the base of the specs of runs and of inverse dynamics: it holds named parameters, and builds the
+mechanism of its model.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ def _item(item: Registered, level: str = "###", heading: str = "") -> list[str]:
 
 
 def _described(model: type[BaseModel]) -> str:
-    """Return the docstring of a model as paragraphs of one line."""
+    """Return the docstring of a pydantic model with each paragraph joined into one line."""
     text = inspect.cleandoc(model.__doc__ or "").replace("``", "`")
     return "\n\n".join(_flat(block) for block in text.split("\n\n"))
 
