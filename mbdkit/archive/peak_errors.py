@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BarycentricInterpolator, CubicSpline
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -49,7 +49,19 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
     size = size[:count]
     if run.kind == "inverse":
         return errors_of_frames(run, _ATTRIBUTES[name], run.joint_names, size, errors)
-    return np.asarray(np.max(errors, axis=0) + excess_between_rows(np.asarray(run.time)[:count], size))
+    return np.asarray(np.max(errors, axis=0) + excess_between_rows(np.asarray(run.time)[:count], size, jumps(run)))
+
+
+def jumps(run: Run) -> np.ndarray:
+    """Return times (B,) at which forces may jump [s]: impacts, events that set states, and changes of the mode of a
+    rigid contact, in the middle between rows.
+    """
+    named = [name for name, event in (run.spec.get("events") or {}).items() if event.get("set")]
+    found = [run.impacts.time, *(run.events.of_name(name).time for name in named)]
+    if run.records("contacts/mode"):
+        changed = np.flatnonzero(np.any(np.diff(run.array("contacts/mode"), axis=0), axis=1))
+        found.append(0.5 * (run.time[changed] + run.time[changed + 1]))
+    return np.unique(np.concatenate(found))
 
 
 def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
@@ -87,7 +99,7 @@ def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.nda
     return np.asarray(found)
 
 
-def excess_between_rows(time: np.ndarray, size: np.ndarray) -> np.ndarray:
+def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[float] | np.ndarray = ()) -> np.ndarray:
     """Return by how much the largest values (J,) of curves may exceed those of the rows.
 
     Parameters
@@ -96,14 +108,35 @@ def excess_between_rows(time: np.ndarray, size: np.ndarray) -> np.ndarray:
         (T,) times of the rows [s].
     size
         (T, J) values of the curves.
+    jumps
+        (B,) increasing times at which the curves may be discontinuous [s]. The curve before and that after are
+        continued to the jump by parabolas.
     """
     recorded: np.ndarray = np.max(size, axis=0)
-    if len(time) < 3:
-        return np.zeros_like(recorded)
-    above = PARABOLA * (_above_parabolas(time, size) - recorded)
-    if np.all(np.diff(time) > 0) and np.all(np.isfinite(size)):
-        above = np.maximum(above, SPLINE * (_above_spline(time, size) - recorded))
-    return np.asarray(np.maximum(above, 0.0))
+    above = recorded
+    firsts = np.searchsorted(time, jumps)
+    begin, start = 0, None
+    for first, jump in [*zip(firsts, jumps, strict=True), (len(time), None)]:
+        rows = slice(begin, first)
+        above = np.maximum(above, _above_rows(time[rows], size[rows], recorded, [start, jump]))
+        begin, start = first, jump
+    return np.asarray(above - recorded)
+
+
+def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: Sequence[float | None]) -> np.ndarray:
+    """Return bounds (J,) of curves without jumps between the rows, and continued to the `ends` that are given."""
+    if len(time) < 2:
+        return recorded
+    above = [recorded]
+    if len(time) > 2:
+        above.append(recorded + PARABOLA * (_above_parabolas(time, size) - recorded))
+        if np.all(np.diff(time) > 0) and np.all(np.isfinite(size)):
+            above.append(recorded + SPLINE * (_above_spline(time, size) - recorded))
+    for end, last in zip(ends, (slice(None, 3), slice(-3, None)), strict=True):
+        if end is not None:
+            reached = BarycentricInterpolator(time[last], size[last])(end)
+            above.append(recorded + PARABOLA * (reached - recorded))
+    return np.asarray(np.max(above, axis=0))
 
 
 def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:

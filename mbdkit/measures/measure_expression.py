@@ -410,8 +410,8 @@ class _MeasureCompiler(RunCompiler):
             or any(not one.is_over_time or one.recorded.array.accumulates for one in read)
         ):
             return 0
-        if name not in INTEGRALS and any(one.recorded.array.no_derivative for one in read):
-            return 0  # a misalignment is that of computed states, not of a motion between them
+        if name not in INTEGRALS and any(one.recorded.array.is_of_steps for one in read):
+            return 0
         text, whole = ast.unparse(node.args[0]), tuple(program)
         if name not in INTEGRALS:
             entry = ast.unparse(node), name, whole, when

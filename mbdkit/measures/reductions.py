@@ -119,7 +119,7 @@ class Functional:
         """Whether an operation changes its form inside steps, so that the quantity or its derivative may be
         discontinuous there.
         """
-        return not any(one.recorded.array.no_derivative for one in self.read) and any(
+        return not any(one.recorded.array.is_of_steps for one in self.read) and any(
             operation in OF_PARTS or (operation in OPERATIONS and OPERATIONS[operation].switch != "")
             for operation, _ in self.program
         )

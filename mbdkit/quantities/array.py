@@ -126,6 +126,8 @@ class Recorded(Array):
         Whether the values are never negative, so that they cannot cross zero.
     accumulates
         Whether the value is an integral over time, which is known in the recorded rows only.
+    is_of_steps
+        Whether the value is an error of computed states, which the motion between them does not have.
     no_derivative
         Why the quantity has no derivatives by parameters; empty if it has, unless redundant joints share it.
     of_whole
@@ -143,6 +145,7 @@ class Recorded(Array):
     has_norm: bool = False
     is_not_negative: bool = False
     accumulates: bool = False
+    is_of_steps: bool = False
     no_derivative: str = ""
     of_whole: bool = False
     is_shared: bool = False

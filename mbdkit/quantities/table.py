@@ -58,6 +58,7 @@ _VELOCITY = ("vx", "vy", "angular_velocity")
 _ACCELERATION = ("ax", "ay", "angular_acceleration")
 _MISALIGNMENT: Mapping[str, Any] = {
     "is_not_negative": True,
+    "is_of_steps": True,
     "no_derivative": "a misalignment is an error of the method, and almost zero",
 }
 

@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.headlines import largest_loads
-from mbdkit.archive.peak_errors import excess_between_rows
+from mbdkit.archive.peak_errors import excess_between_rows, jumps
 
 
 @pytest.mark.parametrize(("rows", "share"), [(4, 0.08), (6, 0.02), (10, 0.003)])
@@ -42,3 +42,22 @@ def test_the_largest_force_of_a_pendulum_between_rows_is_covered(step: float) ->
     largest = largest_loads(run)[0]
     true = 2.5 * 9.81
     assert abs(true - largest.value) <= largest.error < 0.1 * true
+
+
+@pytest.mark.parametrize("jump", [0.71, 0.749, 0.7001])
+def test_a_jump_between_rows_is_no_peak_but_the_curves_reach_it(jump: float) -> None:
+    """exp(t) is continued to the jump from the rows before it; a spline through the jump would be far above."""
+    time = np.arange(21) * 0.05
+    size = np.where(time < jump, np.exp(time), 0.1)[:, None]
+    bar = excess_between_rows(time, size, [jump])[0]
+    true = math.exp(jump) - math.exp(0.7)
+    assert true <= bar <= 2.2 * true + 1e-4
+    assert excess_between_rows(time, size)[0] > 0.1
+
+
+def test_forces_that_jump_at_impacts_have_small_errors() -> None:
+    """The legs of the walker carry their weight by turns, so that the force of each jumps at every step of the walk."""
+    run = mbdkit.run("walker")
+    assert len(run.impacts.time) == 2
+    size = np.linalg.norm(run.joints["left_leg"].reaction_force, axis=1)[:, None]
+    assert excess_between_rows(run.time, size, jumps(run))[0] < 1e-4 * size.max()

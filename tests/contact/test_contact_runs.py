@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.archive.run import Run
@@ -63,6 +64,24 @@ def test_a_bouncing_ball_moves_as_scipy_integrates_it(tmp_path: Path) -> None:
     with mbdkit.load(path) as stored:
         assert stored.contacts["floor"].gap[0] == 1.0
         assert stored.array("contacts/mode").shape == (len(stored.time), 1)
+
+
+def test_the_largest_contact_force_does_not_depend_on_the_recorded_times() -> None:
+    """The ball touches the floor between the recorded times. Without dissipation, it stops where m g (h + x) is
+    the energy 2/5 k x^(5/2) of H. Hertz's law.
+    """
+    overlap = brentq(lambda x: 0.4 * 1e6 * x**2.5 - G * (1.0 + x), 1e-4, 0.1)
+    more: dict[str, Any] = {
+        "output": {"interval": 0.25},
+        "measures": {
+            "peak": "max(contacts.floor.normal_force)",
+            "upward": "max(ground_reactions.ball.force_y)",
+            "magnitude": "max(abs(contacts.floor.normal_force))",
+        },
+    }
+    done = run(ball(stiffness=1e6), 1.0, **more)
+    assert done.contacts["floor"].normal_force.max() == 0.0
+    np.testing.assert_allclose(list(done.measures.values()), 1e6 * overlap**1.5, rtol=1e-7)
 
 
 def test_stiff_contacts_tend_to_a_rigid_impact() -> None:
