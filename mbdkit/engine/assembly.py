@@ -22,7 +22,7 @@ NOISE = 1e-9
 """Changes below this are not reported [m, rad, m/s, rad/s]."""
 
 MUCH_CHANGED = 1e3
-"""Velocity residuals up to this multiple of the tolerance are accepted after a correction.
+"""After a correction, velocity residuals are accepted up to this multiple of the tolerance.
 
 If velocities change by much more than their own size, round-off leaves residuals above the tolerance.
 """
@@ -170,7 +170,7 @@ class _Assembly:
             ]
         values = dict(
             zip(self.compiled.motions, scratch.u, strict=False)
-        )  # the programs of moving centers follow those of the motions
+        )  # the programs of moving centres come after those of the motions
         for key, motion in written:
             if motion is not None and not np.all(np.isfinite(values[motion][: 3 if key.endswith("motion") else 1])):
                 if isinstance(motion, Table):

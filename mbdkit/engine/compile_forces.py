@@ -157,7 +157,9 @@ class CompiledForces:
         self.law_parameters += block
 
     def _add_friction(self, number: int, friction: FrictionForce) -> None:
-        """Add the friction of a joint, and where in its parameters each multiplier of the joint is stored."""
+        """Add the friction of a joint, and the indices of its parameters in which the multipliers of the joint are
+        stored.
+        """
         begin, law = len(self.law_parameters), len(self.laws)
         self.frictions.append(len(self.springs))
         self._add_law(friction.name, friction, "joints")
@@ -201,7 +203,8 @@ class CompiledForces:
     def _add_wrench(self, name: str, body: int, laws: Sequence[int]) -> list[tuple[int, int, int]]:
         """Add a force at the centre of mass of a body, and a torque if there is a third law.
 
-        Returns for each law the number of the load, the component of the load that it gives, and its index in `laws`.
+        Returns for each law the index of the load, the component of the load that the law computes, and its index in
+        `laws`.
         """
         added = []
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
@@ -215,9 +218,10 @@ class CompiledForces:
         return added
 
     def _add_held(self, contacts: Sequence[ActingContact], bodies: Sequence[str]) -> list[ActingContact]:
-        """Add what rigid contacts hold: their forces and modes, and the sums of their forces and torques on each body.
+        """Add the states that rigid contacts keep during a step: their forces and modes, and the resultants on each
+        body.
 
-        Returns the contacts with the numbers of their first states.
+        Returns the contacts, each with the index of its first state.
         """
         found = []
         for contact in contacts:
@@ -237,7 +241,7 @@ class CompiledForces:
         return found
 
     def add_expressions(self, mechanism: Mechanism) -> None:
-        """Add the expressions of the state: values of loads, and rates of the mechanism's own states."""
+        """Add the expressions of the state: values of loads, and rates of the mechanism's own first-order states."""
         held = [(name, value, 0.0) for name, one in mechanism.controllers.items() for value in one.outputs]
         held += [
             (name, value, state.initial)

@@ -31,7 +31,7 @@ WELL_SCALED = 1e6
 
 
 MOST_DISTANCES = 1 << 16
-"""Number of distances between points of a body that are computed at once."""
+"""Largest number of distances between points of a body that are computed at once, to limit memory."""
 
 
 def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
@@ -129,7 +129,7 @@ def _members(
 
 
 def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """Return the arrays of `Topology` about masses, the ground last."""
+    """Return the masses and inertias of `Topology`, ground last."""
     mass = np.ones((len(mechanism.bodies) + 1, 3))
     for i, body in enumerate(mechanism.bodies.values()):
         mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
@@ -139,7 +139,10 @@ def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
 
 
 def _of_pairs(pairs: Sequence[_Pair], rows: Sequence[Row], unit: float) -> dict[str, np.ndarray]:
-    """Return the arrays of `Topology` about pairs of constraint rows in order of elimination; `unit` of lengths [m]."""
+    """Return the arrays of `Topology` about pairs of constraint rows, in order of elimination.
+
+    `unit` is the length [m] that relates lengths to angles.
+    """
     row_units = np.full((len(pairs), 2), unit)
     for one in rows:
         if one.unit == "rad":
@@ -170,10 +173,12 @@ def _of_joints_and_markers(mechanism: Mechanism, number: dict[str, int]) -> dict
 
 
 def compiled_content(mechanism: Mechanism) -> bytes | None:
-    """Return all input of `compile_mechanism` and of the choice of fixed bodies as a key; None if it cannot be a key.
+    """Return a key of all input of `compile_mechanism` and of the choice of fixed bodies; None if some input is not
+    hashable.
 
-    Mechanisms with equal keys differ in their initial positions and velocities only; these are part of the key if a
-    joint depends on them. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
+    Mechanisms with equal keys differ only in initial positions and velocities. These are part of the key if a joint
+    depends
+    on them. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
     """
     posed = any(joint.point_moves_on_first or joint.angles() for joint in mechanism.joints.values())
     bodies = [
@@ -201,12 +206,12 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
     ]
     try:
         return marshal.dumps((bodies, data, elements, len(mechanism.joints), tuple(mechanism.gravity), tuple(fixed)), 2)
-    except ValueError:  # hashing fails for a table of a motion, or for the options of a force law
+    except ValueError:  # a table of a motion, or an option of a force law, may not be hashable
         return None
 
 
 def _content(element: Element) -> dict[str, object]:
-    """Return the data of an element; those of friction as plain data."""
+    """Return the data of an element for the key; friction as plain data."""
     friction = getattr(element, "friction", None)
     return element.__dict__ if friction is None else {**element.__dict__, "friction": plain(friction)}
 
@@ -239,7 +244,9 @@ def _pairs(mechanism: Mechanism, number: dict[str, int], motions: CompiledMotion
 
 
 def _add_centers(pairs: list[_Pair], motions: CompiledMotions) -> list[_Pair]:
-    """Add the programs of moving centers after those of all motions; return the pairs of moving centers in order."""
+    """Append the programs of moving centres to those of all motions; return the pairs that have a moving centre, in
+    order.
+    """
     centered = []
     for k, pair in enumerate(pairs):
         if pair.center is not None:
@@ -249,7 +256,7 @@ def _add_centers(pairs: list[_Pair], motions: CompiledMotions) -> list[_Pair]:
 
 
 class _Beams:
-    """Collects the cross-sections of all beams: their elements and nodes, and their parameters."""
+    """Collects the cross-sections of all beams: elements, nodes and parameters."""
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int]):
         self.sections: list[Numbers] = []
@@ -301,7 +308,7 @@ def _is_well_scaled(mechanism: Mechanism) -> bool:
             if name in arms:
                 arms[name] = max(arms[name], x * x + y * y)
         a = joint.bodies[0]
-        if joint.point_moves_on_first and a in arms:  # the reaction on `a` acts at the point of `b`
+        if joint.point_moves_on_first and a in arms:  # the reaction on `a` acts at the joint point of `b`
             for _, name, point in joint.attachments()[-1:]:
                 x, y = mechanism.to_local(a, mechanism.to_global(name, point))
                 arms[a] = max(arms[a], x * x + y * y)

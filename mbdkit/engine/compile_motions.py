@@ -1,4 +1,4 @@
-"""Programs of the functions of time and of angles of a mechanism, for kernels."""
+"""Compiles the functions of time and of angles of a mechanism to programs for kernels."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ class CompiledMotions:
         self.tables: list[float] = []
 
     def add(self, motion: Motion) -> int:
-        """Return the number of the program of a motion, which is compiled unless an equal one has been."""
+        """Return the index of the program of a motion; a motion that equals an earlier one is not compiled again."""
         if motion not in self.numbers:
             self.numbers[motion] = self._append(self._program(motion))
         return self.numbers[motion]
 
     def add_center(self, center: Center) -> int:
-        """Append the programs of both components and their derivatives; return the number of the first."""
+        """Append the programs of both components of a moving centre and of their derivatives; return the index of the
+        first.
+        """
         first = len(self.start) - 1
         for _, function in center.functions:
             for derivative in (False, True):
@@ -75,9 +77,11 @@ class CompiledMotions:
 
 
 def _piecewise_polynomial(table: Table, *, derivative: bool) -> list[float]:
-    """Return the curve of a table for the kernel: numbers of pieces and coefficients, period, times, coefficients."""
+    """Return the curve of a table as numbers for the kernel: numbers of pieces and of coefficients, period, times,
+    coefficients.
+    """
     times = np.array(table.table[0])
-    coefficients = np.full((len(times) - 1, 4), np.nan)  # reported later, by `check_motions` of assembly
+    coefficients = np.full((len(times) - 1, 4), np.nan)  # `check_motions` of assembly reports this later
     with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
         curve = curve_of(table).derivative() if derivative else curve_of(table)
         if np.all(np.isfinite(curve.c)):

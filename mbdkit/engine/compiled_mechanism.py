@@ -20,8 +20,10 @@ from mbdkit.mechanism.values import Motion
 from mbdkit.muscles.acting_muscles import MuscleForce
 
 MOST_COUPLINGS = 60
-"""Sum of the squared numbers of joints per body, relative to the number of pairs of rows, above which the Schur
-complement is denser than the whole system, so that the pivoted solver is used."""
+"""Limit of the sum of squared numbers of joints per body, divided by the number of pairs of rows.
+
+Above it, the Schur complement is denser than the whole system, and the pivoted solver is used.
+"""
 
 
 def with_ground(x: np.ndarray) -> np.ndarray:
@@ -45,7 +47,7 @@ class Row:
 class ForceElement:
     """Name of a force element or load, its first and second body, and the unit of its length, m or rad.
 
-    The second body of a load is the one that it acts on.
+    A load acts on its second body.
     """
 
     name: str
@@ -62,8 +64,8 @@ class ActingMuscle:
     force
         The muscle as a force element.
     activation
-        Number of its activation among the first-order states; that of its fibre length follows, if its tendon is
-        elastic.
+        Index of its activation among the first-order states. If the tendon is elastic, the fibre length is the next
+        state.
     excitation
         Program and quantities of an excitation that is an expression of the state; see
         `mbdkit.events.state_program.state_program`.
@@ -76,7 +78,7 @@ class ActingMuscle:
 
 @dataclass(frozen=True)
 class ElementState:
-    """A first-order state of a force element: its name, ``element.state``, and its unit."""
+    """A first-order state of a force element or of the mechanism: its name, such as ``element.state``, and its unit."""
 
     name: str
     unit: str
@@ -93,8 +95,8 @@ class SampledController:
     period, delay
         Time between two samples, and from a sample until its outputs apply [s].
     outputs, states
-        For each output and state its number among the first-order states, and the row of ``topology.laws`` that gives
-        its value at a sample.
+        For each output and each state, its index among the first-order states, and the row of ``topology.laws`` that
+        computes its value at a sample.
     """
 
     name: str
@@ -155,9 +157,9 @@ class CompiledMechanism:
     forces
         Force elements and loads, in the order of the mechanism.
     muscles
-        Muscles that act in runs; in kernels, they are numbered after the force elements and loads.
+        Muscles that act in runs. Kernels number them after the force elements and loads.
     friction
-        Numbers of the joints with friction; in kernels, their friction forces are numbered after the muscles.
+        Indices of the joints with friction. Kernels number their friction forces after the muscles.
     beams
         Name and number of elements of each beam.
     markers
@@ -172,21 +174,21 @@ class CompiledMechanism:
     motions
         Each motion as given in the model: a number, an expression or a table.
     laws
-        Name and compiled law of each force with a force law, followed by the rates of its states, in the order of
-        ``topology.laws``. Linear springs have none.
+        Name and compiled law of each force element with a force law, followed by the laws of the rates of its states,
+        in the order of ``topology.laws``. Linear springs have no law.
     order, below
         Order of elimination of the pairs, and the resulting fill, as returned by `minimum_degree`.
     well_scaled
         Whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
     redundancy
-        Constraints that are excluded because they follow from the others.
+        Constraints that are excluded because the other constraints imply them.
     states
         First-order states of force elements and of the mechanism, and the values that sampled controllers hold.
     controllers
         Sampled controllers.
     members
-        Name and bodies of each element, by kind, for the kinds without an attribute of their own above. A contact of a
-        polygon has one entry for each corner.
+        Names and bodies of the elements, for each kind that has no attribute above. A contact of a polygon has one
+        entry for each corner.
     """
 
     topology: Topology
@@ -237,8 +239,8 @@ class CompiledMechanism:
 
     @property
     def stiffest_muscle(self) -> str:
-        """Name of the muscle whose elastic tendon is shortest relative to the speed of its fibres; empty if all tendons
-        are rigid.
+        """Name of the muscle with the shortest elastic tendon, relative to the speed of its fibres; empty if all
+        tendons are rigid.
         """
         muscles = [one.force.muscle for one in self.muscles]
         slack = {
@@ -251,19 +253,20 @@ class CompiledMechanism:
     def refuse_states(self, what: str, hint: str = "") -> None:
         """Raise SpecError if the mechanism has first-order states.
 
-        `what` names the computation that does not include them; `hint` is a clause that names others that do.
+        `what` names the computation that does not support such states; `hint` is a clause that names computations that
+        do.
         """
         if self.states:
             names = listed([state.name for state in self.states], "and")
             raise SpecError(f"{what} does not include first-order states ({names}){hint and '; ' + hint}", key="model")
 
     def refuse_friction(self, sentence: str) -> None:
-        """Raise SpecError with the message `sentence` if a joint has friction."""
+        """Raise SpecError with the message `sentence` if any joint has friction."""
         if self.friction:
             raise SpecError(sentence, key=f"model.joints.{quoted(self.joints[self.friction[0]])}.friction")
 
     def refuse_friction_of_shared_reactions(self) -> None:
-        """Raise SpecError if a joint has friction whose reaction is not unique."""
+        """Raise SpecError if a joint with friction has a reaction that is not unique."""
         for name in (self.joints[number] for number in self.friction):
             if name in self.redundancy.not_unique:
                 raise SpecError(
@@ -273,7 +276,7 @@ class CompiledMechanism:
                 )
 
     def beam_elements(self, name: str) -> slice:
-        """Return the numbers of the elements of a beam among those of all beams."""
+        """Return the indices of the elements of a beam among the elements of all beams."""
         names, counts = zip(*self.beams, strict=True)
         place = names.index(name)
         first = sum(counts[:place])
@@ -304,20 +307,22 @@ class CompiledMechanism:
 
     @cached_property
     def has_power(self) -> bool:
-        """Whether loads, drivers, dampers or force laws are present, so that work and dissipated energy can change."""
+        """Whether there are loads, drivers, dampers or force laws, so that work or dissipated energy can change."""
         top = self.topology
         damped = np.any(top.linear[:, 1]) or np.any(top.section_parameters[:, -3:])
         return bool(len(top.loads) or len(self.drives) or damped or len(top.laws))
 
     @cached_property
     def drives(self) -> np.ndarray:
-        """Numbers of the motions that drive constraints, in increasing order."""
+        """Indices of the motions that drive constraints, in increasing order."""
         motions = self.topology.pairs[:, 3]
         return np.unique(motions[(motions >= 0) & (motions < len(self.motions))])
 
     @cached_property
     def needs_pivots(self) -> bool:
-        """Whether the Schur complement would be inaccurate, or denser than the whole system."""
+        """Whether the pivoted solver is needed: the Schur complement would be inaccurate, or denser than the whole
+        system.
+        """
         top = self.topology
         on_body = np.bincount(top.pairs[:, 1:3].ravel(), minlength=len(top.mass))[:-1]
         crowded = int(np.sum(on_body**2)) > MOST_COUPLINGS * max(len(top.pairs), 1)
@@ -330,7 +335,7 @@ class CompiledMechanism:
 
     @property
     def row_index(self) -> np.ndarray:
-        """(P, 2) index of each multiplier among the unknowns of the pivoted system; -1 for a redundant row."""
+        """(P, 2) index of each multiplier among the unknowns of the pivoted system; -1 for redundant rows."""
         index = np.full((len(self.topology.pairs), 2), -1, dtype=np.int64)
         for i, row in enumerate(self.solved_rows):
             index[row.pair, row.place] = 3 * len(self.bodies) + i

@@ -64,7 +64,7 @@ def workspace_at_start(
     t0, end
         Start and end of the run [s]; `end` defaults to `t0`. Redundancy is analysed at times between them.
     formulation, stabilization
-        Formulation and stabilization of the equations that are integrated.
+        Formulation of the equations of motion, and their stabilization.
     starts
         Cache of compiled mechanisms, if given.
 
@@ -118,9 +118,7 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None 
 
 
 def _with_fibers(mechanism: Mechanism, compiled: CompiledMechanism, q: np.ndarray, t0: float) -> CompiledMechanism:
-    """Return a compiled mechanism whose fibres on elastic tendons start in equilibrium; positions are those of the
-    start.
-    """
+    """Return a compiled mechanism whose muscle fibres on elastic tendons start in equilibrium at positions `q`."""
     if not compiled.muscles:
         return compiled
     names, parameters = QuantityNames(mechanism), compiled.topology.law_parameters.copy()
@@ -138,8 +136,8 @@ MOST_MECHANISMS = 8
 
 @dataclass(frozen=True)
 class _Compiled:
-    """The part of the preparation that mechanisms with different initial states share, such as the solver of
-    assembly.
+    """The part of the preparation that mechanisms share if they differ only in their initial state, such as the solver
+    of assembly.
     """
 
     mechanism: CompiledMechanism
@@ -153,7 +151,7 @@ class _Compiled:
 
 
 class Starts:
-    """Computes consistent initial states; mechanisms that differ only in their initial states are compiled once."""
+    """Computes consistent initial states, and compiles mechanisms that differ only in their initial states once."""
 
     def __init__(self) -> None:
         self._compiled: dict[tuple[bytes, float], _Compiled] = {}

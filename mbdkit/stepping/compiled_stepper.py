@@ -63,7 +63,9 @@ if TYPE_CHECKING:
     from mbdkit.stepping.run_plan import RunPlan
 
 SINGULAR, REGULAR = 1e-6, 1e-2
-"""Distances to singularity below which a state counts as singular, and above which it counts as regular."""
+"""Relative distances to the nearest singular matrix: below the first a state counts as singular, above the second as
+regular.
+"""
 
 MAX_ROWS = 4096
 MAX_ROW_BYTES = 1 << 24
@@ -71,11 +73,11 @@ MAX_ROW_BYTES = 1 << 24
 
 WORK = ("steps", "last_size", "iterations", "iterations_max", "rejected")
 WORK_COLUMNS = [INTERVAL_FIELDS.index(name) for name in WORK]
-"""Columns of the step loop's intervals that go into ``Stretch.intervals`` after the time."""
+"""Columns of the intervals of the step loop that form ``Stretch.intervals``, after its first column, the time."""
 
 CORRECTIONS = ("projections", "position_correction", "velocity_correction", "baumgarte_term")
 CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
-"""Columns of the step loop's intervals that go into ``Stretch.corrections``."""
+"""Columns of the intervals of the step loop that form ``Stretch.corrections``."""
 
 
 class CompiledStepper:
@@ -140,7 +142,8 @@ class CompiledStepper:
         self.inserted: list[float] = []
         self.sampler = Sampler(workspace)
         self._samples = frozenset(timetable.samples)
-        if workspace.mechanism.controllers:  # the start has these states already; the sampler remembers pending outputs
+        # the start has these states already, but the sampler needs the delayed outputs
+        if workspace.mechanism.controllers:
             self.sampler.passed(workspace.t0, workspace.q0, workspace.v0, workspace.mechanism.initial_states)
         self.last_step: StepTaken | None = None
         self._before: list[np.ndarray] = []
@@ -157,7 +160,7 @@ class CompiledStepper:
         return int(status), int(rows)
 
     def _drive_extended(self) -> tuple[int, int]:
-        """Attempt one step with an extended limit of iterations, and restore the limit after it."""
+        """Attempt one step with an increased limit of iterations, and restore the limit afterwards."""
         accepted = self._accepted
         status, rows = self._drive(self._plan, 1)
         if self._accepted > accepted or self._is_pending:
@@ -208,7 +211,7 @@ class CompiledStepper:
             if left <= 0 and not self._is_pending and stretches:
                 status = OK
                 break
-            self._begin_after_stop()  # not earlier: the state recorded at a stop is that before an impulse
+            self._begin_after_stop()  # not earlier: the recorded state at a stop is that before its impulse
             status, rows = OK, 0
             if self.failure is None and (self._allowed > 0 or self._is_pending):
                 status, rows = (
@@ -273,11 +276,11 @@ class CompiledStepper:
         return self._accepted + int(self.run_state.progress.rejected[0])
 
     def _memory(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays that a step reads of the previous step, and the quadrature nodes stored so far."""
+        """Return the arrays of the previous step that the next step reads, and the quadrature nodes stored so far."""
         return self._state
 
     def _recall(self, memory: list[np.ndarray]) -> None:
-        """Restore the arrays of `_memory` from copies."""
+        """Restore the arrays returned by `_memory` from copies."""
         for now, then in zip(self._memory(), memory, strict=True):
             now[...] = then
 
@@ -298,7 +301,10 @@ class CompiledStepper:
         return q, v, c.point_z.copy()
 
     def _between(self, step: StepTaken, theta: float) -> Moment:
-        """Return the state at the share `theta` of a step by interpolation; states z by a parabola, if z' is known."""
+        """Return the state at the share `theta` of a step by interpolation.
+
+        First-order states z are interpolated by a parabola, if z' at the start of the step is known.
+        """
         q, v, z = step.between(theta)
         rates = getattr(self.method.pinned.bundle, "z_rates", None)
         if rates is not None and len(z):
@@ -363,7 +369,8 @@ class CompiledStepper:
         interval.values[:] = next(then for now, then in before if now is interval.values)
         progress.pending[0] = 0
         progress.time[0] = step.time(theta)
-        if np.any(self._row_times < step.time(theta)):  # the previous interval was written with a row inside the step
+        # the last row lies inside the step; its interval has been written
+        if np.any(self._row_times < step.time(theta)):
             interval.values[:] = 0.0
         if theta > 0.0:
             interval.steps[0] += 1
@@ -421,7 +428,7 @@ class CompiledStepper:
         self.time = float(progress.time[0])
 
     def _size_tried(self) -> float:
-        """Return the size of the step that failed."""
+        """Return the size [s] of the step that failed."""
         return float(self.run_state.progress.tried_size[0])
 
     def _handle(self, status: int) -> None:
@@ -471,7 +478,8 @@ class CompiledStepper:
         """Choose new pivots after `status`; return whether another attempt at the step can succeed.
 
         `Workspace.retry_with_new_pivots` would repeat the attempt at once. Here the rows written so far are returned
-        first, and the next call of the step loop repeats it. Besides, the pivots may be those of a stage matrix.
+        first, and the next call of the step loop repeats the attempt. Also, the pivots may belong to a stage matrix of
+        the method rather than to the workspace.
 
         Raises SingularSystemError.
         """
@@ -488,14 +496,16 @@ class CompiledStepper:
         return helped
 
     def _take_up_pivots(self) -> None:
-        """Pass the current solver of the workspace to the compiled code."""
+        """Make the compiled code use the current solver of the workspace."""
         if self.run_state.solver is self.workspace.solver:
             return
         self.run_state = self.run_state._replace(solver=self.workspace.solver)
         self._pinned_state.replace(self.run_state)
 
     def _shrink(self) -> bool:
-        """Count the attempted step as rejected and reduce its size; return whether that is above the smallest size."""
+        """Count the attempted step as rejected and reduce its size; return whether the new size is above the smallest
+        one allowed.
+        """
         progress = self.run_state.progress
         progress.next_size[0] *= SOLVER_FAILURE_FACTOR
         progress.rejected[0] += 1
@@ -505,7 +515,7 @@ class CompiledStepper:
         return bool(progress.next_size[0] > self.plan.control.min_size[0])
 
     def _stiffness(self) -> str:
-        """Return a clause on fibres that explicit methods cannot integrate with large steps; empty if there are
+        """Return a clause that names muscle fibres too stiff for large steps of explicit methods; empty if there are
         none.
         """
         name = self.workspace.mechanism.stiffest_muscle
@@ -514,7 +524,7 @@ class CompiledStepper:
         return f"; the fibres of muscle '{name}' are stiff: they need smaller steps, or an implicit method (radau-iia)"
 
     def _failure(self, status: int, singular: SingularSystemError | None, where: str) -> Failure:
-        """Return why the run stops."""
+        """Return the reason why the run stops."""
         hint, workspace = self.method.hint, self.workspace
         floor = float(self.plan.control.min_size[0])
         distance, _ = nearest_singularity(workspace, self.time, self.run_state.q)
@@ -541,7 +551,10 @@ class CompiledStepper:
         return Failure("singular", f"the system of equations is singular at {name} {where}; {hint}.")
 
     def _own_multipliers(self, lam: np.ndarray) -> np.ndarray | None:
-        """Return the multipliers of the method by constraint row, from those by pair (T, P, 2)."""
+        """Return the multipliers that the method itself computes, by constraint row, from an array by pair (T, P, 2).
+
+        None if the method does not compute multipliers.
+        """
         if not self.method.carries_multipliers:
             return None
         rows = self.workspace.mechanism.rows
@@ -557,7 +570,7 @@ class CompiledStepper:
         interval: np.ndarray,
         lam: np.ndarray,
     ) -> Stretch:
-        """Return recorded rows as a stretch, from copies of their arrays in the bundle."""
+        """Return recorded rows as a `Stretch`, with copies of their arrays."""
         stabilized = self.workspace.stabilization.kind != "none"
         return Stretch(
             time,

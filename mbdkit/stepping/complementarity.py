@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.stepping.cone_sweeps import couple_contacts, sweep_contacts
 
 TINY = 1e-11
-"""Entries of a scaled tableau that are zero but for rounding errors."""
+"""Entries of a scaled tableau whose magnitude is below this are treated as zero."""
 
 
 def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -25,12 +25,14 @@ def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np
     Returns
     -------
     z, is_basic
-        (n,) solution, and whether each z, not its w, is in the basis; None if the method ends on a ray.
+        (n,) solution, and (n,) whether z_i, rather than w_i, is in the basis. None is returned in place of both if the
+        method ends on a ray without a solution.
     """
     n = len(right)
     if n == 0 or np.min(right) >= 0.0:
         return np.zeros(n), np.zeros(n, dtype=bool)
-    # columns: w, z, the artificial variable, right side; the identity keeps ties lexicographic
+    # Columns: w, z, the artificial variable, right side. The columns of w record the inverse of the basis, which the
+    # lexicographic rule needs to break ties.
     tableau = np.hstack([np.eye(n), -matrix, -np.ones((n, 1)), right[:, None]])
     basis = np.arange(n)
     entering, row = 2 * n, int(np.argmin(right))
@@ -56,7 +58,9 @@ def complementary(matrix: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np
 def _smallest_ratio(
     tableau: np.ndarray, column: np.ndarray, able: np.ndarray, basis: np.ndarray, artificial: int
 ) -> int:
-    """Return the row that leaves the basis: that of the artificial variable in a tie, else the lexicographic one."""
+    """Return the row that leaves the basis: on a tie, that of the artificial variable if possible, else the
+    lexicographically smallest one.
+    """
     ratios = tableau[able, -1] / column[able]
     able = able[ratios <= np.min(ratios) + TINY * max(1.0, abs(float(np.min(ratios))))]
     if artificial in basis[able]:
@@ -77,9 +81,9 @@ class Pushed(NamedTuple):
     normal, tangent
         (k,) forces.
     is_closed, is_slipping
-        (k,) whether the normal force is a basic variable, and whether friction is at its limit.
+        (k,) whether the normal force is a basic variable of the solution, and whether friction is at its limit.
     residual
-        Error of the velocities of contacts, relative to the largest one without these forces.
+        Error of the velocities of the contacts, relative to the largest velocity without these forces.
     """
 
     normal: np.ndarray
@@ -99,24 +103,25 @@ def coulomb(
 ) -> Pushed | None:
     """Return the forces of contacts with Coulomb friction; None if no solution is found.
 
-    With accelerations (or velocities after an impact) u of the contacts, each normal force N is positive only if the
-    contact does not open, ``0 <= N, 0 <= u_n, N u_n = 0``, and each friction force T is in the cone ``|T| <= mu N``, at
-    its limit against u_t if that is not 0 (D. E. Stewart and J. C. Trinkle, International Journal for Numerical Methods
-    in Engineering 39:2673-2691, 1996).
+    Let u be the accelerations of the contacts (or their velocities after an impact). Each normal force N is positive
+    only if the contact does not open: ``0 <= N, 0 <= u_n, N u_n = 0``. Each friction force T satisfies ``|T| <= mu N``;
+    if u_t is not 0, then T has the magnitude mu N and opposes u_t (D. E. Stewart and J. C. Trinkle, International
+    Journal for Numerical Methods in Engineering 39:2673-2691, 1996).
 
     Parameters
     ----------
     response
-        (2 k, 2 k) accelerations, normal ones first, by unit forces, normal ones first.
+        (2 k, 2 k) matrix that maps forces to accelerations; in both, the k normal components come first.
     normal, tangent
-        (k,) accelerations without these forces.
+        (k,) normal and tangential accelerations without these forces.
     friction
         (k,) coefficients mu.
     sliding
-        (k,) directions of slip, 1 or -1, of contacts that slip already, whose friction force is -mu N times that; 0 of
-        others.
+        (k,) directions of slip, 1 or -1, of contacts that slip already; their friction force is -mu N times the
+        direction. 0 for other contacts.
     pressed
-        (k,) normal forces that `normal` and `tangent` include already, to which more is added.
+        (k,) normal forces whose effects `normal` and `tangent` include already. The forces returned are added to them,
+        and the limits of friction follow from the sums.
     """
     k = len(normal)
     sliding, pressed = (np.broadcast_to(np.asarray(x, dtype=float), (k,)) for x in (sliding, pressed))
@@ -166,23 +171,25 @@ class Coupled(NamedTuple):
 
 
 def coupled_by_all(response: np.ndarray) -> Coupled:
-    """Return the couplings of k contacts from the velocities (2 k, 2 k) by unit impulses, normal ones first."""
+    """Return the couplings of k contacts from the full matrix (2 k, 2 k) that maps impulses to velocities, normal
+    components first.
+    """
     k = len(response) // 2
     blocks = response.reshape(2, k, 2, k).transpose(1, 3, 0, 2).reshape(k * k, 4)
     return Coupled(np.arange(k + 1) * k, np.tile(np.arange(k), k), np.ascontiguousarray(blocks))
 
 
 def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.ndarray) -> Coupled:
-    """Return the couplings of k contacts of bodies that nothing else couples.
+    """Return the couplings of k contacts between bodies that are connected by contacts only.
 
     Parameters
     ----------
     bodies
-        (k, 2) numbers of the bodies.
+        (k, 2) indices of the two bodies of each contact.
     gradients
         (2, k, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
     lightness
-        (B + 1, 3) inverse masses and moments of inertia of the bodies, 0 of the ground.
+        (B + 1, 3) inverse masses and inverse moments of inertia of the bodies; 0 for the ground.
     """
     k = len(bodies)
     degree = np.bincount(bodies.ravel(), minlength=len(lightness))
@@ -195,10 +202,14 @@ def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.n
 
 
 SWEEPS = 500
-"""Largest number of sweeps."""
+"""Largest number of sweeps over the contacts."""
 PRECISION, ACCEPTED = 1e-8, 1e-2
-"""Change in a sweep, relative to the largest velocity without impulses, with which sweeps end, and up to which their
-result is accepted. Where more contacts are closed than are needed, forces move from one to another ever more slowly."""
+"""Relative changes of the velocities in a sweep: sweeps end at the first, and their result is accepted up to the
+second.
+
+Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps move
+forces between them ever more slowly.
+"""
 
 
 def swept(
@@ -209,7 +220,7 @@ def swept(
     guess: np.ndarray,
     precision: float = PRECISION,
 ) -> Pushed | None:
-    """Return impulses of contacts by sweeps; None if these do not converge.
+    """Return the impulses of contacts, found by repeated sweeps over them; None if the sweeps do not converge.
 
     Parameters
     ----------
@@ -220,8 +231,9 @@ def swept(
     guess
         (2, k) impulses with which the sweeps begin, normal ones first.
     precision
-        Change in a sweep, relative to the largest velocity, with which sweeps end. If it is rough, any result is
-        accepted.
+        Change in a sweep, relative to the largest velocity, at which the sweeps end. If this is larger than the
+        default,
+        the result after `SWEEPS` sweeps is accepted in any case.
     """
     free, impulses = np.stack([normal, tangent], axis=1), np.ascontiguousarray(guess.T)
     size = float(np.max(np.abs(free), initial=0.0))
@@ -241,12 +253,12 @@ def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float)
     Parameters
     ----------
     response
-        (2, 2) velocities, normal one first, by unit impulses.
+        (2, 2) matrix that maps impulses to velocities, normal component first.
     before
-        (2,) velocities before the impact, of which the normal one is negative.
+        (2,) normal and tangential velocity before the impact; the normal one is negative.
     """
     v, p, tangential, work, goal = before.astype(float), 0.0, 0.0, 0.0, np.inf
-    for _ in range(8):  # slip ends at most once, and compression once
+    for _ in range(8):  # slip ends at most once, and so does compression
         ratio = -np.sign(v[1]) * friction
         if v[1] == 0.0:
             ratio = float(np.clip(-response[1, 0] / response[1, 1], -friction, friction))
@@ -254,7 +266,7 @@ def stronge(response: np.ndarray, before: np.ndarray, friction: float, e: float)
         ends = -v[1] / slope[1] if v[1] * slope[1] < 0.0 else np.inf
         turns = -v[0] / slope[0] if v[0] < 0.0 < slope[0] else np.inf
         rises = np.inf
-        if v[0] >= 0.0 and slope[0] > 0.0:  # the work v0 dp + slope dp^2 / 2 that is left
+        if v[0] >= 0.0 and slope[0] > 0.0:  # the remaining work, v0 dp + slope dp^2 / 2
             rises = (np.sqrt(v[0] ** 2 + 2.0 * slope[0] * max(goal - work, 0.0)) - v[0]) / slope[0]
         more = min(ends, turns, rises)
         if not np.isfinite(more):

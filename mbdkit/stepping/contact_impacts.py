@@ -11,12 +11,17 @@ from mbdkit.stepping.complementarity import coulomb, stronge
 from mbdkit.stepping.rigid_contacts import RigidContacts
 
 SMALL_RESTITUTION = 1e-3
-"""Coefficient of restitution below which an impact of several contacts that would gain energy has none."""
+"""Coefficient of restitution below which an impact of several contacts is computed without restitution if it would
+otherwise gain energy.
+"""
 
 
 class Struck(NamedTuple):
-    """Velocities (n,) after an impact, impulses (C,) of contacts [N s], impulses (m,) of the constraints of joints, and
-    whether the impact law was that of the run.
+    """Result of an impact.
+
+    Velocities (n,) after it, impulses (C,) of the contacts [N s], impulses (m,) of the joint constraints, and whether
+    the
+    impact law was the one chosen for the run.
     """
 
     v: np.ndarray
@@ -34,7 +39,7 @@ def struck(
     Parameters
     ----------
     contacts
-        The contacts, on the equations of motion.
+        The contacts and the equations of motion that they act on.
     touching
         (C,) whether a contact is closed.
     e
@@ -60,7 +65,7 @@ def struck(
 
 
 def _gains(response: np.ndarray, before: np.ndarray, impulses: np.ndarray) -> bool:
-    """Return whether impulses would increase the kinetic energy by more than rounding errors."""
+    """Return whether impulses would increase the kinetic energy by more than rounding errors do."""
     gain = impulses @ (before + 0.5 * response @ impulses)
     return bool(gain > 1e-12 * (np.abs(impulses) @ np.abs(before)))
 

@@ -15,23 +15,23 @@ from mbdkit.stepping.near_contacts import NearContacts
 from mbdkit.stepping.polygon_features import EXACT, Feature, features_of, shape_pairs
 
 NEAR = 1e-3
-"""Gap, in lengths of the mechanism, up to which contacts are near each other."""
+"""Gap, relative to the length of the mechanism, up to which two shapes count as near each other."""
 FEW = 8
-"""Number of contacts of a kind that are evaluated one by one, which takes less time than arrays."""
+"""Up to this number of contacts of a kind, evaluating them one by one is faster than with arrays."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of C contacts in a state.
+    """Gaps and slips of C contacts in a state, with their derivatives.
 
     Attributes
     ----------
     gap, slip
-        (C,) in m and m/s.
+        (C,) gaps [m] and slip velocities [m/s].
     normal_right, tangent_right
-        (C,) right-hand sides; see `mbdkit.symbolic.contact_rows.row_function`.
+        (C,) right-hand sides of the constraints on accelerations; see `mbdkit.symbolic.contact_rows.row_function`.
     bodies
-        (C, 2) numbers of the bodies.
+        (C, 2) indices of the two bodies of each contact.
     gradients
         (2, C, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
     n
@@ -48,7 +48,7 @@ class Rows:
 
     @cached_property
     def columns(self) -> np.ndarray:
-        """(C, 6) coordinates of both bodies; those of the ground follow the others."""
+        """(C, 6) indices of the coordinates of both bodies; those of the ground come after all others."""
         return (3 * self.bodies[:, :, None] + np.arange(3)).reshape(len(self.bodies), 6)
 
     @cached_property
@@ -58,7 +58,7 @@ class Rows:
 
     @cached_property
     def tangent(self) -> np.ndarray:
-        """(C, n) derivatives of the slips by the velocities."""
+        """(C, n) derivatives of the slip velocities by the velocities."""
         return self._whole(self.gradients[1])
 
     def _whole(self, parts: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ class Rows:
         return rows[:, : self.n]
 
     def rates(self, v: np.ndarray) -> np.ndarray:
-        """Return the rates of gaps and slips (2, C) at velocities (n,)."""
+        """Return the rates of the gaps and the slip velocities (2, C) at velocities (n,)."""
         return np.asarray(np.sum(self.gradients * np.concatenate([v, np.zeros(3)])[self.columns], axis=2))
 
     def force(self, forces: np.ndarray) -> np.ndarray:
@@ -77,7 +77,10 @@ class Rows:
 
 
 class _Alike(NamedTuple):
-    """Features of one kind of geometry: their places among all, bodies (2, K), and numbers of the geometry (N, K)."""
+    """Features of one kind of geometry.
+
+    Their indices among all features, their bodies (2, K), and the N numbers that describe the geometry of each (N, K).
+    """
 
     kind: tuple[str, int]
     places: np.ndarray
@@ -107,8 +110,8 @@ class ContactKinematics:
     Attributes
     ----------
     held
-        (C,) number of the feature of each contact that is closed, -1 if that nearest to touching is meant; see
-        `mbdkit.stepping.polygon_features`.
+        (C,) index of the feature at which each closed contact stays; -1 for open contacts, which use the feature
+        nearest to touching. See `mbdkit.stepping.polygon_features`.
     """
 
     def __init__(self, contacts: Sequence[ActingContact], n: int, length: float):
@@ -119,7 +122,7 @@ class ContactKinematics:
         self._first = np.cumsum([0, *(len(some) for some in own)], dtype=int)[:-1]
         kinds = [one.kind for one in features]
         self._alike = [_Alike.of(features, kind) for kind in dict.fromkeys(kinds)]
-        #: Place of each feature among those of its kind, and number of the kind (F,).
+        #: Index of each feature among those of its kind, and index of that kind (F,).
         self._place, self._kind = np.zeros((2, len(features)), dtype=int)
         for number, alike in enumerate(self._alike):
             self._place[alike.places], self._kind[alike.places] = np.arange(len(alike.places)), number
@@ -128,16 +131,20 @@ class ContactKinematics:
         self.held = self.none_held()
 
     def none_held(self) -> np.ndarray:
-        """Return the value of `held` of open contacts."""
+        """Return `held` for contacts that are all open."""
         return np.full(len(self._first), -1)
 
     def hold(self, q: np.ndarray, closed: np.ndarray) -> None:
-        """Let closed contacts (C,) keep the features that they hold, else those that they have at a position."""
+        """Fix the features of closed contacts (C,): those fixed already, else the features nearest to touching at
+        position `q`.
+        """
         if self._polygons:
             self.held = np.where(closed, self._chosen(self._states(q, 0.0 * q))[0], -1)
 
     def margins(self, q: np.ndarray) -> np.ndarray:
-        """Return how far contacts (C,) are from where they lose their held feature [m]; infinite without one."""
+        """Return the distances [m] by which contacts (C,) may still slide until they leave their fixed features;
+        infinite for contacts without one.
+        """
         states, margins = self._states(q, 0.0 * q), np.full(len(self._first), np.inf)
         for pair in self._polygons:
             for i, row in enumerate(pair.rows):
@@ -146,7 +153,11 @@ class ContactKinematics:
         return margins
 
     def _chosen(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the number of the feature of each contact (C,), and the least gap (C,), of those that do not act."""
+        """Return the index of the feature of each contact (C,), and lower bounds of the gaps (C,) of those whose
+        feature does not act.
+
+        The bound is -inf for a contact whose feature acts.
+        """
         features, least = np.zeros(len(self._first), dtype=int), np.full(len(self._first), -np.inf)
         for pair in self._polygons:
             found = pair.chosen(states)
@@ -157,12 +168,13 @@ class ContactKinematics:
 
     @property
     def reach(self) -> float:
-        """Gap up to which `gaps` is always exact [m]."""
+        """Largest gap that `gaps` always computes exactly [m]."""
         return math.inf if self._near is None else self._near.reach
 
     def gaps(self, q: np.ndarray, within: float = 0.0) -> np.ndarray:
-        """Return the gaps (C,) of all contacts at a position [m]; of those above `within` and `reach`, lower
-        bounds above them.
+        """Return the gaps (C,) of all contacts at a position [m].
+
+        Gaps above both `within` and `reach` may be replaced by lower bounds that are above them, too.
         """
         if self._near is None:
             return self.rows(q, 0.0 * q).gap
@@ -178,7 +190,9 @@ class ContactKinematics:
         return gaps
 
     def _evaluate(self, states: np.ndarray, some: np.ndarray, gaps: np.ndarray) -> None:
-        """Write the gaps of some contacts (K,), each with one feature, into an array (C,)."""
+        """Compute the gaps of the contacts with indices `some` (K,), each with one feature, and write them into `gaps`
+        (C,).
+        """
         from mbdkit.symbolic.contact_rows import gap_function  # loads SymPy
 
         none = (0.0,) * 3
@@ -189,7 +203,7 @@ class ContactKinematics:
             gaps[which] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers[:, places])
 
     def rows(self, q: np.ndarray, v: np.ndarray, some: np.ndarray | None = None) -> Rows:
-        """Return the rows of all contacts in a state, or of some (C,), given by their numbers."""
+        """Return gaps, slips and derivatives of all contacts in a state, or of those with the indices `some`."""
         from mbdkit.symbolic.contact_rows import row_function  # loads SymPy
 
         states = self._states(q, v)
@@ -214,11 +228,11 @@ class ContactKinematics:
         return Rows(gap, values[1], values[14], values[15], self._bodies[chosen], gradients, self._n)
 
     def _states(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return x, y, cosine and sine of the angle and the velocities of all bodies (7, B + 1), the ground last."""
+        """Return x, y, cosine and sine of the angle and the velocities of all bodies (7, B + 1), ground last."""
         states = np.zeros((7, self._n // 3 + 1))
         states[2, -1] = 1.0
         x, y, angle = q.reshape(-1, 3).T
         states[0, :-1], states[1, :-1], states[4:, :-1] = x, y, v.reshape(-1, 3).T
-        angles = angle.tolist()  # NumPy's functions depend on the number of items
+        angles = angle.tolist()  # NumPy's vectorized functions may round differently for different array lengths
         states[2, :-1], states[3, :-1] = [math.cos(x) for x in angles], [math.sin(x) for x in angles]
         return states

@@ -1,4 +1,4 @@
-"""What rigid contacts pass from step to step: modes, forces and impacts."""
+"""Data of rigid contacts that one step passes to the next: modes, forces and impacts."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.contact_forces import HELD, held_coordinates
 
 SOLVED = 1e-6
-"""Error of the velocities of contacts that is not worth a remark."""
+"""Relative error of the velocities of contacts up to which the solution is not remarked upon."""
 
 
 class ContactImpact(NamedTuple):
-    """An impact of a contact: time [s], number of the contact, impulses [N s], energy lost by all contacts [J], and
-    impulses (J, 3) of the joints by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
+    """An impact of a contact.
+
+    Time [s], index of the contact, its impulses [N s], energy lost at all contacts together [J], and impulses (J, 3) of
+    the
+    joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
     """
 
     time: float
@@ -31,7 +34,7 @@ class ContactImpact(NamedTuple):
 
 @dataclass(frozen=True)
 class ContactState:
-    """What contacts pass from step to step.
+    """Data of contacts that one step passes to the next.
 
     Attributes
     ----------
@@ -44,21 +47,22 @@ class ContactState:
     energy
         Largest kinetic energy so far [J].
     cut, changed
-        Names of contacts whose sequence of impacts was cut, and of those with another law of impact.
+        Names of contacts whose infinite sequence of impacts was cut short, and of those at which a law of impact other
+        than the chosen one was used.
     time
-        Time at which the step has ended [s]: before its planned end if there is an event.
+        Time at which the step ended [s]; before its planned end if there was an event.
     event
-        What happens then, before the next step; None if nothing does. See `mbdkit.stepping.event_driven`.
+        Event to be applied before the next step, or None. See `mbdkit.stepping.event_driven`.
     streak
-        Number of events since a step that had none.
+        Number of consecutive steps that ended at an event.
     is_over_step
-        Whether the forces are those over the whole step, and not at its end.
+        Whether the forces are means over the step, not values at its end.
     undecided
         First time at which several contacts that affect each other have closed at once, in an unknown order [s].
     residual
-        Largest error of the velocities of contacts, relative to the largest one in its step.
+        Largest error of the velocities of contacts, relative to the largest velocity in the same step.
     accelerations
-        What a time-stepping method passes to its next step.
+        Accelerations that a time-stepping method passes to its next step.
     features
         (C,) see `mbdkit.stepping.contact_kinematics.ContactKinematics.held`.
     """
@@ -81,11 +85,13 @@ class ContactState:
     features: np.ndarray | None = None
 
     def after_stop(self) -> ContactState:
-        """Return the state after a discontinuity of a motion or load, where modes are determined anew."""
+        """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""
         return replace(self, modes=np.zeros(0, dtype=int), accelerations=())
 
     def remarks(self) -> tuple[str, ...]:
-        """Return sentences about sequences of impacts that were cut, and about impacts with another law."""
+        """Return sentences about sequences of impacts that were cut short, and about impacts computed with another law
+        than the chosen one.
+        """
         found = []
         if self.cut:
             names = listed(sorted(self.cut), "and")
@@ -108,7 +114,7 @@ class ContactState:
 
 
 class HeldForces:
-    """Forces and modes of rigid contacts as first-order states, which do not change between the ends of steps."""
+    """Forces and modes of rigid contacts as first-order states, which are constant within each step."""
 
     def __init__(self, mechanism: CompiledMechanism):
         rigid = [one for one in mechanism.contacts if one.first_state >= 0]
@@ -117,15 +123,15 @@ class HeldForces:
         self.count = self._contacts + len(self._coordinates)
 
     def others(self, mechanism: CompiledMechanism) -> list[str]:
-        """Return the names of the other first-order states of the mechanism."""
+        """Return the names of the first-order states of the mechanism that do not belong to contacts."""
         own = range(self._first, self._first + self.count)
         return [state.name for number, state in enumerate(mechanism.states) if number not in own]
 
     def of(self, memory: ContactState | None) -> np.ndarray:
-        """Return the states (Z,); zeros before the first step."""
+        """Return the states (Z,) from the memory of the method; zeros before the first step."""
         z = np.zeros(self.count)
         if self.count and memory is not None:
-            modes = memory.modes if len(memory.modes) else np.zeros(len(memory.normal))  # not known after a stop
+            modes = memory.modes if len(memory.modes) else np.zeros(len(memory.normal))  # unknown after a stop
             z[: self._contacts] = np.stack([memory.normal, memory.tangent, np.abs(modes)], axis=1).ravel()
             z[self._contacts :] = memory.force[self._coordinates]
         return z

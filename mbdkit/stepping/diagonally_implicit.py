@@ -11,9 +11,9 @@ system for the changes of ``a_i`` and of the multipliers,
     [ M + h g C + h^2 g^2 K                               Phi_q^T ] [ da   ]     [ M a + Phi_q^T lambda - Q ]
     [ Phi_q - h g gamma_v + h^2 g^2 (Phi_q a - gamma)_q   0       ] [ dlam ] = - [ Phi_q a - gamma          ]
 
-with the tangents of the current iterate. An explicit stage, g = 0, takes one evaluation. The method is needed for
-tableaus whose matrix cannot be diagonalised, such as that of a singly diagonally implicit method, which has only one
-eigenvalue and one eigenvector; see Hairer and Wanner (1996), IV.6.
+where the derivatives are those at the current iterate. An explicit stage, g = 0, takes one evaluation. This scheme is
+needed for tableaus whose matrix cannot be diagonalised, such as that of a singly diagonally implicit method, which has
+only one eigenvalue and one eigenvector; see Hairer and Wanner (1996), IV.6.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ Solved = tuple[np.ndarray, np.ndarray]
 
 MOST_ITERATIONS = 50
 ROUNDING = 4e-16
-"""Relative change of the accelerations that counts as rounding."""
+"""Relative change of the accelerations that counts as round-off."""
 SMALL = 1e-6
-"""Relative change below which an iteration that no longer contracts counts as having reached round-off."""
+"""An iteration that no longer contracts is accepted as having reached round-off if its relative change is below this.
+"""
 CONTRACTS = 0.5
-"""Ratio of two changes above which an iteration counts as no longer contracting."""
+"""An iteration counts as no longer contracting if the ratio of two successive changes is above this."""
 
 
 class DiagonallyImplicit(StepMethod):
@@ -85,8 +86,8 @@ class DiagonallyImplicit(StepMethod):
         """Return acceleration and multipliers of a stage whose state is ``q + rate^2 a``, ``v + rate a``.
 
         The iteration starts from free flight: the acceleration of an earlier stage under a stiff force can lead to
-        another solution of the stage equations, far beyond the step. It ends at the tolerance, or at stagnation: where
-        the change is round-off, or no longer contracts.
+        another solution of the stage equations, far beyond the step. The iteration ends when the change is within the
+        tolerance, is round-off, or no longer decreases.
         """
         a, lam = np.zeros(equations.n), np.zeros(equations.m)
         before = np.inf

@@ -1,7 +1,7 @@
 """Derivatives of expressions of the state by parameters: the chain rule over the parameters of their laws.
 
-The inputs of an expression are parameters of its law (`mbdkit.engine.state_expressions`). An evaluation of a state with
-dual numbers stores their values and derivatives in the array of parameters.
+The inputs of an expression are parameters of its law (`mbdkit.engine.state_expressions`). Evaluating a state with dual
+numbers stores the values and derivatives of these inputs in the array of parameters.
 """
 
 from __future__ import annotations
@@ -42,10 +42,14 @@ class DifferentiatedLaws:
         self._laws = {row: _with_slopes(*mechanism.laws[row]) for row in sorted(rows)}
 
     def value(self, row: int, t: float, arguments: np.ndarray | None = None) -> np.ndarray:
-        """Return the value of the law in a row of ``Topology.laws`` with its derivatives, (1 + K,).
+        """Return the value of a law with its derivatives, (1 + K,).
 
         Parameters
         ----------
+        row
+            Index of the law in ``Topology.laws``.
+        t
+            Time [s].
         arguments
             (2, 1 + K) length and rate of the pathway; None if the law has none.
         """
@@ -59,7 +63,7 @@ class DifferentiatedLaws:
         return np.asarray(found)
 
     def state_rates(self, t: float, forces: np.ndarray) -> np.ndarray:
-        """Return the derivatives of all states by time with their derivatives by parameters, (Z, 1 + K).
+        """Return the rates of all first-order states with their derivatives by parameters, (Z, 1 + K).
 
         Parameters
         ----------
@@ -76,8 +80,9 @@ class DifferentiatedLaws:
 
 
 def _with_slopes(name: str, compiled: CompiledLaw) -> tuple[Callable[..., list[float]], int]:
-    """Return a law and its derivatives by length, rate and parameters, as a function of these and the time, and the
-    number of parameters.
+    """Return a function that evaluates a law and its derivatives, and the number of parameters of the law.
+
+    The arguments of the function are length, rate, parameters and time; the derivatives are those by the first three.
     """
     import sympy as sp
 

@@ -31,11 +31,11 @@ class Differentiated(Protocol):
     laws: DifferentiatedLaws
 
     def take_up_solver(self) -> None:
-        """Use the current solver of the workspace."""
+        """Use the current solver of the workspace in further steps."""
         ...
 
     def use_states(self, z: np.ndarray) -> None:
-        """Use first-order states (Z, 1 + K) with their derivatives in what is evaluated next."""
+        """Use first-order states (Z, 1 + K) with their derivatives in later evaluations."""
         ...
 
 
@@ -56,19 +56,19 @@ class DifferentiatedSampler:
         self._last = -math.inf
 
     def passed(self, stop: float, after: np.ndarray) -> None:
-        """Update the derivatives for the samples at a time; a repeated call has no effect.
+        """Update the derivatives for the samples at a stop; a repeated call has no effect.
 
         Parameters
         ----------
         stop
-            The time [s].
+            Time of the stop [s].
         after
             (Z,) first-order states after the samples.
 
         Raises
         ------
         StepError
-            If the accelerations there are not unique.
+            If the accelerations at the stop are not unique.
         """
         controllers = self._steps.workspace.mechanism.controllers
         if stop <= self._last or not controllers:

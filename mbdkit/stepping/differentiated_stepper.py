@@ -1,4 +1,4 @@
-"""Advances a run together with the derivatives of its states by parameters."""
+"""A stepper that advances a run together with the derivatives of its states by parameters."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ NODES = ("node_time", "node_weight", "node_q", "node_v")
 """Fields of `DualRun` that store stages as quadrature nodes of time integrals."""
 
 ANY_ERROR = 1e30
-"""Factor of the error tolerances, so large that every step is accepted."""
+"""Factor applied to the error tolerances, so large that every step is accepted."""
 
 
 def dual_laws(workspace: Workspace) -> np.ndarray:
@@ -87,7 +87,7 @@ class DifferentiatedSteps:
         self._take_up_method()
 
     def _take_up_method(self) -> None:
-        """Make the bundle of dual numbers that belongs to the current bundle of the method."""
+        """Create the dual-number counterpart of the method's current bundle of arrays."""
         method = self.method
         if isinstance(method, CompiledExplicit):
             self._plain = method.bundle
@@ -95,7 +95,7 @@ class DifferentiatedSteps:
             self._stage_count = len(method.bundle.b)
             return
         new = dual_stages(method.bundle)
-        if self._plain is not None:  # new pivots; the derivatives of the last stages remain valid
+        if self._plain is not None:  # new pivots were chosen; the derivatives of the last stages remain valid
             new.acc[...] = self._stages.bundle.acc
             new.previous.size[:], new.previous.begin[:] = np.nan, 0.0
         self._plain = method.bundle
@@ -103,23 +103,23 @@ class DifferentiatedSteps:
         self._stage_count = len(method.rk.b)
 
     def step(self, run_state: int, step: tuple[float, float], row: int, *, projected: bool) -> None:
-        """Differentiate a step that the run has taken, and record its end.
+        """Differentiate a step that the run has taken, and record the state at its end.
 
         Parameters
         ----------
         run_state
-            Address of the run.
+            Address of the state of the run.
         step
             Start and size of the step [s].
         row
-            Index at which its end is recorded; -1 if it is not recorded.
+            Index at which the state at the end is recorded; -1 if it is not recorded.
         projected
-            Whether the run has projected its end onto the constraints.
+            Whether the run has projected the state at the end onto the constraints.
 
         Raises
         ------
         StepError
-            If its derivatives cannot be computed.
+            If the derivatives of the step cannot be computed.
         """
         t, h = step
         self.take_up_solver()
@@ -144,7 +144,7 @@ class DifferentiatedSteps:
             self._row_z.append(np.array(self.run.z))
 
     def take_up_solver(self) -> None:
-        """Use the current solver of the workspace."""
+        """Use the current solver of the workspace in further steps."""
         if self.workspace.solver is self._solver:
             return
         self._solver = self.workspace.solver
@@ -169,12 +169,14 @@ class DifferentiatedSteps:
 
     @property
     def memory(self) -> tuple[np.ndarray, ...]:
-        """Arrays that a step reads of the previous step."""
+        """Arrays of the previous step that the next step reads."""
         return (*kept(self.run, STATE).values(), *kept(self._stages.bundle, STATE).values())
 
     @contextmanager
     def last_nodes_kept(self) -> Iterator[None]:
-        """Restore the quadrature nodes of the last step on exit, since another attempt at the step overwrites them."""
+        """Context in which a step may be repeated: the quadrature nodes of the last step, which the repetition
+        overwrites, are restored on exit.
+        """
         end = int(self.run.nodes[1])
         some = slice(max(0, end - self._stage_count), end)
         before = [np.copy(getattr(self.run, name)[some]) for name in NODES]
@@ -183,7 +185,7 @@ class DifferentiatedSteps:
             getattr(self.run, name)[some] = values
 
     def use_states(self, z: np.ndarray) -> None:
-        """Use first-order states (Z, 1 + K) with their derivatives in what is evaluated next."""
+        """Use first-order states (Z, 1 + K) with their derivatives in later evaluations."""
         state, place = self.workspace.mechanism.topology.state_places.T
         np.asarray(self.run.w.law_values)[place] = z[state]
 
@@ -203,28 +205,7 @@ class DifferentiatedSteps:
 
 
 class DifferentiatedStepper(CompiledStepper):
-    """Runs a compiled method with fixed or controlled steps, and differentiates every step.
-
-    Parameters
-    ----------
-    method, workspace, timetable, control
-        See `CompiledStepper`. The step sizes of `control` are not differentiated.
-    seeds
-        Derivatives of mechanism and start by up to `DIRECTIONS` parameters.
-    with_nodes
-        Whether the stages are stored as quadrature nodes of time integrals.
-    sizes
-        Sizes of the steps [s], in place of those that `control` would choose.
-
-    Attributes
-    ----------
-    recorded
-        Number of states recorded so far, without the first.
-    sizes_taken
-        Sizes of the steps so far [s].
-    z0
-        First-order states at the start, with their derivatives.
-    """
+    """Runs a compiled method with fixed or controlled step size, and differentiates every step."""
 
     def __init__(
         self,
@@ -264,7 +245,8 @@ class DifferentiatedStepper(CompiledStepper):
         recorded, taken, sizes = self.recorded, self.sizes_taken, self._sizes
         self.sizes_taken, self._sizes = [], None
         done = super()._retake(step, theta)
-        self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes  # its end is not recorded
+        # the end of a repeated step is not recorded
+        self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes
         return done
 
     def within(self, theta: float) -> Moment:
@@ -338,9 +320,7 @@ class DifferentiatedStepper(CompiledStepper):
             if written:
                 self.recorded += 1
                 count += 1
-                if (
-                    count > 1
-                ):  # the step loop writes each row at index 0, so that the first recorded state has to be saved
+                if count > 1:  # the step loop writes each row at index 0, so the first recorded state has to be saved
                     for x in rows:
                         x[count - 1] = x[0]
                 else:
@@ -355,7 +335,7 @@ class DifferentiatedStepper(CompiledStepper):
 
 
 def _enlarged(x: Any, rows: int) -> Any:
-    """Return an array with its values, and room for at least `rows` rows."""
+    """Return a copy of an array with room for at least `rows` rows."""
     larger = np.zeros((max(rows, 2 * len(x)), *x.shape[1:])).view(type(x))
     larger[: len(x)] = x
     return larger

@@ -1,10 +1,10 @@
-"""Event-driven integration of rigid contacts: an explicit method between events, impacts and changes of modes at them.
+"""Event-driven integration of rigid contacts: an explicit method between events, which are impacts and changes of mode.
 
 Contacts are open, stick or slip. Between events, closed contacts are constraints of the accelerations, and those that
 slip have the friction force -mu N against the slip. Events are zeros of functions of the state, found by steps of the
-method itself: a gap that closes, a normal force that vanishes, a friction force that reaches its limit, slip that
-ends, and the end of an edge of a polygon. At an event, a linear complementarity problem determines the modes that
-follow, at an impact also the impulses.
+method itself: a gap that closes, a normal force that vanishes, a friction force that reaches its limit, slip that ends,
+and the end of an edge of a polygon. At each event, a linear complementarity problem determines the new modes, and at an
+impact also the impulses.
 """
 
 from __future__ import annotations
@@ -28,21 +28,25 @@ from mbdkit.stepping.interface import StepTaken
 from mbdkit.stepping.rigid_contacts import Forced, KnownContacts, RigidContacts
 
 MOST_EVENTS = 1000
-"""Events that follow each other without a whole step, after which the run stops."""
+"""The run stops after this many consecutive events without a complete step."""
 SAMPLES = 8
-"""States of a step in which events are looked for."""
+"""Number of states in a step at which the event functions are evaluated."""
 SAME_INSTANT = 4e-16
-"""Times that differ by less, in seconds or as a share, are equal."""
+"""Times that differ by less than this, in seconds or relative to their size, are equal."""
 SAME = 1e-10
-"""Gaps, in lengths of the mechanism, and velocities, in those of the motion, that are zero but for errors."""
+"""Gaps below this, relative to the length of the mechanism, and velocities below this, relative to the largest of the
+motion, count as zero.
+"""
 
 REDUNDANT = 1e-6
-"""Friction forces beyond their limit by more than this share of the normal force may be those of redundant contacts."""
+"""Friction forces that exceed their limit by more than this share of the normal force are assumed to result from
+redundant contacts.
+"""
 
 
 @dataclass(frozen=True)
 class _Point:
-    """A state within a step, and the energies since its begin [J]."""
+    """A state within a step, and the work and dissipated energy since the start of the step [J]."""
 
     t: float
     q: np.ndarray
@@ -54,7 +58,7 @@ class _Point:
 _Tableau = tuple[list[list[float]], list[float], list[float]]
 """Coefficients a, b and c."""
 _Rate = tuple[np.ndarray, float, float]
-"""Accelerations, power of loads and drivers, and dissipated power."""
+"""Accelerations, power of loads and drivers [W], and dissipated power [W]."""
 
 
 class EventDriven(StepMethod):
@@ -74,9 +78,9 @@ class EventDriven(StepMethod):
         self._contacts = KnownContacts()
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """Take a step, or the part of it before the first event, which `after_event` then applies.
+        """Take a step, or only its part before the first event. The event is applied later, by `after_event`.
 
-        The time that is reached is part of `StepState.memory`, a `ContactState`.
+        The time reached is stored in `StepState.memory`, a `ContactState`.
         """
         step = _Step(self.treatment, self.tableau, self._contacts.on(equations), t, state)
         event = step.to(t + h)
@@ -94,7 +98,7 @@ class EventDriven(StepMethod):
 
 
 def with_contact_forces(workspace: Workspace) -> Workspace:
-    """Return a workspace whose rigid contacts start with the forces and modes of the initial state."""
+    """Return a workspace that starts with the contact forces and modes of the initial state."""
     mechanism = workspace.mechanism
     top, held = mechanism.topology, HeldForces(mechanism)
     if others := held.others(mechanism):
@@ -117,7 +121,7 @@ def with_contact_forces(workspace: Workspace) -> Workspace:
 
 
 class _Step:
-    """A step of the run, which consists of steps of the method between events."""
+    """A step of the run, divided at events into steps of the explicit method."""
 
     def __init__(
         self,
@@ -141,7 +145,7 @@ class _Step:
 
     @property
     def modes(self) -> np.ndarray:
-        """Modes (C,) of the contacts, of which those that are closed keep their features."""
+        """Modes (C,) of the contacts. Setting them fixes the polygon features of closed contacts."""
         return self._modes
 
     @modes.setter
@@ -151,7 +155,9 @@ class _Step:
 
     @property
     def speed(self) -> float:
-        """Size of velocities in the motion so far [m/s]; not that of rounding errors of bodies at rest."""
+        """Largest velocity of the motion so far, from its kinetic energy [m/s]; at least 1e-3, so that rounding errors
+        of bodies at rest count as zero.
+        """
         return max(float(np.sqrt(2.0 * self.state.energy / np.sum(self.p.mass[::3]))), 1e-3)
 
     def _book_energy(self) -> None:
@@ -159,7 +165,7 @@ class _Step:
         self.state = replace(self.state, energy=max(self.state.energy, now))
 
     def _modes_at_rest(self) -> np.ndarray:
-        """Return the modes at the start, after the impact of contacts that are closed and approach."""
+        """Return the modes at the start; contacts that are closed and approach each other have an impact first."""
         rows = self.contacts.kinematics.rows(self.now.q, self.now.v)
         touching = rows.gap <= SAME * self.length
         if np.any(touching & (rows.normal @ self.now.v < -SAME * self.speed)):
@@ -168,7 +174,7 @@ class _Step:
         return self._decided(self.now, touching)
 
     def contact_state(self) -> ContactState:
-        """Return what the contacts hold now."""
+        """Return the present data of the contacts, which are passed to the next step."""
         now, forced = self.now, self._forced(self.now)
         force = forced.normal @ forced.rows.normal + forced.tangent @ forced.rows.tangent
         normal, tangent = self._shared(now, forced)
@@ -176,18 +182,20 @@ class _Step:
         return replace(self.state, modes=self.modes, normal=normal, tangent=tangent, force=force, features=features)
 
     def _shared(self, at: _Point, forced: Forced) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces (C,) of contacts, normal and tangential; where redundant contacts stick, and their forces
-        are not unique, those that are within the limit of friction.
+        """Return the normal and tangential forces (C,) of contacts.
+
+        If redundant contacts stick, so that their forces are not unique, forces within the limits of friction are
+        chosen.
         """
         beyond = np.abs(forced.tangent) - self.contacts.static * forced.normal
-        # less than that is a contact about to slip
+        # a smaller excess means that the contact is about to slip
         if not np.any((self.modes == STICK) & (beyond > REDUNDANT * np.max(np.abs(forced.normal)))):
             return forced.normal, forced.tangent
         slides = np.where(np.abs(self.modes) == SLIP, np.sign(self.modes), 0.0)
         return self.contacts.shared(at.t, at.q, at.v, self.modes != OPEN, slides, forced)
 
     def reached(self, event: tuple[int, int] | None, streak: int) -> StepState:
-        """Return the present state with what the contacts pass to the next step."""
+        """Return the present state and the data of the contacts for the next step."""
         now = self.now
         memory = replace(self.contact_state(), time=now.t, event=event, streak=streak)
         return StepState(now.q, now.v, None, memory, now.work, now.dissipated)
@@ -198,13 +206,15 @@ class _Step:
     # ---- between events ------------------------------------------------------------------------------------------
 
     def _rate(self, t: float, q: np.ndarray, v: np.ndarray) -> _Rate:
-        """Return accelerations, and power of loads and drivers, and dissipated power."""
+        """Return accelerations, power of loads and drivers, and dissipated power."""
         forced = self.contacts.accelerations(t, q, v, self.modes)
         work, lost = self.p.powers(t, q, v, forced.multipliers)
         return forced.a, work, lost - float(forced.tangent @ forced.rows.slip)
 
     def _moved(self, h: float) -> _Point:
-        """Return the state after a step of the method from the present one, with closed contacts and joints closed."""
+        """Return the state after one step of the explicit method, projected so that joints and closed contacts are
+        closed.
+        """
         assert self.tableau is not None
         now, (a, b, c) = self.now, self.tableau
         q_rates: list[np.ndarray] = []
@@ -233,7 +243,7 @@ class _Step:
     # ---- events --------------------------------------------------------------------------------------------------
 
     def to(self, end: float) -> tuple[int, int] | None:
-        """Advance to a time, or to the first event before, which is returned."""
+        """Advance to the time `end` or to the first event before it; return that event, or None."""
         while (h := end - self.now.t) > SAME_INSTANT * max(abs(end), 1.0):
             there = self._moved(self._limited(h))
             found = self._first_event(there)
@@ -249,7 +259,7 @@ class _Step:
         return None
 
     def _limited(self, h: float) -> float:
-        """Return a step in which no contact opens and closes again unnoticed."""
+        """Return a step size, at most `h`, with which no contact can open and close again unnoticed."""
         forced = self._forced(self.now)
         rows = forced.rows
         rate, curve = rows.normal @ self.now.v, rows.normal @ forced.a - rows.normal_right
@@ -259,8 +269,11 @@ class _Step:
         return float(h)
 
     def _values(self, at: _Point) -> np.ndarray:
-        """Return three functions (3, C) of each contact that are negative after an event: those of its normal
-        direction, of its friction, and of its place on a polygon.
+        """Return three event functions of each contact (3, C), which are negative after an event.
+
+        They belong to the normal direction (gap or force), to friction (slip or remaining friction force), and to the
+        place on
+        the edge of a polygon.
         """
         forced = self._forced(at)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
@@ -281,8 +294,10 @@ class _Step:
         return np.stack([normal, SAME * np.where(slips, self.speed, weight), place])
 
     def _first_event(self, there: _Point) -> tuple[float, tuple[int, int]] | None:
-        """Return the share of a step at which the first event happens, and the event: 0 (normal), 1 (friction) or 2
-        (place), and the number of the contact.
+        """Return the share of a step at which its first event happens, and the event as (kind, contact).
+
+        The kind is the index of the function in `_values`: 0 normal, 1 friction, 2 place on a polygon. None if there is
+        no event.
         """
         now, h = self.now, there.t - self.now.t
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v)
@@ -299,7 +314,7 @@ class _Step:
                 and self.modes[contact] == STICK
                 and np.array_equal(self._decided(there, self.modes != OPEN), self.modes)
             ):
-                continue  # other forces of redundant contacts keep it closed
+                continue  # contact stays closed with another distribution of the forces of redundant contacts
             own = values[:, kind, contact]
             after = 1 + int(np.argmax(own[1:] < -small[kind, contact]))
             before = int(np.argmax(own[:after]))
@@ -310,8 +325,9 @@ class _Step:
         return first
 
     def _rise(self, kind: int, contact: int, high: float, h: float, small: np.ndarray) -> float | None:
-        """Return a share of the step, before another one, at which a function that begins with zero is positive, such
-        as slip that begins just before the contact opens; None if there is none.
+        """Return a share of the step below `high` at which an event function that starts at zero is positive, or None.
+
+        Such a function is, for example, slip that begins just before the contact opens.
         """
         for share in high * 0.1 ** np.arange(1.0, 6.0):
             if self._values(self._moved(share * h))[kind, contact] > small[kind, contact]:
@@ -319,21 +335,21 @@ class _Step:
         return None
 
     def _zero(self, kind: int, contact: int, low: float, high: float, h: float) -> float:
-        """Return the share of the step at which a function vanishes, found by steps of the method."""
+        """Return the share of the step at which an event function vanishes; each evaluation takes a step."""
         from scipy.optimize import brentq  # loaded only if a run has such events
 
         def value(share: float) -> float:
             return float(self._values(self._moved(share * h))[kind, contact])
 
         begin, end = value(low), value(high)
-        if end >= 0.0:  # the interpolation is beyond the step of the method
+        if end >= 0.0:  # the interpolated state showed an event, but a step of the method does not
             return high
         if begin <= 0.0:
             return low
         return float(brentq(value, low, high, xtol=1e-15, rtol=8.9e-16))
 
     def happen(self, event: tuple[int, int]) -> None:
-        """Apply an event to the present state."""
+        """Apply an event, given as (kind, contact), to the present state."""
         kind, contact = event
         if kind == 0 and self.modes[contact] == OPEN:
             self._strike(self._touching() | (np.arange(len(self.modes)) == contact))
@@ -355,11 +371,13 @@ class _Step:
         limit = self._scales(self._forced(self.now))[0, contact]
         self.modes = self._decided(self.now, touching, stops, begins)
         if kind == 0 and self.modes[contact] != OPEN and self._forced(self.now).normal[contact] <= limit:
-            touching[contact] = False  # the force vanishes now and would pull from now on
+            touching[contact] = False  # the force vanishes now, and would pull later
             self.modes = self._decided(self.now, touching, stops, begins)
 
     def _hand_over(self, contact: int) -> None:
-        """Give a contact that leaves its edge or corner to those that touch there."""
+        """Release a contact that reaches the end of its edge or corner, and let the contacts that touch there take
+        over.
+        """
         stays = self.modes != OPEN
         stays[contact] = False
         self.modes = np.where(stays, self.modes, OPEN)
@@ -383,9 +401,18 @@ class _Step:
         stops: np.ndarray | float = 0.0,
         begins: np.ndarray | float = 0.0,
     ) -> np.ndarray:
-        """Return the modes with which touching contacts go on.
+        """Return the modes of touching contacts after an event.
 
-        `stops` is positive where slip has just ended, `begins` the direction in which it has just begun, else 0.
+        Parameters
+        ----------
+        at
+            The state after the event.
+        touching
+            (C,) whether a contact touches.
+        stops
+            (C,) positive where slip has just ended.
+        begins
+            (C,) direction in which slip has just begun; else 0.
         """
         rows = self.contacts.kinematics.rows(at.q, at.v)
         resting = touching & (rows.normal @ at.v <= SAME * self.speed)
@@ -423,11 +450,14 @@ class _Step:
         )
 
     def _cut(self, touching: np.ndarray, approach: np.ndarray) -> list[ContactImpact]:
-        """Close the touching contacts that an impact opens with less energy than `rest_energy`, and that would close
-        again: those of a sequence of impacts without end, of one contact or of several in turn, as of a block that
-        rocks.
+        """Close contacts that would otherwise have an infinite sequence of impacts.
 
-        Returns the ends of these sequences, as impacts without impulses: infinite times if the contact did not
+        These are the touching contacts that the impact opens with less energy than `rest_energy` and that would close
+        again.
+        The sequence may belong to one contact or to several in turn, as for a rocking block.
+
+        Returns the ends of these sequences, as impacts without impulses; their times are infinite for contacts that did
+        not
         approach.
         """
         forced, contacts, now = self._forced(self.now), self.contacts, self.now

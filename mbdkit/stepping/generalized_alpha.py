@@ -1,4 +1,4 @@
-"""The nonsmooth generalized-alpha method: contacts as in the method of Moreau and Jean, all else with order 2.
+"""The nonsmooth generalized-alpha method: order 2 without contacts, and contacts as in the method of Moreau and Jean.
 
 A step first ignores contacts: the generalized-alpha method of Chung and Hulbert gives positions q and velocities v~ at
 its end from accelerations that satisfy the equations of motion there,
@@ -7,8 +7,8 @@ its end from accelerations that satisfy the equations of motion there,
     v~_1 = v_0 + h ((1 - gamma) a_0 + gamma a_1)
     q~_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1)
 
-Then joints are closed in velocities, and contacts that would overlap get impulses, which change the velocities by dv
-and the positions by h dv / 2. At last positions are projected.
+Then the velocities are made consistent with the joints, and contacts that would overlap get impulses, which change the
+velocities by dv and the positions by h dv / 2. Finally the positions are projected.
 
 Q.-z. Chen, V. Acary, G. Virlez and O. Bruls, International Journal for Numerical Methods in Engineering 96:487-511,
 2013, with the algorithmic parameters of J. Chung and G. M. Hulbert, Journal of Applied Mechanics 60:371-375, 1993.
@@ -27,9 +27,11 @@ from mbdkit.methods.kinds import StepState
 from mbdkit.stepping.time_stepping import SmoothStep, TimeStepping, answer
 
 MOST_ITERATIONS = 20
-"""Iterations of Newton's method in a step."""
+"""Largest number of Newton iterations in a step."""
 CONVERGED, STAGNANT = 1e-14, 1e-9
-"""Changes of the coordinates, relative to the largest, that are zero, and up to which they need not decrease."""
+"""Changes of the coordinates, relative to the largest coordinate: below the first they count as zero; below the second
+the iteration may stagnate.
+"""
 
 
 class GeneralizedAlphaSteps(TimeStepping):
@@ -38,7 +40,7 @@ class GeneralizedAlphaSteps(TimeStepping):
     Parameters
     ----------
     spectral_radius
-        Factor by which a step multiplies infinitely fast vibrations, from 0 to 1.
+        Factor by which a step multiplies the amplitude of infinitely fast vibrations, from 0 to 1.
     """
 
     def __init__(self, spectral_radius: float):
@@ -47,13 +49,14 @@ class GeneralizedAlphaSteps(TimeStepping):
         self.alpha_f = spectral_radius / (spectral_radius + 1.0)
         self.gamma = 0.5 + self.alpha_f - self.alpha_m
         self.beta = 0.25 * (self.gamma + 0.5) ** 2
-        #: Share of a step by which the accelerations a are ahead of w in time, so that the first ones have order 2.
+        #: Share of a step by which the accelerations a are ahead of w in time; starting with a at this time gives order
+        #: 2.
         self.ahead = self.alpha_m - self.alpha_f
 
     def smooth(
         self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]
     ) -> SmoothStep:
-        """See `TimeStepping.smooth`. The accelerations are a_0 and w_0."""
+        """See `TimeStepping.smooth`; `accelerations` are a_0 and w_0."""
         q0, v0 = state.q, state.v
         w, multipliers = p.accelerations(t, q0, v0)
         a0, w0 = accelerations or (w, w)

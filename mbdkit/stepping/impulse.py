@@ -1,5 +1,6 @@
-"""The impulse of drivers with a discontinuous velocity: the nearest velocities that satisfy the constraints
-afterwards.
+"""The impulse of drivers whose velocity is discontinuous.
+
+The velocities afterwards are the nearest ones that satisfy the constraints.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ def impulse(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: 
     """Return the impulse at a stop, and the velocities after it (3 (B + 1),), ground last.
 
     The impulse Lambda of the constraints leads to ``M (v+ - v) + Phi_q^T Lambda = 0`` with ``Phi_q v+ + Phi_t+ = 0``:
-    v+ is nearest to v in the mass metric. The work of the impulse is the change of the kinetic energy.
+    v+ is, in the mass metric, the velocity nearest to v that satisfies the constraints. The work of the impulse is the
+    change of the kinetic energy.
 
     Parameters
     ----------
     workspace
-        The mechanism; new pivots may be chosen.
+        The mechanism. Its pivots are renewed if necessary.
     t
         Time just after the jump [s].
     q, v

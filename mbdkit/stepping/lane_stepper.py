@@ -1,5 +1,6 @@
-"""Prepares and advances vectorized runs (`mbdkit.stepping.lane_loop`), and returns their states and recorded
-values.
+"""Runs that are advanced together in the lanes of SIMD vectors: preparation, stepping, and results.
+
+`mbdkit.stepping.lane_loop` has the compiled loop.
 """
 
 from __future__ import annotations
@@ -43,13 +44,13 @@ from mbdkit.stepping.step_watch import guard_evidence
 
 @dataclass(frozen=True)
 class LaneResults:
-    """Runs that were advanced in lanes: W runs with up to T recorded states each, the initial one first.
+    """Results of W runs that were advanced in SIMD lanes, with up to T recorded states each, the initial one first.
 
-    Runs with controlled step size may have fewer than T recorded states; their last one is then repeated.
+    If the step size is controlled, a run may have fewer than T recorded states; its last one is then repeated.
     """
 
     lost: np.ndarray
-    """(W,) whether a run must be repeated alone; its other values are not valid."""
+    """(W,) whether a run must be repeated outside the lanes; its other values are then not valid."""
     time: np.ndarray
     """(W, T) times [s]."""
     q: np.ndarray
@@ -64,18 +65,21 @@ class LaneResults:
     worst: np.ndarray
     """(W, P) largest squared misalignments."""
     iterations: np.ndarray
-    """(W, T, 2) iterations since the recorded state before, and the largest number of them in one step."""
+    """(W, T, 2) iterations since the previous recorded state, and the largest number of iterations in one of these
+    steps.
+    """
     rows: np.ndarray
     """(W,) number of recorded states of each run."""
     work: np.ndarray | None
-    """(W, T, 3) steps since the recorded state before, size of the last one [s], and rejected steps; None if the steps
-    are fixed."""
+    """(W, T, 3) number of steps since the previous recorded state, size of the last step [s], and number of rejected
+    steps; None if the steps are fixed.
+    """
     evidence: tuple[StepEvidence, ...]
     counters: tuple[Counters, ...]
 
 
 class AtStart(Protocol):
-    """A mechanism at its consistent start; a `Workspace` is one."""
+    """A mechanism at its consistent initial state; `Workspace` has these attributes."""
 
     @property
     def mechanism(self) -> CompiledMechanism:
@@ -94,15 +98,16 @@ class AtStart(Protocol):
 
 
 def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
-    """Return a key that is equal for mechanisms that differ only in numbers; their runs can be vectorized in one
-    loop.
+    """Return a key that is equal for mechanisms that differ only in numbers.
+
+    Runs of mechanisms with equal keys can be advanced together in lanes.
     """
     shapes = tuple((x.shape, x.tobytes() if x.dtype.kind == "i" else b"") for x in mechanism.topology)
     return shapes, mechanism.order, mechanism.names, mechanism.has_power
 
 
 def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
-    """Return whether a run of index-1 equations without stabilization can be vectorized.
+    """Return whether a run of index-1 equations without stabilization can be advanced in lanes.
 
     First-order states are supported with explicit methods only, and `output.interval` with controlled step size only.
     Events, stops, sampled controllers, friction in joints, redundant directions within a pair of rows, and mechanisms
@@ -127,23 +132,13 @@ IN_LANES: dict[str, tuple[Callable[[int], object], Callable[..., Any]]] = {
     "explicit": (drive_explicit, lambda method, workspace, pivots: explicit_in_lanes(method, workspace)),
     "collocation": (drive_collocation, collocation_in_lanes),
 }
-"""Loop over fixed steps in lanes, and function that returns the bundle of a method for it, by the method's family."""
+"""For each family of methods, the loop over fixed steps in lanes, and the function that creates the bundle of the
+method.
+"""
 
 
 class LaneStepper:
-    """Advances up to `WIDTH` runs with fixed steps, with the topology and the method of the first.
-
-    Parameters
-    ----------
-    method
-        The method.
-    workspace
-        Mechanism of the first run; it provides the topology and the schedule of the solver.
-    rows
-        Number of recorded states, the initial one included.
-    pivots
-        Pivots of the stage matrix of the first run (`PivotsAtStart`); None if the method is explicit.
-    """
+    """Advances up to `WIDTH` runs with fixed steps, whose topology and method are those of the first run."""
 
     def __init__(
         self,
@@ -184,7 +179,7 @@ class LaneStepper:
         return self.results(made, np.full(count, len(self.run.row_time)))
 
     def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
-        """Take over the mechanisms, states and limits of `WIDTH` runs."""
+        """Copy the mechanisms, states and limits of `WIDTH` runs into the lanes."""
         c = self.run
         mechanisms = [one.mechanism for one in starts]
         topologies = [one.topology for one in mechanisms]
@@ -247,13 +242,13 @@ class LaneStepper:
 
 
 def by_run(lanes: np.ndarray, count: int) -> np.ndarray:
-    """Return the values (..., WIDTH) of the first lanes as (count, ...), contiguous."""
+    """Return the values (..., WIDTH) of the first `count` lanes as a contiguous array (count, ...)."""
     last = lanes.ndim - 1
     return np.ascontiguousarray(lanes.transpose(last, *range(last))[:count])  # `moveaxis` takes 20 times as long
 
 
 class PivotsAtStart:
-    """Chooses the pivots of runs; runs of one mechanism and method share working arrays."""
+    """Chooses the pivots of runs; runs with the same mechanism and method share working arrays."""
 
     def __init__(self) -> None:
         self._latest: tuple[tuple[object, ...], StagePivoting] | None = None
@@ -282,7 +277,7 @@ class PivotsAtStart:
 
 
 def _counted(counters: Counters, counts: np.ndarray) -> Counters:
-    """Return the counters of one lane, completed by its counts (5,)."""
+    """Return the counters of one run with the counts (5,) of its lane added."""
     return replace(
         counters,
         rhs_evaluations=int(counts[RHS]),
@@ -299,7 +294,7 @@ def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
 
 
 def _fill(top: Topology, topologies: Sequence[Topology]) -> None:
-    """Copy the numbers of one mechanism for each lane; integers are the same for all."""
+    """Copy the numbers of one mechanism into each lane; integers are the same for all lanes."""
     for name, lanes in zip(Topology._fields, top, strict=True):
         arrays = [getattr(one, name) for one in topologies]
         if name in BY_LANE:
@@ -309,24 +304,16 @@ def _fill(top: Topology, topologies: Sequence[Topology]) -> None:
 
 
 FEW_ROWS = 64
-"""Size of the buffer of recorded states at first; it is doubled when it is full."""
+"""Initial number of rows of the buffer of recorded states; it is doubled when it is full."""
 
 
 def _rows_by_interval(table: Timetable) -> int:
-    """Return an upper bound of the number of states that a run records by interval; 0 if it records its steps."""
+    """Return an upper bound of the number of rows that a run records at fixed intervals; 0 if it records its steps."""
     return 0 if table.interval is None else 2 + math.ceil((table.end - table.start) / table.interval)
 
 
 class ControlledLaneStepper(LaneStepper):
-    """Advances up to `WIDTH` runs with controlled step size, with the topology and the method of the first.
-
-    Parameters
-    ----------
-    method
-        The method, with its tolerances.
-    workspace
-        Mechanism of the first run; it provides the topology and the schedule of the solver.
-    """
+    """Advances up to `WIDTH` runs with controlled step size, whose topology and method are those of the first run."""
 
     def __init__(self, method: ExplicitRungeKutta, workspace: Workspace):
         super().__init__(method, workspace, FEW_ROWS)
@@ -337,7 +324,7 @@ class ControlledLaneStepper(LaneStepper):
     def advance(
         self, starts: Sequence[AtStart], tables: Sequence[Timetable], pivots: Sequence[StagePivots | None] = ()
     ) -> LaneResults:
-        """Return the results of the runs; see `LaneStepper.advance`. Their numbers of steps may differ."""
+        """Return the results of the runs; see `LaneStepper.advance`. The runs may take different numbers of steps."""
         count = len(starts)
         lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
         chosen, planned = [starts[lane] for lane in lanes], [tables[lane] for lane in lanes]
@@ -360,7 +347,7 @@ class ControlledLaneStepper(LaneStepper):
         return control
 
     def _load_control(self, mechanisms: list[CompiledMechanism], tables: list[Timetable]) -> None:
-        """Begin the control of the steps of all runs."""
+        """Initialize the step-size control of all runs."""
         runs, c = self.runs, self.run
         controls = [self._control(one) for one in mechanisms]
         for lane, (control, table) in enumerate(zip(controls, tables, strict=True)):
@@ -378,7 +365,7 @@ class ControlledLaneStepper(LaneStepper):
         runs.progress.next_size[0] = self._first_sizes(controls, tables)
 
     def _first_sizes(self, controls: list[Control], tables: list[Timetable]) -> list[float]:
-        """Return the sizes of the first steps [s]."""
+        """Return the sizes of the first steps of all runs [s]."""
         spans = [table.end - table.start for table in tables]
         sizes = [table.step for table in tables]
         if None in sizes:

@@ -1,7 +1,7 @@
-"""Which of many contacts may be near to touching, from their gaps at an earlier position.
+"""Selection of the contacts that may be near touching, from their gaps at an earlier position.
 
-Gaps change by no more than the bodies have moved since then, so that most of the contacts among many bodies need not be
-evaluated at every position (the neighbour lists of L. Verlet, Physical Review 159:98-103, 1967).
+A gap changes by no more than the bodies have moved since then. In a system of many bodies, most contacts therefore need
+not be evaluated at every position (the neighbour lists of L. Verlet, Physical Review 159:98-103, 1967).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.stepping.polygon_features import Feature
 
 MORE = 16
-"""Number of contacts that may come near, besides a doubling, before all gaps are evaluated again."""
+"""All gaps are evaluated again when the number of near contacts exceeds twice the last number by more than this."""
 
 
 class NearContacts:
@@ -30,17 +30,19 @@ class NearContacts:
     def __init__(self, features: Sequence[Feature], reach: float):
         self.reach = reach
         self._bodies = np.array([one.bodies for one in features], dtype=int).reshape(-1, 2).T
-        #: Distances from the origins of both bodies to points by which the gap is given (2, C); a line has no ends.
+        #: Distances (2, C) from the origins of both bodies to the points that define the gap; practically infinite for
+        #: a line.
         self._levers = np.array([_levers(one) for one in features]).reshape(-1, 2).T
         self._q, self._gaps, self._most = np.zeros(0), np.zeros(0), 0
 
     def keep(self, q: np.ndarray, gaps: np.ndarray) -> None:
-        """Use the gaps (C,) at a position (n,) from now on."""
+        """Use the gaps (C,) at a position (n,) as the reference for later bounds."""
         self._q, self._gaps = q.copy(), gaps.copy()
         self._most = 2 * int(np.count_nonzero(gaps <= self.reach)) + MORE
 
     def bounds(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return lower bounds (C,) of the gaps at a position (n,), and the numbers of the contacts that may be near;
+        """Return lower bounds (C,) of the gaps at a position (n,), and the indices of the contacts that may be near.
+
         None if all gaps should be evaluated.
         """
         if not len(self._q):

@@ -1,11 +1,12 @@
-"""Where rigid polygons touch: the edge or corner of each row, and how far the contact is from its end.
+"""Where rigid polygons touch: the edge or corner at each contact point, and the distance from its end.
 
-A row of a polygon (see `mbdkit.mechanism.contacts.ContactPair`) has several features, whose gaps are smooth: a corner
-of one polygon touches an edge of the other, a circle an edge or the corner before it. Circles and points touch the
-nearest feature. Two polygons touch, if at all, along the edge from which the other one is farthest, by the theorem of
-separating axes, and the edge of the other one that faces it; a corner of one edge acts where it is opposite the other
-edge. So a corner that slides past the end of an edge hands over to the corner of the other polygon, and is not
-stopped by the side around which it slides.
+A row (a possible contact point, see `mbdkit.mechanism.contacts.ContactPair`) of a polygon has several features, each
+with a smooth gap. For a corner of another polygon, the features are the edges of the polygon; for a circle, one edge
+and
+the corner before it. Circles and points touch the nearest feature. By the theorem of separating axes, two polygons can
+touch only along the edge from which the other polygon is farthest, and along the edge of the other polygon that faces
+it. A corner of one edge acts where it is opposite the other edge. When a corner slides past the end of an edge, the
+corner of the other polygon therefore takes over, and the side of the polygon does not stop the motion.
 """
 
 from __future__ import annotations
@@ -21,15 +22,16 @@ from mbdkit.engine.contact_forces import ActingContact
 from mbdkit.mechanism.contacts import ContactPair
 
 EXACT = 1e-9
-"""Lengths, in those of the mechanism, by which corners beyond the end of an edge still act; contacts that are closed
-remain so up to twice as far."""
+"""Distance, relative to the length of the mechanism, up to which a corner beyond the end of an edge still acts; closed
+contacts remain closed up to twice this distance.
+"""
 
 POLYGONS = ("inside", "edge")
 """Kinds of geometry that have several features."""
 
 
 class Feature(NamedTuple):
-    """A feature of a row, as a contact of a kind that is smooth; see `ContactPair` for the arguments."""
+    """One feature, as a contact of a smooth kind; see `ContactPair` for the arguments."""
 
     kind: tuple[str, int]
     bodies: tuple[int, int]
@@ -37,16 +39,16 @@ class Feature(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The features at which rows of a pair of shapes may touch.
+    """The features at which the rows of a pair of shapes may touch.
 
     Attributes
     ----------
     features
-        (R,) number of the feature of each row.
+        (R,) index of the feature of each row.
     acts
-        (R,) whether it is opposite the other shape.
+        (R,) whether the feature is opposite the other shape, so that they can touch there.
     distances
-        (R,) gap of rows that do not act [m].
+        (R,) gaps of the rows whose features do not act [m].
     """
 
     features: np.ndarray
@@ -55,7 +57,7 @@ class Chosen(NamedTuple):
 
 
 def features_of(contact: ActingContact) -> list[Feature]:
-    """Return the features of a row; one if it is not that of a polygon."""
+    """Return the features of a row; only one if the row does not belong to a polygon."""
     pair = contact.pair
     if pair.kind[0] not in POLYGONS:
         return [Feature(pair.kind, contact.bodies, pair.numbers)]
@@ -69,14 +71,16 @@ def features_of(contact: ActingContact) -> list[Feature]:
 
 
 def _edges(pair: ContactPair) -> np.ndarray:
-    """Return a point and the normal of each edge of the polygon of a row (n, 4)."""
+    """Return x and y of a point and of the normal of each edge (n, 4), for the polygon of a row."""
     return np.reshape(pair.numbers[-4 * pair.kind[1] :], (-1, 4))
 
 
 @dataclass(frozen=True)
 class _Outline:
-    """A polygon of a body: corners, outward normals and directions of the edges that follow them (n, 2), and lengths
-    (n,) of these.
+    """A polygon of a body: its corners, and the outward normals, directions and lengths of the edges that start at
+    them.
+
+    Arrays are (n, 2), lengths (n,).
     """
 
     body: int
@@ -95,7 +99,9 @@ class _Outline:
         return cls(contact.bodies[0], corners, normals, along, lengths)
 
     def places(self, states: np.ndarray, body: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the heights above the edges and the places along them (P, n) of points (P, 2) of another body."""
+        """Return the distances of points (P, 2) of another body from the edges, and their positions along the edges,
+        both (P, n).
+        """
         seen = (_turned(states, body, points) + states[:2, body] - states[:2, self.body]) @ _turn(states, self.body)
         apart = seen[:, None, :] - self.corners
         return np.sum(apart * self.normals, axis=2), np.sum(apart * self.along, axis=2)
@@ -107,13 +113,15 @@ def _turn(states: np.ndarray, body: int) -> np.ndarray:
 
 
 def _turned(states: np.ndarray, body: int, vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (P, 2) of a body in the global frame."""
+    """Return vectors (P, 2), given in the frame of a body, in the global frame."""
     return np.asarray(vectors @ _turn(states, body).T)
 
 
 @dataclass(frozen=True)
 class RoundAndPolygon:
-    """A circle or point of a body, and a polygon, whose rows have the features edge (0) and corner before it (1)."""
+    """A circle or point of one body, and a polygon. Each row has two features: an edge (0) and the corner before it
+    (1).
+    """
 
     rows: list[int]
     outline: _Outline
@@ -139,7 +147,7 @@ class RoundAndPolygon:
         return Chosen(features, np.arange(count) == row, distances - self.radius)
 
     def margin(self, states: np.ndarray, row: int, feature: int) -> float:
-        """Return how far the contact of a row is from the end of a feature [m]; negative beyond."""
+        """Return the distance of the contact of a row from the end of a feature [m]; negative beyond the end."""
         _, (along,) = self.outline.places(states, self.body, self.center[None])
         left = self.outline.lengths - along
         return float(min(-left[row - 1], -along[row]) if feature else min(along[row], left[row]))
@@ -147,7 +155,9 @@ class RoundAndPolygon:
 
 @dataclass(frozen=True)
 class TwoPolygons:
-    """Two polygons: rows of the corners of the second, then those of the first; the features are the other's edges."""
+    """Two polygons. The rows are the corners of the second polygon, then those of the first; the features of a row are
+    the edges of the other polygon.
+    """
 
     rows: list[int]
     first: _Outline
@@ -174,13 +184,13 @@ class TwoPolygons:
         return Chosen(features, np.concatenate(acts), distances)
 
     def _opposite(self, along: np.ndarray, length: float, edge: int) -> np.ndarray:
-        """Return which corners (P,) are ends of an edge and between the ends of the other polygon's edge."""
+        """Return which corners (P,) are ends of an edge and lie between the ends of the edge of the other polygon."""
         corners = np.arange(len(along))
         is_end = (corners == edge) | (corners == (edge + 1) % len(along))
         return is_end & (along >= -self.exact) & (along <= length + self.exact)
 
     def margin(self, states: np.ndarray, row: int, feature: int) -> float:
-        """Return how far the contact of a row is from the end of a feature [m]; negative beyond."""
+        """Return the distance of the contact of a row from the end of a feature [m]; negative beyond the end."""
         one, other, corner = self.first, self.second, row
         if row >= len(other.corners):
             one, other, corner = other, one, row - len(other.corners)
@@ -189,11 +199,11 @@ class TwoPolygons:
 
 
 ShapePair = RoundAndPolygon | TwoPolygons
-"""Two shapes of which at least one is a polygon, with the numbers of their rows."""
+"""Two shapes, at least one of them a polygon, with the indices of their rows."""
 
 
 def shape_pairs(contacts: Sequence[ActingContact], exact: float) -> list[ShapePair]:
-    """Return the pairs of shapes whose rows have several features; `exact` is a length that is almost zero [m]."""
+    """Return the pairs of shapes that include a polygon; lengths below `exact` count as zero [m]."""
     found: list[ShapePair] = []
     rows = [i for i, one in enumerate(contacts) if one.pair.kind[0] in POLYGONS]
     for _, some in groupby(rows, lambda i: contacts[i].pair.name.rpartition(".")[0]):

@@ -1,7 +1,7 @@
 """Projection of the steps of Python methods onto the constraints, after the step or symmetrically before and after it.
 
-`mbdkit.stepping.projected_step` is the equivalent for compiled methods. Here the iteration contains a step in Python,
-so that it uses `EquationsOfMotion`.
+`mbdkit.stepping.projected_step` is the equivalent for compiled methods. Here each iteration takes a step in Python,
+which evaluates `EquationsOfMotion`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ Vector = np.ndarray | float
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """One step: start and end of the step of the method, both without projection, and the state after projection.
+    """A step with its projection.
 
-    `correction` (4,) is a row of ``Stretch.corrections`` (`mbdkit.stepping.interface.Stretch`).
+    The state from which the step of the method starts, the state in which it ends (both before projection), and the
+    state
+    after projection. `correction` (4,) is a row of ``Stretch.corrections`` (`mbdkit.stepping.interface.Stretch`).
     """
 
     begin: StepState
@@ -47,11 +49,11 @@ class StabilizedSteps:
         v_0~ = v_0 + M^-1 Phi_q(q_0)^T nu,                                        v_1 = v_1~ + M^-1 Phi_q(q_1)^T nu
 
     so that Phi(q_1) = 0 and Phi_q(q_1) v_1 + Phi_t = 0. The projected method is symmetric if the method is. The
-    multipliers are computed by a simplified Newton iteration. Each iteration takes a step of the method; its matrix
-    approximates the step by q + h v.
+    multipliers are computed by a simplified Newton iteration. Each iteration takes a step of the method; the matrix of
+    the iteration approximates this step by q + h v.
 
-    Projection does not change the multipliers and the memory of a state. If the memory should be consistent with the
-    velocities, as in the generalized-alpha method, this can reduce the order of the multipliers by one.
+    Projection changes neither the multipliers nor the memory of a state. For methods whose memory should be consistent
+    with the velocities, such as generalized-alpha, this can reduce the order of the multipliers by one.
 
     Parameters
     ----------
@@ -123,7 +125,9 @@ class StabilizedSteps:
         before_q: Vector = 0.0,
         before_v: Vector = 0.0,
     ) -> Taken:
-        """Return a step whose end is changed by `dq`, `dv`, and whose start was changed by `before_q`, `before_v`."""
+        """Return a step whose end state is corrected by `dq`, `dv`, and whose start state was corrected by `before_q`,
+        `before_v`.
+        """
         self.equations.counters.projections += 1
         reached = made.moved(
             dq,

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Statistics since the last recorded row: steps, size of the last step, iterations, corrections (4,) as in
-    `Stretch`.
+    """Statistics since the last recorded row: number of steps, size of the last step [s], iterations, and corrections
+    (4,) as in `Stretch`.
     """
 
     steps: int = 0
@@ -68,25 +68,29 @@ class Reached:
     done: int
     """Number of steps so far."""
     whole: int
-    """Number of fixed steps; one that is split at stops counts once."""
+    """Number of fixed steps completed; a step that is divided at stops counts once."""
     passed: int
-    """Number of stops passed."""
+    """Number of stops that the run has passed."""
     restart: float | None
-    """Start of the next step if this is a stop, or an event of contacts."""
+    """Time at which the next step starts if this point is a stop or an event of contacts [s]; else None."""
     time: float
     state: StepState
     energy: np.ndarray
-    """(2,) work of loads and drivers, and dissipated energy [J]; `energy_low` are the low parts of these sums."""
+    """(2,) work of loads and drivers, and dissipated energy [J]; `energy_low` has the compensation terms of these sums.
+    """
     energy_low: np.ndarray
     interval: Interval
     is_event: bool = False
-    """Whether the step has ended at an event of contacts, before its planned end."""
+    """Whether the step ended at an event of contacts, before its planned end."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """The next step: its start and size, and the time of a row at its end [s]; whether it ends at a stop, and whether
-    it ends a fixed step (which stops can divide).
+    """The next step.
+
+    Its start and size [s], the time of a row at its end [s], whether it ends at a stop, and whether it ends a fixed
+    step
+    (which stops can divide).
     """
 
     begin: float
@@ -146,7 +150,7 @@ class PythonStepper:
 
     @property
     def contact_state(self) -> ContactState | None:
-        """What rigid contacts hold, with their impacts so far; None if there are none."""
+        """Data of rigid contacts with their impacts so far; None if the method does not treat rigid contacts."""
         memory = self.now.state.memory
         return memory if isinstance(memory, ContactState) else None
 
@@ -174,14 +178,16 @@ class PythonStepper:
         self.now = replace(now, state=state, energy=energy)
 
     def _apply_event(self, method: EventDriven) -> None:
-        """Apply the event of contacts at which the last step has ended, such as an impact."""
+        """Apply the event of contacts at which the last step ended, such as an impact."""
         now = self.now
         state = method.after_event(self.equations, now.time if now.restart is None else now.restart, now.state)
         self._watch.forget_energy()
         self.now = replace(now, state=state, energy=now.energy + np.array([0.0, state.dissipated]))
 
     def advance(self) -> Stretch:
-        """See `Stepper.advance`. An exception of the method is raised by the next call, so that no rows are lost."""
+        """See `Stepper.advance`. An exception of the method is raised by the next call, so that the rows before it are
+        not lost.
+        """
         if self.raised is not None:
             raise self.raised
         until, table = time.perf_counter() + interface.STRETCH, self.timetable
@@ -197,7 +203,8 @@ class PythonStepper:
                 before = self.now
                 there, taken = self._after(before, 1.0, self.worst_pairs)
                 begin = before.time if before.restart is None else before.restart
-                if there.is_event and there.time <= begin:  # it happens before the step, which is then begun again
+                # the event is at the start of the step, which is then taken again
+                if there.is_event and there.time <= begin:
                     self.now = replace(before, state=there.state, restart=begin, is_event=True)
                     continue
                 self._go_to(there)
@@ -269,7 +276,9 @@ class PythonStepper:
         return self._nodes.taken()
 
     def _keep_nodes(self, before: Reached, there: Reached) -> None:
-        """Store quadrature nodes in a step, on the quintic through positions, velocities and accelerations."""
+        """Store quadrature nodes in a step, on the quintic polynomial through positions, velocities and accelerations
+        at its ends.
+        """
         if not self.timetable.nodes:
             return
         begin = before.time if before.restart is None else before.restart
@@ -283,7 +292,7 @@ class PythonStepper:
         self._nodes.keep(begin, end, StepTaken(begin, end, *ends).quintic(*accelerations))
 
     def _next(self, begin: Reached) -> _Planned:
-        """Return the step from `begin`."""
+        """Return the plan of the step that starts at `begin`."""
         table = self.timetable
         assert table.step is not None
         n = begin.whole + 1
@@ -300,18 +309,16 @@ class PythonStepper:
         return _Planned(t, size if begin.restart is None else end - t, end, False, True)
 
     def _watched(self, before: Reached, there: Reached, taken: Taken) -> Failure | None:
-        """Apply the guards to a step; return why the run has to stop, or None."""
+        """Apply the guards to a step; return the reason why the run has to stop, or None."""
         begin = before.time if before.restart is None else before.restart
         made = None if taken.made is taken.reached else (taken.made.q, taken.made.v)
         states = before.state.q, before.state.v, taken.reached.q, taken.reached.v
         return self._watch.step((begin, there.time), *states, there.energy - before.energy, made)
 
     def _after(self, begin: Reached, theta: float, worst: np.ndarray) -> tuple[Reached, Taken]:
-        """Return the result of the fraction `theta` of the step from `begin`; update the maxima `worst` (P,).
+        """Return the point after the fraction `theta` of the step from `begin`.
 
-        `worst` are squared misalignments.
-
-        Raises StepError, and any exception of the method.
+        The largest squared misalignments `worst` (P,) are updated. Raises StepError, and any exception of the method.
         """
         table, equations, iterations = self.timetable, self.equations, self.counters.newton_iterations
         assert table.step is not None
@@ -341,12 +348,12 @@ class PythonStepper:
         return Reached(done, whole, begin.passed + 1, restart, plan.reached, new, energy, low, interval), taken
 
     def _again(self, theta: float) -> Reached | None:
-        """Repeat the last step with the fraction `theta` of its size; None if this fails with a StepError.
+        """Repeat the last step with the fraction `theta` of its size; return None if this raises StepError.
 
-        Raises any other exception of the method.
+        Any other exception of the method is passed on.
         """
         plan, share = self._next(self._before), 1.0
-        if self.now.is_event:  # the step was shorter than planned
+        if self.now.is_event:  # the step ended earlier than planned
             share = (self.now.time - plan.begin) / plan.size
         try:
             return self._after(self._before, theta * share, self.worst_pairs.copy())[0]
@@ -359,7 +366,7 @@ class PythonStepper:
         self.finished = there.whole == self.timetable.steps
 
     def _recorded(self) -> Reached:
-        """Return the current point for recording, and start a new interval."""
+        """Return the current point as a row to be recorded, and start a new interval."""
         recorded = self.now
         self.now = replace(recorded, interval=Interval())
         return recorded
@@ -368,9 +375,9 @@ class PythonStepper:
         return with_ground(state.q), with_ground(state.v)
 
     def _own_step(self, t: float, state: StepState, h: float) -> StepState:
-        """Take a step of the method, check its result, and return it with arrays of its own.
+        """Take a step of the method, check its result, and return the result with copies of its arrays.
 
-        Raises StepError, and other exceptions that are neither exits nor errors of mbdkit, as errors of the method.
+        Raises StepError. Other exceptions, except exits and errors of mbdkit, are reported as errors of the method.
         """
         name, equations = type(self.method).__name__, self.equations
         protect(state)
@@ -398,14 +405,13 @@ class PythonStepper:
                 raise ValueError(f"{name}.step returned an invalid `{field_name}`: {error}") from None
         if len(found) == 3 and not np.all(np.isfinite(found[2])):
             raise StepError("not-finite", "multipliers overflowed")
-        # The method may reuse its arrays; without copies, recorded states and those of a checkpoint would change with
-        # them.
+        # The method may reuse its arrays; without copies, recorded states and those of a checkpoint would change later.
         q, v, *own = (array.copy() for array in found)
         multipliers = own[0] if own else kept(new.multipliers)
         return StepState(q, v, multipliers, kept(new.memory), new.work, new.dissipated, kept(new.low))
 
     def _booked(self, begin: Reached, t: float, h: float, taken: Taken) -> tuple[np.ndarray, np.ndarray]:
-        """Return work and dissipated energy after the step of the method, computed by compensated summation."""
+        """Return total work and dissipated energy after a step of the method, computed by compensated summation."""
         gains: Sequence[float | None] = (taken.made.work, taken.made.dissipated)
         if None in gains:
             ours = self._gains(t, h, taken)
@@ -415,7 +421,7 @@ class PythonStepper:
         return total, y - (total - begin.energy)
 
     def _gains(self, t: float, h: float, taken: Taken) -> np.ndarray:
-        """Return work and dissipated energy of a step by Simpson's rule over the cubic through its ends."""
+        """Return the work and the dissipated energy of one step, by Simpson's rule on the cubic through its ends."""
         equations, old, new = self.equations, taken.begin, taken.made
         a0, lam0 = equations.accelerations(t, old.q, old.v)
         a1, lam1 = equations.accelerations(t + h, new.q, new.v)

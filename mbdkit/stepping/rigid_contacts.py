@@ -16,11 +16,11 @@ from mbdkit.stepping.contact_kinematics import FEW, ContactKinematics, Rows
 from mbdkit.stepping.contact_state import ContactState
 
 SINGULAR = 1e-11
-"""Singular values of the equations of contact forces below this share of the largest are those of redundant rows."""
+"""Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
 
 
 SAME_ACCELERATION = 1e-9
-"""Accelerations below this share of those without contact forces are zero but for rounding errors."""
+"""Accelerations below this share of those without contact forces count as zero."""
 
 
 class Forced(NamedTuple):
@@ -29,11 +29,11 @@ class Forced(NamedTuple):
     Attributes
     ----------
     a, multipliers
-        (n,) and (m,) accelerations and multipliers of joints.
+        (n,) accelerations, and (m,) multipliers of the joints.
     normal, tangent
-        (C,) forces of the contacts, on the second body.
+        (C,) forces of the contacts on the second body [N].
     rows
-        The rows of the contacts.
+        Gaps, slips and derivatives of the contacts.
     """
 
     a: np.ndarray
@@ -59,20 +59,20 @@ class RigidContacts:
         given = np.array([one.coefficients for one in self.contacts]).reshape(-1, 3)
         self.restitution, self.static, self.kinetic = given.T
         self.kinematics = ContactKinematics(self.contacts, equations.n, equations.length)
-        #: Inverse masses (B + 1, 3), and whether a body is not coupled to others but by contacts; the ground is last.
+        #: Inverse masses (B + 1, 3), ground last, and whether a body is coupled to others by contacts only.
         self._lightness = np.vstack([1.0 / equations.mass.reshape(-1, 3), np.zeros(3)])
         self._is_free = np.zeros(len(self._lightness), dtype=bool)
 
     def begin(self) -> None:
-        """Leave the forces of contacts, which are computed here, out of those of the equations of motion."""
+        """Exclude the forces of contacts, which are computed here, from those of the equations of motion."""
         self.p.hold(self._held)
 
     def find_free(self) -> None:
-        """Find the bodies that only contacts couple to others, by the last tangents that were evaluated."""
+        """Find the bodies that only contacts couple to others, from the derivatives of the forces evaluated last."""
         self._is_free = np.append(self.p.free_now(), True)
 
     def all_open(self) -> ContactState:
-        """Return the state of contacts without forces."""
+        """Return the `ContactState` of open contacts, without forces."""
         count = len(self.contacts)
         return ContactState(np.zeros(count, dtype=int), np.zeros(count), np.zeros(count), np.zeros(self.p.n))
 
@@ -90,7 +90,7 @@ class RigidContacts:
         closed, sticking = np.flatnonzero(modes != OPEN), np.flatnonzero(modes == STICK)
         if not len(closed):
             return Forced(a, multipliers, normal, tangent, rows)
-        share = np.where(np.abs(modes) == SLIP, -np.sign(modes) * self.kinetic, 0.0)  # friction over normal force
+        share = np.where(np.abs(modes) == SLIP, -np.sign(modes) * self.kinetic, 0.0)  # friction force over normal force
         held = np.vstack([rows.normal[closed], rows.tangent[sticking]])
         pushed = np.vstack([rows.normal[closed] + share[closed, None] * rows.tangent[closed], rows.tangent[sticking]])
         moved, loaded = self.answers(t, q, pushed)
@@ -102,7 +102,8 @@ class RigidContacts:
             raise StepError("painleve", f"the friction of contact '{name}' presses it together more than it is pressed")
         forces, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=SINGULAR)
         normal[closed] = forces[: len(closed)]
-        if rank < len(forces) and len(sticking):  # friction is shared in proportion to the normal forces
+        # redundant contacts that stick share the friction force in proportion to their normal forces
+        if rank < len(forces) and len(sticking):
             weights = np.ones(len(forces))
             weights[len(closed) :] = np.sqrt(np.maximum(normal[sticking], 1e-9 * np.max(np.abs(normal))))
             forces = weights * np.linalg.lstsq(matrix * weights, right, rcond=SINGULAR)[0]
@@ -121,22 +122,23 @@ class RigidContacts:
         guess: np.ndarray | float = 0.0,
         precision: float = PRECISION,
     ) -> tuple[np.ndarray, Pushed]:
-        """Return the velocities (n,) after impulses of contacts, and the impulses.
+        """Return the impulses of k contacts, and the velocities (n,) after them.
 
         Small problems are solved by Lemke's method, others by sweeps over the contacts.
 
         Parameters
         ----------
         rows
-            Rows of the contacts.
+            Gaps, slips and derivatives of the contacts.
         free
             (n,) velocities without these impulses.
         more
-            (k,) numbers that are added to the normal velocities: those that an impact has to reverse.
+            (k,) velocities that are added to the normal velocities of the contacts, such as the restitution of an
+            impact.
         friction
             (k,) coefficients of friction.
         solve
-            Returns the change of velocities (n,) by an impulse (n,).
+            Function that returns the change of the velocities (n,) by an impulse (n,).
         guess
             (2, k) impulses that may be close to the result, normal ones first.
         precision
@@ -164,13 +166,15 @@ class RigidContacts:
         return free + moved @ np.concatenate([found.normal, found.tangent]), found
 
     def answers(self, t: float, q: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return accelerations (n, k) and multipliers (m, k) by k forces (k, n) alone."""
+        """Return the accelerations (n, k) and multipliers (m, k) that each of k forces (k, n) causes alone."""
         none = np.zeros(self.p.m)
         found = [self.p.solve(t, q, one, none) for one in forces]
         return np.stack([x for x, _ in found], axis=1), np.stack([mu for _, mu in found], axis=1)
 
     def decided(self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, sliding: np.ndarray) -> np.ndarray:
-        """Return the modes (C,) with which touching contacts go on; minus `SLIP` is slip in the negative direction.
+        """Return the modes (C,) of touching contacts in the motion that follows.
+
+        `SLIP` is slip in the positive direction, ``-SLIP`` slip in the negative direction.
 
         Parameters
         ----------
@@ -194,7 +198,7 @@ class RigidContacts:
         right = both @ a - np.concatenate([rows.normal_right[some], rows.tangent_right[some]])
         k = len(some)
         slides = sliding[some].astype(float)
-        for _ in range(2):  # those that begin to slip have kinetic friction
+        for _ in range(2):  # contacts that begin to slip have kinetic friction in the second solution
             friction = np.where(slides != 0, self.kinetic[some], self.static[some])
             solved = coulomb(response, right[:k], right[k:], friction, slides)
             if solved is None:
@@ -214,10 +218,11 @@ class RigidContacts:
     def shared(
         self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, sliding: np.ndarray, forced: Forced
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return forces (C,), normal and tangential, that satisfy Coulomb's law, where those of redundant contacts that
-        stick are not unique; those of `forced` if they are.
+        """Return normal and tangential forces (C,) that satisfy Coulomb's law, where those of redundant contacts are
+        not unique.
 
-        See `decided` for the other arguments.
+        The forces in `forced` are returned if no such forces give the same accelerations. See `decided` for the other
+        arguments.
         """
         some = np.flatnonzero(touching)
         a, _ = self.p.accelerations(t, q, v)
@@ -236,12 +241,16 @@ class RigidContacts:
         return forced.normal, forced.tangent
 
     def response(self, t: float, q: np.ndarray, rows: Rows, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the accelerations (2 k, 2 k) by unit forces of contacts, and the rows (2 k, n), normal ones first."""
+        """Return the matrix (2 k, 2 k) that maps forces of contacts to their accelerations, and the derivatives (2 k,
+        n) of gap rates and slips; normal components come first.
+        """
         both = np.vstack([rows.normal[some], rows.tangent[some]])
         return both @ self.answers(t, q, both)[0], both
 
     def affect_each_other(self, t: float, q: np.ndarray, some: np.ndarray) -> bool:
-        """Return whether a normal impulse at one of some contacts (C,) changes the normal velocity at another."""
+        """Return whether a normal impulse at one of the contacts marked in `some` (C,) changes the normal velocity at
+        another.
+        """
         places = np.flatnonzero(some)
         if len(places) < 2:
             return False
@@ -253,13 +262,13 @@ class RigidContacts:
 
 
 class KnownContacts:
-    """The contacts of the equations of motion that a method was last used with."""
+    """The rigid contacts of the equations of motion that a method used last."""
 
     def __init__(self) -> None:
         self._known: RigidContacts | None = None
 
     def on(self, equations: EquationsOfMotion) -> RigidContacts:
-        """Return the contacts on equations of motion, whose forces then do not include those of contacts."""
+        """Return the contacts of these equations of motion, and exclude their forces from the equations."""
         if self._known is None or self._known.p is not equations:
             self._known = RigidContacts(equations)
         self._known.begin()

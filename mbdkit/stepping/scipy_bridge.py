@@ -51,7 +51,9 @@ if TYPE_CHECKING:
 _RADAU_FIRST_NODE = (4 - 6**0.5) / 10
 
 Row = tuple[float, np.ndarray, np.ndarray, float]
-"""A state to be recorded: time, y, data of the interval since the last row (6,), largest Baumgarte term in it."""
+"""A state to be recorded: time [s], y, statistics of the interval since the last row (6,), and the largest Baumgarte
+term in this interval.
+"""
 
 
 class _StoppedError(Exception):
@@ -95,7 +97,7 @@ class SciPyStepper:
         if timetable.step is not None:
             options["first_step"] = min(timetable.step, timetable.end - timetable.start)
         self._new_solver, self._options = solver, options
-        self._passed = 0  # stops
+        self._passed = 0  # number of stops passed
         self._stopped = False
         self.impacts: list[Impact] = []
         self._watch = StepWatch(workspace, timetable.guards, self.worst_pairs, "tighter tolerances may help")
@@ -144,9 +146,9 @@ class SciPyStepper:
         except (ValueError, np.linalg.LinAlgError):
             if self._finite:
                 raise
-        if not self._finite:  # with such rates, the first step chosen by some solvers is NaN, and they never end
+        if not self._finite:  # with rates that are not finite, some solvers choose NaN as the first step and never end
             self.failure = self._overflow(t)
-        self._options.pop("first_step", None)  # after a stop the solver chooses it
+        self._options.pop("first_step", None)  # `first_step` applies at the start of the run only
 
     def _restart(self) -> bool:
         """Restart the solver after a stop, and apply the impulse if there is one; return whether that succeeded."""
@@ -192,7 +194,7 @@ class SciPyStepper:
 
     @property
     def _engine(self) -> int:
-        """Address of the stepped mechanism with the solver in use, which changes when new pivots are chosen."""
+        """Address of the mechanism with the current solver; it changes when new pivots are chosen."""
         return self.workspace.stepping_engine
 
     def _is_solved(self, t: float, y: np.ndarray, solve: Callable[[], int]) -> bool:
@@ -215,14 +217,14 @@ class SciPyStepper:
         return status == OK
 
     def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
-        """Return d(dy/dt)/dy, exact in q and v; the rows and columns of the two energies are zero."""
+        """Return the Jacobian of `rates` by y, exact in q and v; the rows and columns of the two energies are zero."""
         self.counters.jacobian_evaluations += 1
         n3, workspace = self.n3, self.workspace
         q, v = self._state(y)
         if not self._is_solved(t, y, lambda: tangents_at(self._engine, float(t), q, v, self._acc[2], self._lam)):
             self._finite = False
             return np.full((len(y), len(y)), np.nan)
-        self.counters.factorizations += 2  # the index-1 solve above, and the matrix of all its derivatives below
+        self.counters.factorizations += 2  # the solution above, and the matrix of all its derivatives below
         n, terms = workspace.unknowns, workspace.terms
         values = workspace.scratch.source[terms.source]
         sign = np.array([1.0, 1.0, -1.0, 1.0])[terms.factor]
@@ -288,7 +290,7 @@ class SciPyStepper:
         return self.last_state()
 
     def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
-        """See `mbdkit.stepping.splitting.Splitting.split`; the end of the step is that of dense output."""
+        """See `mbdkit.stepping.splitting.Splitting.split`. The new end of the step is taken from dense output."""
         step = self.last_step
         assert step is not None
         t, close = step.time(theta), SAME_TIME * margin_of_stops(self.timetable)
@@ -333,8 +335,8 @@ class SciPyStepper:
         try:
             dense: Callable[[float], np.ndarray] = self.solver.dense_output()
         except (NotImplementedError, _StoppedError):
-            # solvers may have no dense output, and the additional stages of that of DOP853 may be at a singular
-            # position
+            # Some solvers have no dense output, and the additional stages that DOP853 needs for it may be at a singular
+            # position.
             step, y1 = StepTaken(t0, self.time, *self._state(y0), *self._state(self.y)), self.y
 
             def dense(t: float) -> np.ndarray:
@@ -346,7 +348,7 @@ class SciPyStepper:
         return dense
 
     def _keep_nodes(self, t0: float, t1: float, dense: Callable[[float], np.ndarray]) -> None:
-        """Keep nodes of integrals from `t0` to `t1` in the last step."""
+        """Store quadrature nodes of integrals from `t0` to `t1` in the last step."""
         self._nodes.keep(t0, t1, lambda theta: self._state(dense(t0 + theta * (t1 - t0))))
 
     def taken_nodes(self) -> Nodes:
@@ -361,7 +363,7 @@ class SciPyStepper:
         solver, before = self.solver, self.solver.t
         self._times.clear()
         self._finite = True
-        self.workspace.scratch.faulty[0] = -1  # only a force law that fails in this step is to be named in a message
+        self.workspace.scratch.faulty[0] = -1  # a message should name only a force law that fails in this step
         lu = solver.nlu
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -373,7 +375,7 @@ class SciPyStepper:
         except (ValueError, np.linalg.LinAlgError):
             if self._finite:
                 raise
-            self.failure = self._overflow(before)  # raised by SciPy's linear algebra for numbers that are not finite
+            self.failure = self._overflow(before)  # SciPy's linear algebra raises this for numbers that are not finite
             return False
         self.counters.factorizations += solver.nlu - lu
         if solver.status == "failed":
@@ -383,7 +385,7 @@ class SciPyStepper:
                 where = f"at t = {before:.6g} s: {message}".rstrip(".")
                 self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
-        if solver.t == before:  # LSODA would continue for ever with steps below the rounding error of the time
+        if solver.t == before:  # LSODA would otherwise continue forever with steps below the round-off of the time
             where = f"at t = {before:.6g} s: the step is below the rounding error of the time"
             self.failure = Failure("step-too-small", f"{where}{self._nearness(before, self.y)}.")
             return False
@@ -402,7 +404,7 @@ class SciPyStepper:
         self.time, self.y = float(solver.t), solver.y.copy()
         self._stopped = solver.status == "finished" and self._passed < len(self.timetable.stops)
         self.finished = solver.status == "finished" and not self._stopped
-        if self._stopped:  # so that a row there shows the left-hand limit
+        if self._stopped:  # a row at a stop shows the left-hand limit
             self.time = self.timetable.sides(self._passed)[1]
         if self.finished:
             self.time = self.timetable.end
@@ -415,7 +417,9 @@ class SciPyStepper:
         return True
 
     def _watched(self, begin: float, old: np.ndarray) -> Failure | None:
-        """Apply the guards to the step from `begin`, where y was `old`; return why the run has to stop, or None."""
+        """Apply the guards to the step from time `begin` and state `old`; return the reason why the run has to stop, or
+        None.
+        """
         n3, y = self.n3, self.y
         energies = slice(2 * n3, 2 * n3 + 2)
         gain = y[energies] - old[energies] if self.has_power else np.zeros(2)
@@ -433,7 +437,9 @@ class SciPyStepper:
         return Failure("not-finite", f"numbers overflowed after t = {t:.6g} s; tighter tolerances may help.")
 
     def _effort(self, t: float) -> tuple[int, int]:
-        """Return the Newton iterations and the attempts of the last step, derived from the times of its evaluations."""
+        """Return the numbers of Newton iterations and of attempts in the last step, derived from the times of its
+        evaluations.
+        """
         times = self._times
         stages = getattr(self.solver, "n_stages", None)
         if stages:
@@ -463,7 +469,7 @@ class SciPyStepper:
         begins_at_impact = self._passed > 0 and table.stops[self._passed - 1] in table.impacts
         earliest = (
             table.sides(self._passed)[0] if begins_at_impact else -math.inf
-        )  # such a row shows the right-hand limit
+        )  # the row at a stop shows the right-hand limit
         inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end is always recorded
         while self._next < inner and (at := table.start + self._next * table.interval) <= self.time:
             if dense is None:

@@ -1,4 +1,4 @@
-"""Steps that end at an event, where first-order states change."""
+"""Steppers whose steps can end at an event at which first-order states change."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from mbdkit.stepping.interface import Moment, Stepper, StepTaken, Stretch, Timetable
 
 Change = Callable[[float, Moment], np.ndarray]
-"""Returns new first-order states (Z,) from the time [s] and the state there."""
+"""Function that returns new first-order states (Z,) from the time [s] and the state at an event."""
 
 
 class Splitting(Stepper, Protocol):
-    """A stepper whose steps can end at an event, where first-order states change."""
+    """A stepper whose steps can end at an event at which first-order states change."""
 
     def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
         """End the last step at the share `theta` instead, change the first-order states there, and continue.
@@ -24,12 +24,12 @@ class Splitting(Stepper, Protocol):
         Returns
         -------
         stretch, steps
-            The rows and the steps up to there, in place of those of the last `advance`. There are no steps if `theta`
-            is 0, and may be several if their sizes are controlled.
+            The rows and the steps up to the event, which replace those of the last `advance`. There are no steps if
+            `theta` is 0; with controlled step size there may be several.
         """
         ...
 
 
 def margin_of_stops(table: Timetable) -> float:
-    """Return the margin of a stop whose time is known up to rounding errors only [s]."""
+    """Return the largest error of the time of a stop that rounding can cause [s]."""
     return 4.0 * float(np.finfo(float).eps) * max(abs(table.start), abs(table.end))

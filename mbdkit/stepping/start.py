@@ -1,4 +1,4 @@
-"""Starts a method on a mechanism: tables of the algorithms by the family of a method."""
+"""Starts a method on a mechanism; tables assign an algorithm to each family of methods."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMPILED: dict[str, Callable[[Any, Workspace, Control | None], CompiledMethod]] 
     "partitioned": lambda method, workspace, control: CompiledLobattoPair(method, workspace),
     "taylor": lambda method, workspace, control: CompiledTaylor(method, workspace),
 }
-"""Compiled methods, which all have the same stepper, by family."""
+"""For each family, the compiled method; all have the same stepper."""
 
 IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
     "diagonally-implicit": lambda method, *run: PythonStepper(DiagonallyImplicit(method), *run),
@@ -44,7 +44,7 @@ IN_PYTHON: dict[str, Callable[[Any, Workspace, Timetable], Stepper]] = {
         GeneralizedAlphaSteps(method.spectral_radius), *run
     ),
 }
-"""Steppers of methods whose steps are taken in Python, by family."""
+"""For each family whose steps are taken in Python, the stepper."""
 
 
 class NoDerivativeError(MbdkitError, ValueError):
@@ -74,9 +74,9 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     Raises
     ------
     mbdkit.methods.tableau.TableauError
-        If it cannot be used with the formulation of the workspace.
+        If a tableau cannot be used with the formulation of the workspace.
     mbdkit.base.errors.UnsupportedMechanismError
-        If it does not support the mechanism.
+        If the method does not support the mechanism.
     """
     method.require_formulation(FORMULATIONS[workspace.formulation])
     method.require_mechanism(workspace.mechanism)

@@ -6,9 +6,9 @@ Moreau and Jean from (q_0, v_0) is
     M (v_1 - v_0) = h (theta Q(t_1, q_1, v_1) + (1 - theta) Q(t_0, q_0, v_0)) + joints + contacts
     q_1 = q_0 + h (theta v_1 + (1 - theta) v_0)
 
-with joints closed in velocities, and impulses, by the laws of Newton and Coulomb, of the contacts that would overlap at
-the end. One iteration of Newton's method makes the forces implicit. Then positions are projected: joints are closed,
-and shapes that overlap are moved apart.
+where "joints" are impulses that make the velocities consistent, and "contacts" are impulses, by the laws of Newton and
+Coulomb, at the contacts that would overlap at the end. One iteration of Newton's method makes the forces implicit. Then
+the positions are projected: joints are closed, and overlapping shapes are moved apart.
 
 J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988; M. Jean, Computer Methods in Applied
 Mechanics and Engineering 177:235-257, 1999; V. Acary and B. Brogliato, Numerical Methods for Nonsmooth Dynamical
@@ -37,15 +37,19 @@ from mbdkit.stepping.contact_state import ContactState
 from mbdkit.stepping.rigid_contacts import KnownContacts, RigidContacts
 
 MOST_HALVINGS = 4
-"""How often a step may be halved."""
+"""Largest number of times that a step is halved."""
 MANY, ROUGH = 40, 1e-4
-"""Number of overlaps beyond which positions are projected once, to this share, which leaves the rest to the next steps,
-and contacts at rest that others press are left to the next step too."""
+"""Number of overlaps above which less accurate results are accepted, and the precision of their projection.
+
+With more overlaps, positions are projected only once and to this precision, and contacts at rest that others press
+together get no impulse in this step; the next steps reduce the remaining overlap.
+"""
 AT_REST = 4.0
-"""Gaps, rates and impulses of contacts at rest are smaller than this many times those that accelerations cause in a
-step; those of impacts are larger."""
+"""A contact is at rest if its gap, rate and impulse are smaller than this many times those that accelerations cause in
+one step; otherwise it has an impact.
+"""
 SMALL = 1e-12
-"""Overlap, in lengths of the mechanism, that is zero but for errors."""
+"""Overlap, relative to the length of the mechanism, that counts as zero."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +61,15 @@ class SmoothStep:
     v
         (n,) velocities at its end.
     multipliers
-        (m,) of the joints.
+        (m,) multipliers of the joints.
     middle
-        (n,) positions at which contacts have their gradients.
+        (n,) positions at which the gradients of the gaps are evaluated.
     solve
-        Returns the change of the velocities (n,) by an impulse (n,).
+        Function that returns the change of the velocities (n,) by an impulse (n,).
     positions
-        Returns the positions (n,) at the end, before their projection, with given velocities (n,) there.
+        Function that returns the positions (n,) at the end, before projection, from the velocities (n,) at the end.
     accelerations
-        What the method passes to its next step.
+        Accelerations that the method passes to its next step.
     """
 
     v: np.ndarray
@@ -77,7 +81,7 @@ class SmoothStep:
 
 
 class TimeStepping(StepMethod):
-    """A time-stepping method, which a subclass defines by its step without contacts."""
+    """Base class of time-stepping methods; a subclass defines the step without contacts."""
 
     def __init__(self) -> None:
         self._contacts = KnownContacts()
@@ -86,10 +90,13 @@ class TimeStepping(StepMethod):
     def smooth(
         self, p: EquationsOfMotion, t: float, state: StepState, h: float, accelerations: tuple[np.ndarray, ...]
     ) -> SmoothStep:
-        """Return the step without impulses of contacts, after `accelerations` of the last one, () if there is none."""
+        """Return the step without impulses of contacts.
+
+        `accelerations` are those that the last step has passed on; () if there are none.
+        """
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:
-        """See `StepMethod.step`. A step whose positions cannot be projected is taken in halves."""
+        """See `StepMethod.step`. If the positions of a step cannot be projected, it is taken as two half steps."""
         return self._taken(equations, t, state, h, MOST_HALVINGS)
 
     def _taken(self, p: EquationsOfMotion, t: float, state: StepState, h: float, halvings: int) -> StepState:
@@ -134,14 +141,15 @@ class TimeStepping(StepMethod):
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
             impact = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess)
             after, found, changed = impact.solved()
-            if len(some) <= MANY:  # with more, the order of their impacts has larger effects, and it takes long
+            # with more contacts, the order of impacts has larger effects, and this search takes long
+            if len(some) <= MANY:
                 more = self._pressed(contacts, smooth, h, v, after, some)
                 if len(more):
                     some = np.union1d(some, more)
                     continue
                 strikes = (found.normal > 0.0) & (rows.rates(v)[0] < -AT_REST * _gained(rows, v, smooth.v, h))
                 new = sticks & (friction > contacts.kinetic[some]) & (found.normal > AT_REST * guess[0])
-                if np.any(strikes) and np.any(new):  # impulses of impacts have kinetic friction
+                if np.any(strikes) and np.any(new):  # impacts have kinetic friction
                     struck[some[new]] = True
                     continue
             forces = np.stack([found.normal, found.tangent]) / h
@@ -160,11 +168,12 @@ class TimeStepping(StepMethod):
     def _pressed(
         contacts: RigidContacts, smooth: SmoothStep, h: float, v: np.ndarray, after: np.ndarray, some: np.ndarray
     ) -> np.ndarray:
-        """Return the other contacts at rest that the impulses of some press together.
+        """Return the indices of other contacts at rest that the impulses of the contacts `some` press together.
 
-        A contact at rest has gaps of the size of the distance that it would fall in a step, and may be predicted to
-        stay open in it. If it had no impulse then, an impact of others would have another result, however small the
-        step is. Contacts with larger gaps are left to the next step, whose impulses include restitution.
+        The gap of a contact at rest may be as large as the distance that a body falls in a step, so the contact may be
+        predicted to stay open. Without an impulse at such a contact, the impact of others would have a wrong result,
+        however
+        small the step. Contacts with larger gaps are left to the next step, whose impulses include restitution.
         """
         gaps = contacts.kinematics.gaps(smooth.positions(after))
         gaps[some] = 0.0
@@ -176,14 +185,17 @@ class TimeStepping(StepMethod):
 
     @staticmethod
     def _sticks(held: ContactState, slip: np.ndarray, v: np.ndarray, some: np.ndarray) -> np.ndarray:
-        """Return which of some contacts have stuck in the last step; at the start, which do not slip."""
+        """Return which of the contacts `some` stuck in the last step.
+
+        At the start, return those whose slip velocity is zero.
+        """
         if len(held.modes):
             return np.asarray(held.modes[some] == STICK)
         return np.abs(slip) <= SMALL * np.max(np.abs(v), initial=0.0)
 
     @staticmethod
     def _closed(contacts: RigidContacts, t: float, q: np.ndarray) -> np.ndarray:
-        """Return the nearest positions with closed joints in which no shapes overlap."""
+        """Return the nearest positions in which the joints are closed and no shapes overlap."""
         p, given, before, is_last = contacts.p, q, np.inf, False
         is_closed = p.m == 0
         touched = np.zeros(len(contacts.names), dtype=bool)
@@ -197,7 +209,8 @@ class TimeStepping(StepMethod):
                 return q
             if 2.0 * deepest > contacts.kinematics.reach:
                 gaps = contacts.kinematics.gaps(q, 2.0 * deepest)
-            touched |= gaps < (0.0 if is_apart else 2.0 * deepest)  # others may be pushed into each other
+            # near contacts are included, because shapes moved apart may be pushed into others
+            touched |= gaps < (0.0 if is_apart else 2.0 * deepest)
             some = np.flatnonzero(touched)
             is_last = len(some) > MANY
             precision = ROUGH if is_last else PRECISION
@@ -219,7 +232,7 @@ class MoreauJeanSteps(TimeStepping):
     Parameters
     ----------
     theta
-        Share of the forces at the end of a step, from 0.5 to 1.
+        Weight of the forces at the end of a step, from 0.5 to 1.
     """
 
     def __init__(self, theta: float):
@@ -249,12 +262,14 @@ class MoreauJeanSteps(TimeStepping):
 
 
 def _gained(rows: Rows, v: np.ndarray, free: np.ndarray, h: float) -> np.ndarray:
-    """Return how much the rates of gaps (C,) change in a step without impulses, from velocities to others [m/s]."""
+    """Return the changes of the gap rates (C,) from velocities `v` to `free` in a step without impulses [m/s],
+    absolute.
+    """
     return np.asarray(np.abs(rows.rates(free - v)[0]) + h * np.abs(rows.normal_right))
 
 
 def answer(p: EquationsOfMotion, t: float, q: np.ndarray, impulse: np.ndarray) -> np.ndarray:
-    """Return the change of the velocities (n,) by an impulse (n,) at a position, with closed joints."""
+    """Return the change of the velocities (n,) by an impulse (n,) at a position, with consistent joint velocities."""
     return p.solve(t, q, impulse, np.zeros(p.m))[0]
 
 
@@ -265,7 +280,7 @@ class _Impact:
     Attributes
     ----------
     contacts, rows, some
-        All contacts, and the rows and numbers of those that would overlap.
+        All contacts, and the rows and indices of those that would overlap.
     friction
         (k,) coefficients of friction.
     v, free
@@ -314,6 +329,6 @@ class _Impact:
         return self.contacts.pushed(self.rows, self.free, e * self._approach, self.friction, self.solve, self.guess)
 
     def _gains(self, after: np.ndarray, found: Pushed) -> bool:
-        """Return whether the impulses increase the kinetic energy by more than their own errors."""
+        """Return whether the impulses increase the kinetic energy by more than the errors of the impulses explain."""
         work = np.stack([found.normal, found.tangent]) * self.rows.rates(self.v + after)
         return bool(np.sum(work) > max(1e-12, found.residual) * np.sum(np.abs(work)))
