@@ -78,8 +78,8 @@ class AccuracyFigures:
 class Accuracy(HtmlView):
     """Estimated errors of the T recorded rows; nan where unknown.
 
-    After a check of a run they are envelopes, which never decrease with time; in inverse dynamics, each is a bound that
-    holds with a probability of 95 % at its time.
+    After a check of a run, the errors are envelopes, which never decrease with time. In inverse dynamics, each error is
+    a bound that holds at its time with a probability of 95 %.
 
     Attributes
     ----------
@@ -92,10 +92,10 @@ class Accuracy(HtmlView):
     torque_error
         (T, J) error of the reaction torques [N m].
     known_until
-        Time until which all errors are known [s]; nan if none is.
+        Time until which all errors are known [s]; nan if no error is known.
     order_observed
         Observed order of convergence of the positions with the step or, for adaptive methods, with the tolerance; nan
-        if the differences between the comparison runs were rounding errors.
+        if the comparison runs differed by rounding errors only.
     method
         How the estimates were made.
     check_s
@@ -108,7 +108,7 @@ class Accuracy(HtmlView):
     chosen, why
         Method and step that were chosen for the requested accuracy, and the reason; empty if none was requested.
     compared_measures
-        Values of the expressions of measures in comparison runs.
+        Values of the expressions of measures in the comparison runs.
     """
 
     time: np.ndarray

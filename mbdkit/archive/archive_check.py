@@ -69,7 +69,7 @@ def examine(path: str | Path) -> Checked:
 
 
 def _examined_block(path: Path) -> Checked | None:
-    """Return the result for a block of runs; None if the file is not a readable block."""
+    """Return the result of the check of a block of runs; None if the file is not a readable block."""
     try:
         with Block(path) as block:
             sound = block.is_sound()
@@ -102,7 +102,7 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
 
 
 def _unreadable(path: Path) -> list[str]:
-    """Return the reason why `Run` cannot read an archive in which nothing else is wrong."""
+    """Return the reason why `Run` cannot read an archive in which no other problem was found."""
     try:
         with Run.open(path) as run:
             run.summary()
@@ -337,7 +337,7 @@ class _Checker:
                 values = self.file[path][:]
                 if not np.all(np.isfinite(values[:count])):
                     self.say(f"{path} has unknown values before known_until")
-                of_run = "motion" not in self.file  # error bars of inverse dynamics may decrease
+                of_run = "motion" not in self.file  # error bars of inverse dynamics may decrease with time
                 if np.any(values < 0) or (of_run and np.any(np.diff(values, axis=0) < 0)):
                     self.say(f"{path} is negative or decreases")
 

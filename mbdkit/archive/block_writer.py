@@ -35,13 +35,13 @@ Store = Literal["hashes", "summary", "histories", "all"]
 STORES: tuple[Store, ...] = get_args(Store)
 
 HISTORIES = frozenset(["trajectory/time", *(array.path for array in RECORDED.values() if array.is_history)])
-"""Arrays that ``store: histories`` keeps."""
+"""Paths of the arrays that ``store: histories`` keeps."""
 
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
-"""Values of `store` with which a study keeps the recorded rows."""
+"""Values of `store` for which a study keeps recorded rows."""
 
 COUNTS = (("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"))
-"""Growing axes of a run archive, each with the group of a block that holds the number of rows of each run."""
+"""Axes of a run archive that grow during a run, each with the group in which a block stores its length for each run."""
 
 
 def prefix(structure: int) -> str:
@@ -69,7 +69,7 @@ _HASHES = {
 }
 
 _AXIS = {"time": "row", "interval": "interval", "event": "event", "impact": "impact"}
-"""Names of the growing axes in a block. They count rows, because the times of the rows differ from run to run."""
+"""Names of the growing axes in a block. They count rows, because the recorded times differ between runs."""
 
 _UNSET = object()
 
@@ -87,7 +87,7 @@ class BlockRun:
     values
         The values that are set in `base` for this run, by dotted key.
     status, reason
-        Status of the run, and the reason if it is not complete or was ended by an event.
+        Status of the run, and the reason if the run failed or was ended by an event.
     spec_sha256, run_id
         Hash and identifier of the run's spec; empty if the spec is not valid.
     plugins
@@ -119,7 +119,7 @@ class BlockHeading:
     study_sha256
         Hash of the study spec.
     store
-        What is kept of each run.
+        Which arrays of each run are stored.
     provenance
         Attributes of ``/provenance``.
     measures
@@ -136,7 +136,7 @@ class BlockHeading:
 
 
 def kept(finished: FinishedRun, store: Store) -> FinishedRun:
-    """Return a run with only the arrays that `store` keeps and the arrays of names."""
+    """Return a run with the arrays selected by `store` and the arrays of names."""
     if store == "all":
         return finished
     arrays, keys = _KEPT.of(finished.layout, store)
@@ -144,9 +144,10 @@ def kept(finished: FinishedRun, store: Store) -> FinishedRun:
 
 
 class _KeptArrays:
-    """Finds the arrays of a layout that a study keeps.
+    """Selects the arrays of a layout that a study stores.
 
-    Runs share their layout, so that the last result is cached. Layouts are compared by identity, which is faster than
+    Runs usually share their layout, so the last result is cached. Layouts are compared by identity, which is faster
+    than
     computing their hashes.
     """
 
@@ -155,7 +156,9 @@ class _KeptArrays:
         self._found: tuple[tuple[Array, ...], frozenset[str]] = ((), frozenset())
 
     def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
-        """Return the arrays that `store` keeps with those of names, and the keys of the kept arrays with rows."""
+        """Return the arrays selected by `store`, with those of names, and the keys of the selected arrays that have
+        rows.
+        """
         if self._asked[0] is not recorded or self._asked[1] != store:
             wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
             arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
@@ -177,7 +180,7 @@ def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> 
     ResourceError
         If the disk is full.
     """
-    # The file is made in memory, because HDF5 crashes the interpreter if the disk is full when it closes a file.
+    # The file is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
     name = f"block-{next(_NUMBERS)}"
     with h5py.File(name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _Writer(file, heading, runs).write()
@@ -234,7 +237,7 @@ class _Writer:
         return write_column(self.file, array, values, compress=self.heading.compress)
 
     def scale(self, under: str, group: str, name: str, numbers: Sequence[int], what: str) -> None:
-        """Write the numbers along an axis; the group is created if it does not exist."""
+        """Write `numbers` along an axis; the group is created if it does not exist."""
         self.file.require_group(f"{under}{group}")
         create(
             self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
@@ -311,7 +314,7 @@ class _Writer:
             create(self.file, array, np.array([key[index] for key in self.structures], object))
 
     def structure(self, under: str, rows: Sequence[int]) -> None:
-        """Write the arrays of the runs with one structure."""
+        """Write the arrays of the runs that have one structure."""
         results = [result for row in rows if (result := self.runs[row].result) is not None]
         numbers = [self.runs[row].number for row in rows]
         first, count = results[0], len(results)
@@ -369,7 +372,7 @@ def _structure(result: FinishedRun) -> tuple[str, str, str]:
 
 
 def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
-    """Return whether two runs share their structure object (its contents are not compared)."""
+    """Return whether two runs have the same structure object; its contents are not compared."""
     return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
 
 

@@ -46,7 +46,7 @@ class Block:
     Raises
     ------
     SpecError
-        If it is not a block that this version can read.
+        If the file is not a block that this version can read.
     """
 
     def __init__(self, path: Path):
@@ -68,7 +68,7 @@ class Block:
             raise
 
     def is_sound(self) -> bool:
-        """Return whether arrays and attributes have their stored hashes, and all axes have dimension scales."""
+        """Return whether arrays and attributes match their stored hashes, and all axes have dimension scales."""
         try:
             return bool(
                 self.file.attrs["data_sha256"] == data_sha256(self.file)
@@ -79,7 +79,9 @@ class Block:
             return False
 
     def columns(self, group: str) -> dict[str, np.ndarray]:
-        """Return the columns of ``runs``, ``stats``, ``values`` or ``measures``, which may not exist, by name."""
+        """Return the columns of ``runs``, ``stats``, ``values`` or ``measures`` by name; none if the group does not
+        exist.
+        """
         with reading(group, self.path, hint=_HINT):
             members = self.file.get(group, {})
             return {
@@ -104,7 +106,9 @@ class Block:
         return str(self.file["provenance"].attrs.get("mbdkit", "unknown"))
 
     def row(self, number: int) -> int:
-        """Return the row of a run in the block by its number in the study; raise SpecError if it has none."""
+        """Return the index in the block of a run, given its number in the study; raise SpecError if the block lacks
+        it.
+        """
         rows = np.flatnonzero(self.numbers == number)
         if len(rows) != 1:
             raise SpecError(f"this block does not contain run {number}", file=self.path)
@@ -140,7 +144,7 @@ class Block:
         return spec
 
     def run(self, number: int) -> Run | None:
-        """Return a run with the arrays that the study keeps; None if it has no results.
+        """Return a run with the arrays that the study has stored; None if the run has no results.
 
         Raises
         ------
@@ -156,8 +160,9 @@ class Block:
         """Yield, for each structure, a `Run` that joins its N runs, their numbers in the study (N,), and their numbers
         of rows (N,).
 
-        The joined run has the rows of the first run, then those of the second, and so on; all else, such as spec and
-        status, is that of the first run. The block must stay open while the joined run is read.
+        The joined run has the rows of the first run, then those of the second, and so on. Everything else, such as spec
+        and
+        status, is taken from the first run. The block must stay open while the joined run is read.
 
         Raises
         ------
@@ -172,7 +177,7 @@ class Block:
             yield Run(self._contents(int(numbers[0]), replace(first, arrays=rows))), numbers, rows.counts
 
     def _contents(self, number: int, finished: FinishedRun) -> ArrayContents:
-        """Return the contents of a run: its results, with its spec and origin as stored in the block."""
+        """Return the contents of a run: its results, with its spec and provenance as stored in the block."""
         row, spec = self.row(number), self.spec(number)
         with reading(f"run {number}", self.path, hint=_HINT):
             common = {name: _plain(value) for name, value in self.file["provenance"].attrs.items()}
@@ -289,7 +294,7 @@ class _Rows(Mapping[str, np.ndarray]):
 
 
 def _has_scales(item: h5py.Dataset) -> bool:
-    """Return whether each axis of an array has one dimension scale of its length, in the group of the array.
+    """Return whether each axis of an array has one dimension scale of the same length, in the group of the array.
 
     The hashes do not cover dimension scales, because HDF5 stores them as addresses in the file.
     """

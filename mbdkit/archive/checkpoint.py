@@ -3,10 +3,10 @@
 
 The ``.part`` is the unfinished archive of the run. HDF5 keeps no journal: if a process is killed while HDF5 rearranges
 its tables, HDF5 may be unable to read the file. A checkpoint therefore contains the byte offsets of the rows, and all
-other data that the run needs. HDF5 never moves rows, and rows after the checkpoint do not change those before it, so
-that these can be read without HDF5.
+other data that the run needs. HDF5 never moves rows, and rows written after the checkpoint do not change earlier ones.
+The rows before the checkpoint can therefore be read without HDF5.
 
-A checkpoint begins with its SHA-256. Its values are stored as JSON, with the content of the arrays behind it.
+A checkpoint begins with its SHA-256. Its values are stored as JSON, followed by the contents of its arrays.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _KINDS = frozenset({"<f8", "<i8", "<c16", "|u1"})
 
 @dataclass(frozen=True)
 class StoredRows:
-    """Where a ``.part`` file contains the rows of a growing array.
+    """Location of the rows of a growing array in a ``.part`` file.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ class StoredRows:
     chunk_rows
         Number of rows in a chunk.
     offsets
-        First byte of each chunk in the file.
+        Byte offset of each chunk in the file.
     texts
-        The rows themselves if they are strings, whose locations in the file are internal to HDF5.
+        The rows themselves if they are strings, because HDF5 does not reveal where it stores strings.
     """
 
     row_shape: tuple[int, ...]
@@ -68,8 +68,9 @@ class StoredRows:
         return cls(dataset.shape[1:], dataset.chunks[0], offsets, ())
 
     def read(self, part: BinaryIO, array: Array, some: slice) -> np.ndarray:
-        """Return the rows in a slice from the bytes of the ``.part``; raise ValueError or LookupError if they are not
-        there.
+        """Return the rows of a slice from the bytes of the ``.part``.
+
+        Raises ValueError or LookupError if the rows are not there.
         """
         if array.dtype == TEXT:
             return np.array(self.texts[some], dtype=object)
@@ -97,13 +98,13 @@ class Checkpoint:
     file
         Inode number of the ``.part`` with the rows.
     rows
-        Number of rows of each growing axis of the layout.
+        Number of rows along each growing axis of the layout.
     lines
-        The lines of the arrays with these rows, of which `data_sha256` is the hash (see `fingerprint.line`), sorted.
+        Sorted lines that describe the arrays with these rows; `data_sha256` is their hash (see `fingerprint.line`).
     arrays
         Locations of the rows, by path of the array.
     state
-        Nested mappings and lists of arrays, numbers, strings and None.
+        State of the run: nested mappings and lists of arrays, numbers, strings and None.
     """
 
     head: Mapping[str, Any]
@@ -123,7 +124,7 @@ class Checkpoint:
 
     @classmethod
     def decoded(cls, content: bytes) -> Checkpoint | None:
-        """Return the checkpoint of these bytes; None if they are damaged."""
+        """Return the checkpoint encoded in these bytes; None if they are damaged."""
         digest, body = content[len(_MAGIC) : _HEADER], content[_HEADER:]
         if not content.startswith(_MAGIC) or hashlib.sha256(body).digest() != digest:
             return None
@@ -142,7 +143,7 @@ class Checkpoint:
                 state=values["state"],
             )
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            return None  # with a right hash, it is not damaged but made up
+            return None  # the hash is right, so the content is not damaged but forged
 
     def write(self, part: Path) -> None:
         """Write the checkpoint of a ``.part`` whose data are on the disk, and replace the previous one atomically."""
@@ -160,7 +161,7 @@ class Checkpoint:
 
     @classmethod
     def of(cls, part: Path) -> Checkpoint | None:
-        """Return the checkpoint of a ``.part``; None if it has none.
+        """Return the checkpoint of a ``.part``; None if there is none.
 
         Raises
         ------
@@ -190,7 +191,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
-    """Return the locations of rows from their stored values; raise ValueError if these are invalid."""
+    """Return the locations of rows from their encoded form; raise ValueError if they are invalid."""
     offsets, shape = values["offsets"], tuple(map(int, values["row_shape"]))
     if offsets.dtype != np.int64 or offsets.ndim != 1 or min(shape, default=0) < 0:
         raise ValueError("not the locations of rows")
@@ -198,7 +199,7 @@ def _stored_rows(values: Mapping[str, Any]) -> StoredRows:
 
 
 class _Reader:
-    """Takes arrays one after another from the bytes behind the JSON."""
+    """Reads arrays one after another from the bytes that follow the JSON."""
 
     def __init__(self, body: bytes, place: int):
         self.body, self.place = body, place

@@ -22,7 +22,7 @@ SMALL = 4096
 """Arrays with fewer bytes are not compressed."""
 
 CHUNK = 1 << 18
-"""Size of a compressed chunk [bytes]; a chunk has whole runs, so that reading one run unpacks few others."""
+"""Size of a compressed chunk [bytes]. A chunk holds whole runs, so that reading one run decompresses few others."""
 
 
 def write_column(
@@ -40,7 +40,7 @@ def write_column(
     array
         Path, axes, units and description. The group and the dimension scales must exist.
     values
-        Numbers, or strings if ``array.dtype`` is `TEXT`.
+        (N, ...) numbers, or (N,) strings if ``array.dtype`` is `TEXT`.
     compress
         Whether numbers are compressed.
     under
@@ -60,7 +60,7 @@ def write_column(
 
 
 def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compress: bool = False) -> None:
-    """Write a column of hexadecimal hashes of equal length as bytes; an empty hash is stored as zero bytes."""
+    """Write a column of hexadecimal hashes of equal length as bytes; an empty hash is stored as zeros."""
     width = max((len(text) // 2 for text in hashes), default=0) or 1
     values = np.frombuffer(b"".join(bytes.fromhex(text or "00" * width) for text in hashes), np.uint8)
     scale = Array(f"{array.path}_byte", (f"{array.name}_byte",), "1", f"number of the byte of {array.name}", "<i8")
@@ -97,7 +97,7 @@ def _coded(values: Sequence[str] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _plan(values: np.ndarray | Sequence[str], array: Array) -> h5p.PropDCID | None:
-    """Return the compression of an array; None if it is empty or too small for compression."""
+    """Return the compression settings of an array; None if it is empty or too small for compression."""
     shape, size = np.shape(values), np.dtype(array.dtype).itemsize
     if not np.prod(shape) or np.prod(shape) * size < SMALL:
         return None

@@ -34,8 +34,8 @@ class Comparison:
     Parameters
     ----------
     same_data
-        Whether both runs ended and all arrays that are compared are bitwise equal. Their hashes are computed from the
-        arrays; the stored ones are not trusted.
+        Whether both runs have ended and all compared arrays are bitwise equal. Hashes are computed from the arrays,
+        because stored hashes may be wrong.
     differences
         Largest difference of each array except timings, relative to the largest magnitude of that array in either
         run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
@@ -43,11 +43,11 @@ class Comparison:
     versions
         Provenance attributes that differ, except the command, with the values of the first and the second run.
     falsified
-        A sentence for each stored hash that does not match the contents of its run; empty if all match.
+        One sentence for each stored hash that does not match the contents of its run; empty if all match.
     left_out
         Arrays that only one run has, because the format of the other archive is older; they are not compared.
     formats
-        Versions of the format of both archives.
+        Format versions of the two archives.
     """
 
     same_data: bool
@@ -100,7 +100,7 @@ def compare(first: Run, second: Run) -> Comparison:
     one, of_one, falsified_one = _contents(first)
     two, of_two, falsified_two = _contents(second)
     left_out = frozenset.union(*(layout.later({*one} ^ {*two}, version) for version in formats))
-    # a crashed run, which has no hash, may lack rows
+    # a crashed run has no hash and may lack rows
     same = bool(first.data_sha256 and second.data_sha256)
     if left_out:
         with reading("its contents", None):
@@ -127,7 +127,7 @@ def compare(first: Run, second: Run) -> Comparison:
 
 
 def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
-    """Return the hashed arrays of a run, their hash, and a sentence for each stored hash that does not match."""
+    """Return the hashed arrays of a run, their hash, and one sentence for each stored hash that does not match."""
     file = run.file
     with reading("its contents", run.path):
         arrays = {item.name.lstrip("/"): item for item in datasets(file) if is_hashed(item.name)}
@@ -147,7 +147,7 @@ def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
 
 
 def _lines(arrays: Mapping[str, h5py.Dataset], left_out: frozenset[str]) -> list[str]:
-    """Return the hashed lines of all arrays but those left out."""
+    """Return the lines that are hashed, for all arrays except `left_out`."""
     return [dataset_line(arrays[path]) for path in sorted({*arrays} - left_out)]
 
 

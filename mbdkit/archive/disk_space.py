@@ -13,11 +13,11 @@ from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import sizes_of
 
 NEARLY_NOTHING = 2**20
-"""A disk with less free space than this is called full [bytes]."""
+"""A disk with less free space than this is reported as full [bytes]."""
 
 
 SMALL = 2**22
-"""Archives in memory up to this size [bytes] are not compared with the free memory; to query it takes 0.1 ms."""
+"""For archives in memory up to this size [bytes], free memory is not checked, because querying it takes 0.1 ms."""
 
 
 def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[str] | None = None) -> int:
@@ -30,7 +30,7 @@ def row_bytes(names: ArchiveNames, quantities: frozenset[str], kept: frozenset[s
     quantities
         Which of `layout.QUANTITIES` are recorded.
     kept
-        Paths of the arrays that count; by default, all.
+        Paths of the arrays that are stored; by default, all.
     """
     sizes, arrays = sizes_of(names), (array for array in layout.recorded_by(names, quantities) if array.grows)
     return sum(

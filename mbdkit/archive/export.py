@@ -1,4 +1,4 @@
-"""Exports a run: each group with rows over time to a file of its own, in a format that other programs read."""
+"""Exports a run: writes each group of arrays over time to its own file, in a format that other programs read."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mbdkit.base.text import did_you_mean, listed
 def export(run: Run, folder: Path, to: str, *, overwrite: bool = False) -> list[Path]:
     """Write each group of a run to a file ``GROUP.FORMAT`` in a folder, and return the files.
 
-    Either all files are written or, if one cannot be, none.
+    If one file cannot be written, none is.
 
     Parameters
     ----------
     folder
         Folder of the files; it is created if its parent exists.
     to
-        Format: ``csv``, ``parquet``, ``mat``, ``sto`` or ``json``. Events are not written as ``sto``, which cannot have
-        two rows of the same time.
+        Format: ``csv``, ``parquet``, ``mat``, ``sto`` or ``json``. Events are not written as ``sto``, a format that
+        does not allow two rows with the same time.
     overwrite
         Whether existing files may be replaced.
 
@@ -60,7 +60,7 @@ def check_format(to: str) -> None:
 def write_tables(
     tables: Mapping[Path, ExportedTable], folder: Path, to: str, *, overwrite: bool, source: Path | None
 ) -> None:
-    """Write tables to files in a folder: all of them or, if one cannot be written, none.
+    """Write tables to files in a folder; if one file cannot be written, none is.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def write_tables(
 
 
 def _prepare(folder: Path, files: list[Path], overwrite: bool) -> bool:
-    """Create the folder if it does not exist, check that the files may be written, and return whether it is new."""
+    """Create the folder if needed, check that the files may be written, and return whether the folder is new."""
     if folder.is_dir():
         for file in files:
             check_output(file, overwrite=overwrite)

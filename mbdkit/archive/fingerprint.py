@@ -48,7 +48,7 @@ def text_bytes(values: Iterable[str]) -> bytes:
 
 
 def line(path: str, dtype: str, shape: tuple[int, ...], digest: str) -> str:
-    """Return the line of one array: path, type, shape and SHA-256 of the values."""
+    """Return the line that describes one array in the hash: path, type, shape and SHA-256 of the values."""
     return f"{_beginning(path, dtype, shape)} {digest}\n"
 
 
@@ -63,7 +63,7 @@ def digest_lines(lines: Iterable[str]) -> str:
 
 
 def dataset_line(dataset: h5py.Dataset) -> str:
-    """Return the line of one dataset of a file."""
+    """Return the line that describes one dataset of a file in the hash."""
     sha = hashlib.sha256()
     text = is_text(dataset)
     for block in blocks(dataset):
@@ -137,7 +137,7 @@ def _attribute_line(path: str, attribute: h5a.AttrID) -> str:
 
 @cache
 def layout_lines() -> Mapping[str, str]:
-    """Return the lines of the attributes with which arrays of the layout are created, by ``PATH@NAME``."""
+    """Return the hash lines of the attributes with which arrays of the layout are created, by ``PATH@NAME``."""
     texts = {
         f"{array.path}@{name}": text
         for array in LAYOUT

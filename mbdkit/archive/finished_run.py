@@ -34,11 +34,11 @@ class FinishedRun:
     names
         Names of the mechanism's bodies, joints and other elements.
     layout
-        The arrays of the archive's layout that the run recorded, those of names included.
+        The arrays of the archive's layout that the run recorded, including those of names.
     arrays
         Values of the arrays with rows, by `Array.key`: ``time`` (T,), ``trajectory/position`` (T, B, 3), ...
     shared
-        Description of the reactions of redundant joints; None without them.
+        Description of the reactions of redundant joints; None without redundant joints.
     status, reason
         ``complete``, ``failed`` or ``interrupted``, and the reason.
     stats
@@ -94,7 +94,7 @@ class FinishedRun:
         return next((len(self.arrays[one.key]) for one in self.layout if one.dims[0] == dim and one.grows), 0)
 
     def write(self, writer: ArchiveWriter) -> None:
-        """Write the arrays into an archive that was begun for them, without finishing it."""
+        """Write the arrays into an archive that was opened for them; the caller finishes the archive."""
         for dim in GROWING:
             growing = {one.key: self.arrays[one.key] for one in self.layout if one.grows and one.dims[0] == dim}
             if growing:
@@ -102,14 +102,14 @@ class FinishedRun:
 
 
 class ArrayWriter(RunWriter):
-    """Keeps the rows of a run in memory.
+    """Stores the rows of a run in memory.
 
     Parameters
     ----------
     names, arrays
         See `RunWriter`.
     shared
-        As for `ArchiveWriter`.
+        See `ArchiveWriter`.
     assembly
         Sentence on how the start was made consistent.
 
@@ -147,7 +147,7 @@ class ArrayWriter(RunWriter):
         return frozenset(self._keys["time"])
 
     def rows(self, dim: str) -> int:
-        """Return the number of rows."""
+        """Return the number of rows along a growing axis."""
         return self._rows[dim]
 
     def take(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:
@@ -163,7 +163,7 @@ class ArrayWriter(RunWriter):
     def _resize(self, dim: str, capacity: int) -> None:
         for key in self._keys[dim]:
             buffer = self._buffers[key]
-            buffer.resize((capacity, *buffer.shape[1:]), refcheck=False)  # there are no views of it
+            buffer.resize((capacity, *buffer.shape[1:]), refcheck=False)  # there are no views of the buffer
         self._capacity[dim] = capacity
 
     def flush_if_due(self) -> None:
@@ -174,7 +174,7 @@ class ArrayWriter(RunWriter):
         self._buffers = {}
 
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> None:
-        """Compute the hash of the rows; the result is `finished`."""
+        """Compute the hash of the rows, and store the result in `finished`."""
         started = time.perf_counter()
         for dim, rows in self._rows.items():
             self._resize(dim, rows)
@@ -199,14 +199,14 @@ class ArrayWriter(RunWriter):
 
 
 class ArrayHash:
-    """Computes `data_sha256` of runs that record the same arrays of mechanisms with the same names.
+    """Computes `data_sha256` for runs that record the same arrays and whose mechanisms have the same names.
 
     Parameters
     ----------
     names
         Names of bodies, joints and other elements.
     recorded
-        Arrays of the layout that the runs record, those of names included.
+        Arrays of the layout that the runs record, including those of names.
     """
 
     def __init__(self, names: ArchiveNames, recorded: Sequence[Array]):
@@ -220,12 +220,12 @@ class ArrayHash:
         return sha256(array.data).hexdigest()
 
     def of(self, arrays: Mapping[str, np.ndarray], known: Mapping[str, str] = MappingProxyType({})) -> str:
-        """Return the hash of a run from its arrays by `Array.key`; they are contiguous.
+        """Return the hash of a run from its contiguous arrays by `Array.key`.
 
         Parameters
         ----------
         known
-            Known digests of arrays, by key; runs may share arrays, which are then hashed only once.
+            Known digests of arrays, by key; arrays that several runs share are then hashed only once.
         """
         digests = dict(known)
         lines = self._names.copy()

@@ -1,6 +1,6 @@
 """A group of the archive as a table: one row for each recorded time, one named column for each number.
 
-Columns are named as quantities in expressions of events, such as ``knee.force_x`` or ``foot.vy``.
+Columns have the names that quantities have in expressions of events, such as ``knee.force_x`` or ``foot.vy``.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class GroupTable:
     rows
         Number of rows T.
     columns
-        The columns without the time, those of an element side by side.
+        All columns except the time; the columns of an element are adjacent.
     """
 
     run: Run
@@ -72,7 +72,7 @@ class GroupTable:
 
     @property
     def first(self) -> TableColumn:
-        """The column of the times."""
+        """The column with the times."""
         return TableColumn("time", "s", Array(f"{self.group}/time", ("time",), "s", "time"), ())
 
     @property
@@ -86,7 +86,7 @@ class GroupTable:
         return GroupTable(self.run, self.group, self.rows, numbers)
 
     def read(self, rows: slice) -> list[np.ndarray]:
-        """Return the values of each column in a slice of the rows."""
+        """Return the values of each column in a slice of rows."""
         paths = dict.fromkeys(column.array.path for column in self.columns)
         with reading(self.group, self.run.path):
             values = {path: _values(self.run.dataset(path), rows) for path in paths}
@@ -94,7 +94,7 @@ class GroupTable:
         return [values[column.array.path][every + column.at] for column in self.columns]
 
     def blocks(self) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
-        """Yield times and values of the columns in blocks of rows that fit in memory."""
+        """Yield the times and the values of the columns in blocks of rows that fit in memory."""
         size = max(1, BLOCK_VALUES // (len(self.columns) + 1))
         for start in range(0, self.rows, size):
             rows = slice(start, min(start + size, self.rows))
@@ -120,11 +120,11 @@ def group_table(run: Run, group: str) -> GroupTable:
         raise UnknownNameError("group", group, GROUPS)
     arrays = _arrays(run, group)
     if not arrays:
-        if group in ELEMENTS and not getattr(run, group):  # raises NotRecordedError if they were left out
+        if group in ELEMENTS and not getattr(run, group):  # raises NotRecordedError if the group was not recorded
             raise MbdkitError(f"the mechanism of this run has no {group}, so that there is no table of them")
         raise NotRecordedError(f"{group}/time", run.format_version)
     columns = [column for array in arrays for column in _columns(run, array)]
-    # The columns of an element, such as a joint, side by side, in the order of the arrays.
+    # The columns of an element, such as a joint, are adjacent, in the order of the arrays.
     order = {key: index for index, key in enumerate(dict.fromkeys(_element(column) for column in columns))}
     columns.sort(key=lambda column: order[_element(column)])
     return GroupTable(run, group, len(run.dataset(f"{group}/time")), tuple(columns))
@@ -154,13 +154,15 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
 
 
 def _element(column: TableColumn) -> tuple[tuple[str, int], ...]:
-    """Return axis and index of the element of a column, such as a joint; an empty tuple if it has none."""
+    """Return the axis and the index of the element to which a column belongs, such as a joint; an empty tuple if
+    none.
+    """
     dims = column.array.dims[1:]
     return tuple((dim, k) for dim, k in zip(dims, column.at, strict=True) if dim not in _COMPONENT_DIMS)
 
 
 def _values(dataset: h5py.Dataset | np.ndarray, rows: slice) -> np.ndarray:
-    """Return the rows of a dataset in a slice; text as Python strings."""
+    """Return a slice of the rows of a dataset; text as Python strings."""
     source = dataset.asstr() if isinstance(dataset, h5py.Dataset) and is_text(dataset) else dataset
     return np.asarray(source[rows])
 

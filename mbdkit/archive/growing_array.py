@@ -39,7 +39,9 @@ class Series:
         self._sha = None if is_timing(array.path) else hashlib.sha256()
 
     def create(self, file: h5py.File, values: np.ndarray, *, more: bool) -> None:
-        """Create the dataset with its first rows: chunked if `more` rows will follow, otherwise of fixed size."""
+        """Create the dataset with its first rows: chunked if more rows will follow (`more`), otherwise of fixed
+        size.
+        """
         chunks = (self._chunk_rows(len(values)), *(max(1, size) for size in self.row_shape)) if more else None
         self.dataset = create(file, self.array, values, chunks=chunks)
         self._took(values)

@@ -53,13 +53,13 @@ def create(
     plan
         Compression of an array of fixed size; None for none.
     under
-        Path of the group that takes the place of the root group, with a slash at the end; empty for the root itself.
+        Path of the group in which the layout starts, with a slash at the end; empty for the root group.
     """
     limits = None
     if chunks is not None:
         plan = h5p.create(h5p.DATASET_CREATE)
         plan.set_chunk(chunks)
-        # HDF5 rejects chunks longer than a fixed axis, and therefore any chunk along a fixed axis of length zero.
+        # HDF5 rejects chunks longer than a fixed axis. Axes of length zero must therefore be unlimited.
         limits = (h5s.UNLIMITED, *(size or h5s.UNLIMITED for size in values.shape[1:]))
     kind, of_values = (_STRING, _STR) if array.dtype == TEXT else 2 * (h5t.py_create(np.dtype(array.dtype)),)
     identifier = h5d.create(

@@ -23,7 +23,7 @@ def error_number(error: BaseException) -> int | None:
 
 
 def cause(error: BaseException) -> str:
-    """Return the cause of an error of the system or HDF5, without HDF5's internal details."""
+    """Return the cause of an error of the system or of HDF5, without HDF5's internal details."""
     number = error_number(error)
     return os.strerror(number) if number else str(error).partition("\n")[0]
 
@@ -35,7 +35,7 @@ def reading(what: str, file: Path | None, *, hint: str = "`mbdkit archive check`
     Parameters
     ----------
     what
-        Name of the data read within the block, such as ``energy/total``.
+        Name of the data that the `with` block reads, such as ``energy/total``.
     file
         Path of the archive; None if it is in memory.
     hint

@@ -1,4 +1,6 @@
-"""Headlines, the main numbers of a run: its measures or, without any, its largest forces, torques and activations."""
+"""Headlines, the main numbers of a run: its measures or, if it has none, its largest forces, torques and
+activations.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,12 @@ MOST_DIGITS = 6
 #: Numbers are printed without an exponent if the power of ten of their first digit is in this range.
 SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
-#: Torques [N m] below this share of the largest force [N] or torque of drivers count as zero, and forces likewise.
+#: Torques [N m] below this share of the largest force [N] or driver torque count as zero, and so do forces.
 ROUND_OFF = 1e-10
 
 
 class Headline(NamedTuple):
-    """A number of a run with its unit and, if it is known, its estimated error; nan if unknown."""
+    """A number of a run with its unit and its estimated error, which is nan if unknown."""
 
     label: str
     value: float
@@ -66,7 +68,7 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
 
 
 def headlines(run: Run) -> list[Headline]:
-    """Return up to `MOST` numbers of a run with rows, the most important first."""
+    """Return up to `MOST` headlines of a run that has rows, the most important first."""
     if not len(run.time):
         return []
     measured = [
@@ -78,7 +80,7 @@ def headlines(run: Run) -> list[Headline]:
 
 
 def largest_loads(run: Run) -> list[Headline]:
-    """Return the largest torques of the drivers and the largest forces of the joints, the largest of each first."""
+    """Return the largest torques of drivers and the largest forces of joints, each in descending order."""
     if not run.joint_names or not run.records("joints/reaction_force"):
         return []
     force = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
@@ -119,7 +121,9 @@ def _contacts(run: Run) -> list[Headline]:
 
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
-    """Return estimated errors (J,) of the largest values (T, J) of joints; None without a check of the whole run."""
+    """Return the estimated errors (J,) of the largest values (T, J) of joints; None unless the whole run was
+    checked.
+    """
     is_known = run.accuracy is not None and run.accuracy.is_complete
     return peak_errors(run, name, size, len(run.time)) if is_known else None
 
@@ -127,9 +131,7 @@ def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
 def _largest(
     words: str, names: list[str] | tuple[str, ...], size: np.ndarray, unit: str, errors: np.ndarray | None
 ) -> list[Headline]:
-    """Return the largest values over time (T, J) of each element and their errors (J,), the largest first, without
-    zeros.
-    """
+    """Return the elements' largest values over time (T, J) with errors (J,) in descending order; zeros are left out."""
     rows = _peak_rows(size)
     headlines = []
     for column, row in enumerate(rows):
@@ -141,5 +143,5 @@ def _largest(
 
 
 def _peak_rows(size: np.ndarray) -> np.ndarray:
-    """Return the rows (J,) of the largest values (T, J)."""
+    """Return for each column of `size` (T, J) the row with its largest value (J,)."""
     return np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)

@@ -1,7 +1,7 @@
-"""Declares the columns of histories in their classes, for type checkers and completion.
+"""Declares the columns of histories as class attributes, for type checkers and completion.
 
 ``python -m mbdkit.archive.history_columns mbdkit/archive/history.py`` writes the declarations from the table of
-quantities. The columns themselves are made by `View` from the same table.
+quantities. At run time, `View` creates the columns from the same table.
 """
 
 from __future__ import annotations

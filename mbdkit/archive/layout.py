@@ -15,7 +15,7 @@ from mbdkit.quantities.table import BY_GROUP, KINDS, RECORDED, sizes_of
 
 FORMAT = "mbdkit-run"
 
-#: Attribute of the group ``trajectory`` while the run is under way: numbers of rows of the tables at the last flush.
+#: Attribute of the group ``trajectory`` while the run is in progress: numbers of rows of the tables at the last flush.
 ROWS_FLUSHED = "rows_flushed"
 
 
@@ -53,15 +53,16 @@ ROOT_ATTRIBUTES = (
 MEASURES = "measures"
 """Root attribute with the values and units of the measures of a run, in JSON; absent without measures."""
 INTEGRALS = "integrals"
-"""Root attribute with the integrals over time and extrema that measures need, by their expressions, in JSON and SI
-units."""
+"""Root attribute with the integrals over time and the extrema that the measures need, by expression, as JSON in SI
+units.
+"""
 GRADIENTS = "gradients"
 """Root attribute with the derivatives of the measures by parameters, in JSON; absent without `gradients`."""
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
-"""Root attributes that say how far a run can be trusted; archives of earlier versions lack them."""
+"""Root attributes with the verdict on a run, its reasons and warnings; archives of earlier versions lack them."""
 
 ATTRIBUTES_HASH = "attributes_sha256"
-"""Root attribute with the hash of all that `data_sha256` leaves out; archives of earlier versions lack it."""
+"""Root attribute with the hash of everything that `data_sha256` leaves out; archives of earlier versions lack it."""
 
 COUNTERS = (
     "steps",
@@ -82,19 +83,20 @@ VERSIONS = tuple(sorted({array.since for array in LAYOUT}))
 """Versions of the format whose arrays the layout lists."""
 FORMAT_VERSION = VERSIONS[-1]
 
-#: Groups that `output.quantities` chooses.
+#: Groups that can be selected by `output.quantities`.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)
 
-#: Groups of optional kinds of elements: each exists only if the mechanism has elements of its kind.
+#: Groups of optional kinds of elements; such a group exists only if the mechanism has elements of the kind.
 ELEMENTS = frozenset(kind.group for kind in KINDS if kind.is_optional)
 
-#: Groups whose numbers may be nan: unknown errors, and gaps in measured data.
+#: Groups whose numbers may be nan, for unknown errors and gaps in measured data.
 MAY_BE_UNKNOWN = tuple(kind.group for kind in KINDS if kind.may_be_unknown)
 
-#: Arrays with the attribute `not_unique`, which lists the joints with non-unique reactions in a redundant mechanism.
+#: Arrays with the attribute `not_unique`, which lists the joints of a redundant mechanism whose reactions are not
+#: unique.
 SHARED = tuple(array.path for array in RECORDED.values() if array.is_shared)
 
-#: Groups of inverse dynamics; those without elements are absent.
+#: Groups of inverse dynamics; a group without elements is absent.
 INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads")
 
 #: Paths of the arrays of events; all of them are present if the spec has events.
@@ -118,7 +120,7 @@ MUSCLES = tuple(
 #: Paths of the arrays of contacts; all of them are present if the mechanism has contacts.
 CONTACTS = tuple(array.path for array in LAYOUT if array.group == "contacts")
 
-#: Paths of the arrays of bodies that touch the ground; all of them are present if the mechanism has any.
+#: Paths of the arrays of ground reactions; all of them are present if bodies of the mechanism can touch the ground.
 GROUND_REACTIONS = tuple(array.path for array in LAYOUT if array.group == "ground_reactions")
 
 #: Paths of the arrays of friction in joints; all of them are present if a joint has friction.
@@ -147,18 +149,20 @@ def is_timing(path: str) -> bool:
 
 
 def is_hashed(path: str) -> bool:
-    """Whether the array at `path` is part of the data: no wall time, no estimated error, no property of a file."""
+    """Whether the array at `path` is hashed as data; timings, estimated errors and properties of a file are not."""
     is_of_file = path.endswith(("/file_sha256", "/file_state"))
     return not is_timing(path) and not path.lstrip("/").startswith("accuracy/") and not is_of_file
 
 
 def is_in(array: Array, version: str) -> bool:
-    """Whether archives of a `version` 1.x have the array; those later than `FORMAT_VERSION` count as having all."""
+    """Whether archives of version 1.x have the array; versions later than `FORMAT_VERSION` count as having all
+    arrays.
+    """
     return _minor(array.since) <= _minor(version)
 
 
 def later(paths: Iterable[str], version: str) -> frozenset[str]:
-    """Return those of the `paths` of arrays that archives of a `version` 1.x do not have."""
+    """Return those of the `paths` that archives of version 1.x do not have."""
     return frozenset(path for path in paths if path in BY_PATH and not is_in(BY_PATH[path], version))
 
 
@@ -194,7 +198,7 @@ def recorded(
 def recorded_by(
     names: ArchiveNames, quantities: frozenset[str], extra: frozenset[str] = frozenset()
 ) -> tuple[Array, ...]:
-    """Return the arrays of a run as `recorded` does, without the groups of elements that the mechanism lacks."""
+    """Return the arrays of a run as `recorded` does, but without the groups of elements that the mechanism lacks."""
     sizes = sizes_of(names)
     return recorded(
         frozenset(quantity for quantity in quantities if quantity not in ELEMENTS or sizes[BY_GROUP[quantity].axis]),
@@ -203,5 +207,5 @@ def recorded_by(
 
 
 def name_texts(names: ArchiveNames) -> Mapping[str, Sequence[str]]:
-    """Return the values of the arrays of names and units, by path."""
+    """Return the values of the arrays that hold names and units, by path."""
     return {array.path: array.texts(names) for array in LAYOUT if array.texts is not None}

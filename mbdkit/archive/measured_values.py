@@ -1,4 +1,4 @@
-"""Values of the measures of a run, and integrals and extrema that they need: attributes of an archive."""
+"""Values of the measures of a run, and the integrals and extrema on which they depend, as attributes of an archive."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from collections.abc import Mapping
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 
 Integrals = Mapping[str, float | tuple[float, ...]]
-"""Integrals over time of numbers and vectors, and extrema, by their expressions, in SI units; nan where undefined."""
+"""Integrals over time of numbers or vectors, and extrema, by expression, in SI units; nan where undefined."""
 
 
 ERROR = "_error"
-"""End of the name of the estimated error of a measure in tables of studies."""
+"""Suffix of the column with the estimated error of a measure in tables of studies."""
 
 ComparedMeasures = Mapping[str, tuple[float, ...]]
-"""Values of expressions in two runs of increasing accuracy and in one of another method, in SI units, for error
-estimates; nan where unknown."""
+"""Values of expressions in comparison runs, in SI units, for error estimates; nan where unknown.
+
+Each expression has its values in two runs of increasing accuracy and in one run of another method.
+"""
 
 
 def compared_json(compared: ComparedMeasures) -> str:
@@ -34,14 +36,14 @@ def compared_from_json(text: str) -> ComparedMeasures:
 
 
 def integrals_json(integrals: Integrals) -> str:
-    """Return the attribute ``integrals`` of an archive."""
+    """Return the text of the attribute ``integrals``."""
     return json.dumps(
         {name: [*map(_finite, x)] if isinstance(x, tuple) else _finite(x) for name, x in integrals.items()}
     )
 
 
 def integrals_from_json(text: str) -> Integrals:
-    """Return the integrals in the attribute of an archive; raise ValueError if the text is not such an attribute."""
+    """Return the integrals in the attribute ``integrals``; raise ValueError if the text is not valid."""
     try:
         return {
             name: (_number(x[0]), _number(x[1])) if isinstance(x, list) else _number(x)
@@ -69,12 +71,12 @@ class MeasuredValues(ReadOnlyDict[str, float]):
     units
         Units by name.
     reasons
-        Why a value could not be taken, by name.
+        Why a value could not be computed, by name.
     errors
-        Estimated errors by name, of runs with a check and of inverse dynamics; nan where unknown.
+        Estimated errors by name, for checked runs and inverse dynamics; nan where unknown.
     remarks
-        What users should know about a value, by name: why its error is unknown although the run has a check, or that
-        recorded rows exceed it.
+        Remarks on values, by name: why the error is unknown although the run was checked, or that recorded rows exceed
+        the value.
     """
 
     def __init__(
@@ -93,12 +95,12 @@ class MeasuredValues(ReadOnlyDict[str, float]):
 
     @classmethod
     def from_json(cls, text: str) -> MeasuredValues:
-        """Return the values in the attribute of an archive.
+        """Return the values in the attribute ``measures`` of an archive.
 
         Raises
         ------
         ValueError
-            The text is not such an attribute.
+            If the text is not such an attribute.
         """
         found = json.loads(text)
         try:
@@ -112,7 +114,7 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         return cls(values, units, reasons, errors, remarks)
 
     def to_dict(self) -> dict[str, dict[str, float | str | None]]:
-        """Return value, unit and, where there is one, estimated error, reason of failure and remark of each measure.
+        """Return value, unit and, where available, estimated error, reason of failure and remark of each measure.
 
         Values that are not finite become None.
         """
@@ -128,5 +130,5 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         return values
 
     def to_json(self) -> str:
-        """Return the attribute of an archive."""
+        """Return the text of the attribute ``measures``."""
         return json.dumps(self.to_dict(), ensure_ascii=False, allow_nan=False)

@@ -1,4 +1,4 @@
-"""Finds plugins that an archive was made with and that are not installed."""
+"""Finds plugins that were used to create an archive but are not installed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mbdkit.registry.manager import registry
 
 @dataclass(frozen=True)
 class Needed:
-    """One plugin that an archive was made with.
+    """A plugin that was used to create an archive.
 
     Parameters
     ----------
@@ -29,8 +29,8 @@ class Needed:
 
     @property
     def advice(self) -> str:
-        """What to install, as a clause. It contains no command, because the names come from the archive, which may be
-        untrusted.
+        """What to install, as a clause. It contains no command, because an untrusted archive may contain harmful
+        names.
         """
         return (
             f"install the distribution that the archive names, {shown(self.distribution)} {shown(self.version)}, "
@@ -70,7 +70,9 @@ def check_plugins_of(path: Path | None, provenance: Mapping[str, object]) -> Non
 
 
 def advised(error: SpecError, archives: Iterable[Path]) -> SpecError:
-    """Return `error`, with installation advice if it names a missing plugin that one of the archives was made with."""
+    """Return `error`, with installation advice if it names a missing plugin that was used to create one of the
+    archives.
+    """
     from mbdkit.archive.reader import load
 
     if "there is no " not in error.message:

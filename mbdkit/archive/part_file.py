@@ -1,4 +1,4 @@
-"""Target file of an archive: written as FILE.h5.part under a lock and renamed atomically at the end."""
+"""Target file of an archive: written as FILE.h5.part under a lock, and renamed atomically at the end."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def remove_checkpoint(part: Path) -> None:
 
 
 def remove_part(part: Path) -> None:
-    """Remove a ``.part`` and its checkpoint, if they exist."""
+    """Remove a ``.part`` and its checkpoint, if these exist."""
     remove_checkpoint(part)
     part.unlink(missing_ok=True)
 
@@ -61,12 +61,12 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
     overwrite
         Whether an existing file may be replaced.
     source
-        The input, which is never replaced.
+        The input file, which is never replaced.
 
     Raises
     ------
     SpecError
-        If the name, the folder or an existing file does not allow it.
+        If the name is not suitable, the folder does not exist, or an existing file may not be replaced.
     ResourceError
         If writing into the folder is not permitted.
     """
@@ -86,7 +86,7 @@ class Target:
     overwrite
         Whether publishing replaces an existing file.
     part
-        Name of the file until `publish` or `take_place_of` renames it.
+        Name of the file until `publish` or `take_place_of` renames it; by default `path` with the suffix ``.part``.
 
     Raises
     ------
@@ -99,35 +99,36 @@ class Target:
     def __init__(self, path: Path, *, overwrite: bool, part: Path | None = None):
         self._path = check_target(path, overwrite=overwrite)
         self._part = part_path(path) if part is None else part
-        self._folder, self._process = os.getcwd(), os.getpid()  # a plugin may change the former, and fork
+        # a plugin may change the working folder, or fork the process
+        self._folder, self._process = os.getcwd(), os.getpid()
         self.overwrite = overwrite
-        self.is_kept = False  # whether `drop` keeps the .part
+        self.is_kept = False  # whether `drop` leaves the .part in place
         self._torn = False  # whether a write is in progress or has failed halfway
         self.file = self._create()
         self._handle: int | None = os.open(self.part, os.O_RDWR)
         self._lock()
-        remove_checkpoint(self.part)  # that of an earlier file of this name
+        remove_checkpoint(self.part)  # a checkpoint of an earlier file of this name
 
     @property
     def path(self) -> Path:
-        """Final name of the archive, as it was given unless the working folder has changed since."""
+        """Final name of the archive; absolute if the working folder has changed since."""
         return self._from_here(self._path)
 
     @property
     def part(self) -> Path:
-        """Name of the file at present."""
+        """Current name of the file."""
         return self._from_here(self._part)
 
     def _from_here(self, path: Path) -> Path:
-        with contextlib.suppress(OSError):  # the working folder has been removed
+        with contextlib.suppress(OSError):  # raised if the working folder has been removed
             if path.is_absolute() or os.getcwd() == self._folder:
                 return path
         return Path(self._folder) / path
 
     def _end_if_forked(self) -> None:
-        """End the process if it is a fork of the one that writes the archive, and has returned from a plugin.
+        """End the process if it is a fork, made by a plugin, of the process that writes the archive.
 
-        Two processes that write one file damage it.
+        Two processes that write to the same file would damage it.
         """
         if os.getpid() != self._process:
             os._exit(1)
@@ -140,7 +141,7 @@ class Target:
             except BlockingIOError:
                 raise self._in_use() from None
             except (OSError, ValueError) as error:
-                # HDF5 sets no errno for a file that is open in this process.
+                # If this process has the file open, HDF5 sets no errno.
                 if not isinstance(error, FileExistsError) and "file exists" not in str(error):
                     message = f"the archive cannot be created: {cause(error)}"
                     raise file_error(error_number(error), message, file=self.path) from error
@@ -154,11 +155,11 @@ class Target:
         return ResourceError(message, file=self.path)
 
     def _remove_stale(self) -> None:
-        """Remove the .part of a crashed run; the .part of a running one is locked."""
+        """Remove the .part of a crashed run. The .part of a run in progress is locked."""
         try:
             if not stat.S_ISREG(os.lstat(self.part).st_mode):
                 raise SpecError(f"{self.part} exists and is not a regular file", file=self.path)
-            if sys.platform == "win32":  # an open file cannot be removed there
+            if sys.platform == "win32":  # Windows cannot remove an open file
                 remove_part(self.part)
                 return
             import fcntl
@@ -192,10 +193,12 @@ class Target:
 
     @contextlib.contextmanager
     def reserved(self, size: int) -> Iterator[None]:
-        """Reserve disk space for a block that writes about `size` bytes to the file, and flush the file after it.
+        """Reserve disk space for a block that writes about `size` bytes to the file, and flush the file after the
+        block.
 
         A full disk raises OSError before the block starts. If a write failed within HDF5 instead, all data written
-        before would be lost, because HDF5 cannot roll a write back.
+        before
+        would be lost, because HDF5 cannot undo a partial write.
         """
         self._end_if_forked()
         handle = self._open_handle()
@@ -220,7 +223,7 @@ class Target:
         os.fsync(self._open_handle())
 
     def replace_content(self, image: bytes) -> None:
-        """Close `file` and replace the content of the .part with a copy of another archive."""
+        """Close `file` and replace the content of the .part with the bytes of another archive."""
         self.file.close()
         self._lock()
         with open(self._open_handle(), "wb", closefd=False) as out:
@@ -229,10 +232,11 @@ class Target:
         self.sync()
 
     def publish(self) -> None:
-        """Rename the flushed .part to its final name, after the checkpoint, which is no longer needed, is removed.
+        """Remove the checkpoint, which is no longer needed, and rename the flushed .part to its final name.
 
-        Without `overwrite`, a file created there during the run is not replaced. The archive is still open and locked,
-        so that other runs do not remove the .part as that of a crashed run.
+        Unless `overwrite` is set, a file that was created there during the run is not replaced. The archive is still
+        open and
+        locked, so that other runs do not take the .part for that of a crashed run and remove it.
 
         Raises
         ------
@@ -240,7 +244,7 @@ class Target:
             If the .part cannot be renamed; it keeps its name.
         """
         self._end_if_forked()
-        if sys.platform == "win32":  # an open file cannot be renamed there
+        if sys.platform == "win32":  # Windows cannot rename an open file
             self.file.close()
         remove_checkpoint(self.part)
         try:
@@ -256,7 +260,9 @@ class Target:
             raise ResourceError(f"the archive {self.part} cannot be renamed to {self.path} ({cause(error)})") from error
 
     def close(self) -> None:
-        """Close the archive, under either name, and release the lock; discard a write that failed halfway."""
+        """Close the archive and release the lock, whether it has been renamed or not; discard a write that failed
+        halfway.
+        """
         self._end_if_forked()
         if self._torn and self.file and hasattr(os, "memfd_create"):
             # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
@@ -274,8 +280,8 @@ class Target:
             self._handle = None
 
     def _unlock(self, handle: int) -> None:
-        """Unlock an open file. Closing it does not unlock it while a forked process, such as one that a plugin has
-        started, has it open.
+        """Unlock an open file. Closing is not enough if a forked process, such as one started by a plugin, has the file
+        open.
         """
         if sys.platform != "win32":
             import fcntl
@@ -284,13 +290,16 @@ class Target:
                 fcntl.flock(handle, fcntl.LOCK_UN)
 
     def drop(self) -> None:
-        """Close and remove the .part and its checkpoint, unless they have taken the place of others."""
+        """Close and remove the .part and its checkpoint, unless `take_place_of` has renamed them."""
         self.close()
         if not self.is_kept:
             remove_part(self.part)
 
     def take_place_of(self, part: Path) -> None:
-        """Rename the flushed .part to `part`, which it replaces with its checkpoint; `drop` no longer removes them."""
+        """Rename the flushed .part and its checkpoint to `part` and its checkpoint, which they replace.
+
+        `drop` then no longer removes them.
+        """
         self.sync()
         try:
             # A checkpoint contains the inode number of its file: if the process is killed between the two renamings,
@@ -303,7 +312,7 @@ class Target:
 
 
 def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:
-    """Write the bytes of an HDF5 file that was made in memory.
+    """Write the bytes of an HDF5 file that was created in memory.
 
     Raises
     ------

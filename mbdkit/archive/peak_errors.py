@@ -1,4 +1,4 @@
-"""Errors of the largest recorded forces and torques: those of the method, and of peaks between recorded rows."""
+"""Errors of the largest recorded forces and torques: errors of the method, and peaks missed between recorded rows."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 PARABOLA, SPLINE = 2.0, 1.5
-"""Factors on the heights by which a parabola through three rows, and a cubic spline through all, exceed the rows.
+"""Safety factors for interpolated peaks: for a parabola through three rows, and for a cubic spline through all rows.
 
-For random sums of three sines, the larger of the two heights covers the true peak in 93 % of the cases with 4 rows per
-period of the highest frequency, in 99 % with 6, and in all with 10."""
+Each factor multiplies the height by which the interpolation exceeds the rows. For random sums of three sines, the
+larger of the two heights covers the true peak in 93 % of the cases with 4 rows per period of the highest frequency, in
+99 % with 6, and in all cases with 10.
+"""
 
 _ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
 _LARGEST = re.compile(
@@ -28,9 +30,9 @@ _LARGEST = re.compile(
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
     """Return the errors (J,) of the largest values of the joints in the first rows; None without a check.
 
-    In a simulated run, the error is the largest error of the method in these rows, because the true peak may be
-    elsewhere, plus the height by which a peak between rows may exceed the recorded one. In inverse dynamics, values
-    belong to the frames of the data; see `errors_of_frames`.
+    In a simulated run, the error is the sum of two terms: the largest error of the method in any of these rows, because
+    the true peak may be in another row, and the height by which a peak between rows may exceed the recorded one. For
+    inverse dynamics, whose values belong to the frames of the data, see `errors_of_frames`.
 
     Parameters
     ----------
@@ -53,8 +55,10 @@ def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray
 
 
 def jumps(run: Run) -> np.ndarray:
-    """Return times (B,) at which forces may jump [s]: impacts, events that set states, and changes of the mode of a
-    rigid contact, in the middle between rows.
+    """Return the times (B,) at which forces may be discontinuous [s].
+
+    These are impacts, events that set states, and changes of the mode of a rigid contact. The latter are taken halfway
+    between two rows.
     """
     named = [name for name, event in (run.spec.get("events") or {}).items() if event.get("set")]
     found = [run.impacts.time, *(run.events.of_name(name).time for name in named)]
@@ -67,10 +71,10 @@ def jumps(run: Run) -> np.ndarray:
 def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """Return the errors (E,) of the largest values of joints or actuators in inverse dynamics.
 
-    If the run has the measure ``max(abs(joints.NAME.force))`` of this value, the error is that of the measure, so that
-    a number has the same error wherever it is printed. Otherwise it is the error of the frame with the largest value.
-    The error of the measure is sampled for the maximum itself; that of the frame is the bound of a vector, or belongs
-    to a single frame.
+    If the run has a measure such as ``max(abs(joints.NAME.force))`` for the value, the error of the measure is
+    returned, so that a number has the same error wherever it is printed. Otherwise the result is the error of the frame
+    with the largest value. The two can differ: the error of the measure is sampled for the maximum itself, while that
+    of the frame bounds a vector, or belongs to one frame.
 
     Parameters
     ----------
@@ -109,8 +113,8 @@ def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[floa
     size
         (T, J) values of the curves.
     jumps
-        (B,) increasing times at which the curves may be discontinuous [s]. The curve before and that after are
-        continued to the jump by parabolas.
+        (B,) increasing times at which the curves may be discontinuous [s]. At each, the curves before and after it are
+        extrapolated to it by parabolas.
     """
     recorded: np.ndarray = np.max(size, axis=0)
     above = recorded
@@ -124,7 +128,7 @@ def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[floa
 
 
 def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: Sequence[float | None]) -> np.ndarray:
-    """Return bounds (J,) of curves without jumps between the rows, and continued to the `ends` that are given."""
+    """Return upper bounds (J,) of continuous curves between the rows, extrapolated to the `ends` that are given."""
     if len(time) < 2:
         return recorded
     above = [recorded]
@@ -140,12 +144,14 @@ def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: 
 
 
 def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return the largest rows (J,), plus the height by which a parabola through three rows exceeds them."""
+    """Return the largest values (J,) of the rows, increased by the height by which a parabola through three rows
+    exceeds them.
+    """
     left, right = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         before, after = np.diff(size, axis=0)[:-1] / left, np.diff(size, axis=0)[1:] / right
         curvature = (after - before) / (left + right)
-        slope = (before * right + after * left) / (left + right)  # in the middle row
+        slope = (before * right + after * left) / (left + right)  # slope in the middle row
         place = -0.5 * slope / curvature
         height = size[1:-1] - 0.25 * slope**2 / curvature
     is_between = (curvature < 0) & (place > -left) & (place < right)  # false for nan, and for rows at equal times

@@ -1,4 +1,4 @@
-"""A dictionary that cannot be changed, whose keys and items IPython completes."""
+"""A dictionary that cannot be changed, for which IPython completes keys and the attributes of items."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ V = TypeVar("V")
 class ReadOnlyDict(dict[K, V]):
     """A dictionary whose methods that change it raise TypeError.
 
-    IPython looks into the items of an expression, such as ``run.joints["A"].``, only if its type has the
+    IPython completes the attributes of an item, such as ``run.joints["A"].``, only if the type of the mapping has the
     ``__getitem__`` of `dict`.
     """
 

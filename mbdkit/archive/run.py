@@ -1,4 +1,4 @@
-"""`Run`: access to a run archive in a file or in memory; arrays are read on demand."""
+"""`Run`: access to a run archive, in a file or in memory. Arrays are read on demand."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-#: Arrays larger than this are not cached, and are read column by column.
+#: Arrays larger than this [bytes] are not cached, and are read column by column.
 KEEP_BYTES = 1 << 28
 
 _ROWS_OF_DRIVERS = (["angle"], ["x"], ["y"])
-"""Constraint rows of drivers; every other joint has other rows, or more of them."""
+"""Constraint rows of drivers; no other joint has exactly one of these rows."""
 
 
 class Run(HtmlView):
@@ -78,7 +78,8 @@ class Run(HtmlView):
     def __init__(self, contents: RunContents | h5py.File):
         self._contents = contents if isinstance(contents, RunContents) else ArchiveContents(contents)
         self._header = self._contents.header
-        #: The exception of a plugin that ended the run, if it was run in this process; `check` chains it.
+        #: The exception of a plugin that ended the run, if the run was executed in this process; `check` chains it to
+        #: the error that it raises.
         self.cause: BaseException | None = self._contents.cause
         self._arrays: dict[str, np.ndarray] = {}
 
@@ -103,7 +104,7 @@ class Run(HtmlView):
 
     @property
     def status_reason(self) -> str:
-        """Code and sentence saying why the run is not complete or which event ended it; otherwise empty."""
+        """Code and sentence that say why the run is not complete, or which event ended it; otherwise empty."""
         return self._header.attributes["status_reason"]
 
     @property
@@ -206,7 +207,7 @@ class Run(HtmlView):
 
     @property
     def kind(self) -> Literal["forward", "inverse"]:
-        """``forward`` for the integration of a motion, ``inverse`` for inverse dynamics of a measured one."""
+        """``forward`` for the integration of a motion, ``inverse`` for inverse dynamics of a measured motion."""
         return "inverse" if is_inverse(self.spec) else "forward"
 
     @property
@@ -216,7 +217,7 @@ class Run(HtmlView):
 
     @property
     def elapsed(self) -> np.ndarray:
-        """Wall time since the first step at the recorded rows, (T,), s."""
+        """Wall time from the first step to each recorded row, (T,), s."""
         return self.array("trajectory/elapsed_s")
 
     @property
@@ -261,7 +262,7 @@ class Run(HtmlView):
 
     @cached_property
     def integrals(self) -> Integrals:
-        """Integrals over time and extrema that the measures of the run need, by their expressions, in SI units.
+        """Integrals over time and extrema that the measures of the run need, by expression, in SI units.
 
         See `mbdkit.runs.integrals`.
         """
@@ -294,10 +295,11 @@ class Run(HtmlView):
 
     @cached_property
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Derivatives of the measures by the parameters that the spec names under `gradients`, by name of the measure.
+        """Derivatives of the measures by the parameters that the spec lists under `gradients`, by name of the measure.
 
-        Each measure has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs, or a
-        ``reason`` why there are no derivatives. The mapping is empty without `gradients` in the spec.
+        Each entry has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs. If there
+        are no
+        derivatives, it has a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
         """
         return self._contents.gradients()
 
@@ -345,7 +347,9 @@ class Run(HtmlView):
 
     @cached_property
     def states(self) -> StateHistories:
-        """First-order states by name, those of force elements and muscles as ``element.state``; empty without any."""
+        """First-order states by name; those of force elements and muscles are named ``element.state``. Empty if there
+        are none.
+        """
         return StateHistories(BY_GROUP["states"], self)
 
     @cached_property
@@ -355,7 +359,7 @@ class Run(HtmlView):
 
     @property
     def raw_misalignment(self) -> np.ndarray:
-        """Misalignment of each joint if the bodies are placed by the measured data alone, (T, J) [m]; nan where
+        """Misalignment of each joint if bodies are placed by the measured data alone, (T, J) [m]; nan where
         undetermined.
 
         Raises
@@ -430,7 +434,7 @@ class Run(HtmlView):
         return LoadHistories(BY_WORD["loads"], self)
 
     def text(self, path: str, index: int | slice | None) -> str:
-        """Return one of the texts in the array at `path`; an empty one if the archive lacks them."""
+        """Return one of the texts in the array at `path`; an empty text if the archive lacks the array."""
         texts = self._names.get(path, ())
         return texts[index] if isinstance(index, int) and index < len(texts) else ""
 
@@ -555,7 +559,7 @@ class Run(HtmlView):
         return self._arrays[path]
 
     def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
-        """Return the array at `path` for one `index` of its second axis and a `part` of its third, read-only."""
+        """Return a view of the array at `path`: one `index` of its second axis and a `part` of its third; read-only."""
         at: tuple[Any, ...] = (slice(None),)
         if index is not None:
             at += (index,)
@@ -577,8 +581,8 @@ class Run(HtmlView):
         Returns
         -------
         h5py.Dataset or ndarray
-            The dataset; an ndarray if the arrays of the run are in memory, or if the run crashed while it wrote the
-            array, which then has the rows written before.
+            The dataset. It is an ndarray if the arrays of the run are in memory. It is also an ndarray, with the
+            complete rows only, if the run crashed while it wrote the array.
 
         Raises
         ------
@@ -593,7 +597,7 @@ class Run(HtmlView):
 
     @property
     def file(self) -> h5py.File:
-        """The open HDF5 file; if the arrays of the run are in memory, a file in memory that is made of them.
+        """The run as an open HDF5 file; it is created in memory if the run has no file.
 
         Raises
         ------
@@ -759,10 +763,10 @@ class Run(HtmlView):
 
 
 def _objects_of(word: str) -> property:
-    """Return a property of runs: the objects of a kind, by name."""
+    """Return a property of `Run` that maps the names of the objects of a kind to the objects."""
     return property(lambda run: Histories(BY_WORD[word], run), doc=f"The {word} by name.")
 
 
-for _word in BY_WORD:  # kinds without a property with a class of histories of its own
+for _word in BY_WORD:  # kinds of elements for which `Run` does not define a property
     if not hasattr(Run, _word):
         setattr(Run, _word, _objects_of(_word))

@@ -69,7 +69,7 @@ class Header:
 
 
 class RunContents(ABC):
-    """The interface through which a `Run` reads its data; `Run` relies on its guarantees without further checks.
+    """Interface through which a `Run` reads its data; `Run` does not check what this class guarantees.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class RunContents(ABC):
     cause
         The exception of a plugin that ended the run in this process.
     whole_rows
-        For a crashed run, the number of rows that all arrays along a growing axis have, by name of the axis.
+        For a crashed run, the number of complete rows along each growing axis, by name of the axis.
     """
 
     header: Header
@@ -112,7 +112,7 @@ class RunContents(ABC):
 
     @abstractmethod
     def accuracy(self) -> Accuracy | None:
-        """Return the estimated errors; None if there are none, or they are not kept."""
+        """Return the estimated errors; None if there are none, or if a study did not store them."""
 
     @property
     @abstractmethod
@@ -130,9 +130,9 @@ class ArchiveContents(RunContents):
     Parameters
     ----------
     file
-        The archive, which is open; it is closed if its header is damaged.
+        The open archive. It is closed if its header is damaged.
     path
-        Its path; None if it is in memory.
+        Path of the archive; None if it is in memory.
 
     Raises
     ------
@@ -175,7 +175,7 @@ class ArchiveContents(RunContents):
 
     @classmethod
     def just_written(cls, path: Path) -> ArchiveContents:
-        """Open an archive that this process has just written, without checking what its writer ensures."""
+        """Open an archive that this process has just written, without repeating checks that the writer guarantees."""
         with reading("its header", path):
             file = h5py.File(path, "r", locking="best-effort")
         return cls(file, path)
@@ -185,7 +185,7 @@ class ArchiveContents(RunContents):
         attributes = {name: str(file.attrs[name]) for name in layout.ROOT_ATTRIBUTES}
         provenance = run_header.plain_attributes(file["provenance"])
         redundancy = str(file["joints"].attrs.get("redundancy", ""))
-        if attributes["status"] == "running":  # a crash may have left the rest incomplete
+        if attributes["status"] == "running":  # a crash may have left the other attributes incomplete
             return Header(attributes, provenance, redundancy=redundancy)
         reasons, warnings = (
             tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
@@ -207,7 +207,7 @@ class ArchiveContents(RunContents):
         noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
         if noted is not None:
             return dict.fromkeys(GROWING, 0) | {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=False)}
-        lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # of an earlier version
+        lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # for archives of an earlier version
         for array in layout.LAYOUT:
             if array.grows and array.path in self._file:
                 lengths[array.dims[0]].append(len(self._file[array.path]))
@@ -227,7 +227,7 @@ class ArchiveContents(RunContents):
         raise NotRecordedError(path, self.header.attributes["format_version"])
 
     def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
-        """Return the whole rows of a growing array of a crashed run."""
+        """Return the complete rows of a growing array of a crashed run."""
         version = self.header.attributes["format_version"]
         is_flushed = self.whole_rows["time"] > 0  # arrays are created with their first rows
         if is_flushed and array.path in self.file:
@@ -276,7 +276,7 @@ class ArchiveContents(RunContents):
 
 @dataclass(frozen=True)
 class Heading:
-    """Spec and origin of a run.
+    """Spec and provenance of a run.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ class Heading:
 
 
 class NotStoredError(NotRecordedError):
-    """The requested array was recorded by the run, but the study does not keep it."""
+    """The run recorded the requested array, but the study does not store it."""
 
     def __init__(self, what: str, store: str):
         MbdkitError.__init__(
@@ -306,16 +306,16 @@ class NotStoredError(NotRecordedError):
 
 
 class ArrayContents(RunContents):
-    """Arrays in memory, such as those that a block of a study holds.
+    """A run whose arrays are in memory, such as one read from a block of a study.
 
     Parameters
     ----------
     finished
-        The results; arrays that are not kept are missing in `FinishedRun.layout`.
+        The results; `FinishedRun.layout` lists only the arrays that are stored.
     heading
-        Spec and origin.
+        Spec and provenance.
     store
-        What is kept of each run, if that is not everything; empty otherwise.
+        Which arrays the study stores of each run; empty if it stores all.
     measured
         Values of the measures in the spec.
     gradients
@@ -396,7 +396,7 @@ class ArrayContents(RunContents):
         return self._finished.integrals
 
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return the gradients of the measures; blocks of runs hold none."""
+        """Return the gradients of the measures; empty for runs in blocks, which do not store them."""
         return ReadOnlyDict(json.loads(self._gradients or "{}"))
 
     def accuracy(self) -> Accuracy | None:
@@ -405,7 +405,7 @@ class ArrayContents(RunContents):
 
     @cached_property
     def file(self) -> h5py.File:
-        """An HDF5 file in memory with the contents; raises NotStoredError if not all of its arrays are kept."""
+        """The contents as an HDF5 file in memory; raises NotStoredError if some arrays are not stored."""
         self._check_open()
         if self._store:
             raise NotStoredError("complete archive", self._store)

@@ -1,6 +1,4 @@
-"""Opens the file of a run archive, and checks the header so that later reading cannot fail because of missing
-entries.
-"""
+"""Opens the file of a run archive and checks its header, so that later reads cannot fail because of missing entries."""
 
 from __future__ import annotations
 
@@ -72,17 +70,18 @@ def _check_format(file: h5py.File, path: Path) -> None:
 #: Sections of a spec that are mappings if they are present.
 _MAPPINGS = ("model", "integrator", "time", "output")
 
-#: Sections that may be null as well.
+#: Sections of a spec that may also be null.
 _OPTIONAL_MAPPINGS = ("limits", "events")
 
 LONGEST = 4 * LONGEST_NAME
-"""Longest name that is read [characters]. Some names, such as those of constraints, are composed of several others."""
+"""Longest name that is read [characters]. Some names, such as those of constraints, are composed of several names."""
 
 
 def check_shapes(file: h5py.File) -> None:
     """Raise ValueError if an array of the layout has a type or shape that contradicts its axes."""
     lengths: dict[str, int] = {}
-    crashed = file.attrs.get("status") == "running"  # between two flushes, so arrays may have different numbers of rows
+    # interrupted between two flushes, so arrays may have different numbers of rows
+    crashed = file.attrs.get("status") == "running"
     for path in ("trajectory/body", "joints/joint"):
         if path not in file:
             raise ValueError(f"{path} is missing")
@@ -99,7 +98,7 @@ def check_shapes(file: h5py.File) -> None:
         for dim, length in zip(array.dims, dataset.shape, strict=True):
             if crashed and dim in GROWING:
                 continue
-            # all groups have the same rows, bodies and joints, but events have their own times
+            # All groups have the same rows, bodies and joints, except that events and impacts have their own times.
             place = f"events/{dim}" if array.group in ("events", "impacts") and dim in GROWING else dim
             if lengths.setdefault(place, length) != length:
                 raise ValueError(f"axis {dim} of {path} has the length {length}, elsewhere {lengths[place]}")
@@ -135,7 +134,7 @@ def names(file: h5py.File, path: str) -> tuple[str, ...]:
 
 
 def misalignments(file: h5py.File) -> np.ndarray | None:
-    """Return the largest misalignment of each joint, or None if there is none; raise ValueError if it is invalid."""
+    """Return the largest misalignment of each joint, or None if it is not stored; raise ValueError if it is invalid."""
     largest = file["joints"].attrs.get("misalignment_max")
     if largest is not None and (
         largest.shape != file["joints/joint"].shape or not np.issubdtype(largest.dtype, np.floating)
@@ -165,7 +164,7 @@ def spec_of(text: str) -> dict[str, Any]:
 
 
 def _integer(digits: str) -> int:
-    """Return an integer of a spec; raise ValueError if it exceeds the largest float, as no number of a spec may."""
+    """Return an integer of a spec; raise ValueError if its magnitude exceeds the largest float."""
     if math.isinf(float(digits)):
         raise ValueError(f"it has an integer of {len(digits)} digits")
     return int(digits)

@@ -20,7 +20,7 @@ from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-#: Number of joints listed with their misalignment, the largest first.
+#: Number of joints listed with their misalignment.
 JOINTS_NAMED = 4
 
 #: Number of events listed.
@@ -112,7 +112,7 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
 
 
 def without_suspicion(run: Run) -> str:
-    """Return a clause on a run whose verdict has no reasons."""
+    """Return a clause for a run whose verdict has no reasons."""
     estimated = run.verdict == "good" or (run.kind == "inverse" and run.accuracy is not None)
     return "errors estimated, nothing suspicious seen" if estimated else NOTHING_SUSPICIOUS
 
@@ -161,7 +161,7 @@ def _stabilization(run: Run) -> str:
 
 
 def corrections(run: Run) -> str:
-    """Describe the number and the largest size of the corrections of a stabilized run; empty if none are recorded."""
+    """Describe the number and the largest size of the corrections of a stabilized run; empty if none were recorded."""
     parts = []
     if run.records("steps/projections"):
         steps = run.steps
@@ -203,9 +203,7 @@ def accuracy_sentence(run: Run) -> str:
 
 
 def _error_bars(run: Run) -> str:
-    """Return a sentence on the error bar of the largest reaction force of inverse dynamics; empty if it was not
-    requested.
-    """
+    """Return a sentence on the error bar of the largest reaction force of inverse dynamics; empty if not requested."""
     accuracy = run.accuracy
     if accuracy is None:
         if run.spec.get("motion", {}).get("errors") == "none":
@@ -226,7 +224,7 @@ def _error_bars(run: Run) -> str:
 
 
 def asked_sentence(run: Run) -> str:
-    """Return sentences on the requested accuracy, the one reached, and the choice of method; empty if none was
+    """Return sentences on the requested accuracy, the accuracy reached, and the choice of method; empty if none was
     requested.
 
     Parameters
@@ -322,14 +320,14 @@ def _drivers(run: Run) -> str:
 
 
 def _smoothing(spec: Mapping[str, Any]) -> str:
-    """Return the smoothing of a measured motion and its options; empty for a run."""
+    """Return the smoothing of a measured motion and its options; empty for runs other than inverse dynamics."""
     chosen = spec.get("motion", {}).get("smooth", {})
     words = [f"{key} {value}" for key, value in chosen.items() if key != "name" and value is not None]
     return ", ".join([*([str(chosen["name"])] if chosen else []), *words])
 
 
 def _fit(run: Run) -> str:
-    """Return the root mean square of the residuals of each observed quantity, the largest first."""
+    """Return the root mean square of the residuals of each observed quantity, in descending order."""
     parts = []
     for name, one in run.motion.items():
         known = one.residual[np.isfinite(one.residual)]
@@ -343,7 +341,7 @@ def _fit(run: Run) -> str:
 
 
 def _raw_misalignment(run: Run) -> str:
-    """Return the largest misalignment of the measured data; empty if they do not determine any."""
+    """Return the largest misalignment of the measured data; empty if they determine none."""
     if not run.records("motion/raw_misalignment"):
         return ""
     gaps = run.raw_misalignment
@@ -354,8 +352,9 @@ def _raw_misalignment(run: Run) -> str:
 
 
 def _actuators(run: Run, *, residual: bool = False) -> str:
-    """Return the largest value of each actuator, with its error bar, and its time, the largest first; or those of the
-    residual loads.
+    """Return the largest value of each actuator, with its error bar and time, in descending order.
+
+    With `residual`, return the values of the residual loads instead.
     """
     if not run.actuators:
         return ""
@@ -376,7 +375,7 @@ def _actuators(run: Run, *, residual: bool = False) -> str:
 
 
 def _muscles(run: Run) -> str:
-    """Return the largest activation of each muscle and its time, the largest first."""
+    """Return the largest activation of each muscle and its time, in descending order."""
     peaks = []
     for name, muscle in run.muscles.items():
         row = int(np.argmax(muscle.activation))
@@ -387,8 +386,9 @@ def _muscles(run: Run) -> str:
 
 
 def _contacts(run: Run) -> str:
-    """Return the deepest overlap of each contact, its time, and the largest slip while it sticks; the deepest first,
-    without those that are rounding errors.
+    """Return the deepest overlap of each contact with its time, and the largest slip while it sticks.
+
+    The deepest overlap comes first; rounding errors are left out.
     """
     parts = []
     for name, contact in run.contacts.items():
@@ -423,7 +423,7 @@ def _contact_forces(run: Run) -> str:
 
 
 def _reserves(run: Run) -> str:
-    """Return the share of each reserve in the moment of its actuator, as root mean squares; empty without muscles."""
+    """Return the root mean square of each reserve actuator as a share of its total moment; empty without muscles."""
     if not run.records("muscles/certificate"):
         return ""
     shares = reserve_shares(run)
@@ -431,20 +431,20 @@ def _reserves(run: Run) -> str:
 
 
 def reserve_shares(run: Run) -> dict[str, float]:
-    """Return the root mean square of each reserve that is used, relative to that of the moment it is part of."""
+    """Return the root mean square of each reserve that is used, relative to that of the total moment."""
     shares = {}
     for name, reserve in run.actuators.items():
         actuator = name.removeprefix(RESERVE)
         if name == actuator or actuator not in run.actuators:
             continue
         own, whole = (float(np.sqrt(np.mean(one.value**2))) for one in (reserve, run.actuators[actuator]))
-        if own > 0:  # else no muscle acts on this actuator
+        if own > 0:  # otherwise no muscle acts on this actuator
             shares[actuator] = own / whole if whole > 0 else 0.0
     return shares
 
 
 def _events(run: Run) -> str:
-    """Return the number of crossings of each event and the time of the first."""
+    """Return the number of crossings of each event and the time of the first crossing."""
     parts = []
     for name in run.spec.get("events") or ():
         times = run.events.of_name(name).time
@@ -456,7 +456,9 @@ def _events(run: Run) -> str:
 
 
 def answer_lines(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each measure, its value and unit or why it has none; without measures, the headlines."""
+    """Return a line for each measure, with its value and unit or the reason why it has none; without measures, the
+    headlines.
+    """
     lines: list[tuple[str, str]] = []
     for name, value in run.measures.items():
         text = run.measures.reasons.get(name, "undefined")
@@ -469,8 +471,9 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
 
 
 def _elements(run: Run) -> list[str]:
-    """Return the numbers of bodies, beams, joints and drivers, as `mbdkit validate` counts them: the nodes of recorded
-    beams are no bodies, and drivers no joints.
+    """Return the numbers of bodies, beams, joints and drivers, counted as by `mbdkit validate`.
+
+    Nodes of recorded beams do not count as bodies, and drivers do not count as joints.
     """
     nodes = [beam for beam in map(beam_of, run.bodies) if beam and beam in run.beams]
     beams, bodies = set(nodes), len(run.bodies) - len(nodes)
@@ -483,7 +486,7 @@ def _elements(run: Run) -> list[str]:
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, and one where its check fails or it has none."""
+    """Return a line for each derivative of a measure, and one for each measure that has none or whose check fails."""
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []

@@ -1,4 +1,4 @@
-"""`Run.plot` and `Run.animate`: methods of a run that are implemented in higher rooms."""
+"""`Run.plot` and `Run.animate`: methods of a run that higher packages implement."""
 
 from __future__ import annotations
 
@@ -27,12 +27,13 @@ class Animation(Protocol):
 
 
 class RunPlots:
-    """Plots of a run, each drawn on the Matplotlib axes `ax`, or on those of a new figure, which are returned.
+    """Plots of a run. Each method draws on the Matplotlib axes `ax`, by default those of a new figure, and returns the
+    axes.
 
     Fonts, colours and line widths are those of Matplotlib's current settings (`rcParams`). Labels have SI units. Every
     line is named in the legend. Unless joints or force elements are named, the six with the largest values are drawn.
-    Estimated errors (``check: true`` in the spec) are drawn as bands. Of more than 2000 rows, the extremes of
-    consecutive rows are drawn. `mbdkit.plot.compare` draws several runs.
+    Estimated errors (``check: true`` in the spec) are drawn as bands. If there are more than 2000 rows, consecutive
+    rows are combined and their extremes are drawn. `mbdkit.plot.compare` draws several runs.
 
     All methods raise SpecError if the run has no rows or there is nothing to draw, UnknownNameError for an unknown
     name, and NotRecordedError if the run did not record the quantity.
@@ -47,7 +48,7 @@ class RunPlots:
     """
 
     def __init__(self, draw: Callable[..., Axes]):
-        self._draw = draw  # takes the kind of plot, the axes, and the options of the method
+        self._draw = draw  # called with the kind of plot, the axes, and the options of the method
 
     def trajectory(self, ax: Axes | None = None, *, points: Names = None) -> Axes:
         """Draw paths of points in the plane [m].
@@ -83,7 +84,7 @@ class RunPlots:
         return self._draw("energy", ax, terms=terms)
 
     def reactions(self, ax: Axes | None = None, *, joints: Names = None, components: Components = "magnitude") -> Axes:
-        """Draw the forces in joints over time [N]: those of the first body of each joint on the second.
+        """Draw the forces in joints over time [N], which the first body of each joint exerts on the second.
 
         Parameters
         ----------
@@ -107,7 +108,7 @@ class RunPlots:
         return self._draw("torques", ax, joints=joints, elements=elements)
 
     def forces(self, ax: Axes | None = None, *, elements: Names = None) -> Axes:
-        """Draw the forces of springs, dampers and laws, positive where they pull together, and of loads over time [N].
+        """Draw the forces of springs, dampers, force laws and loads over time [N]; attraction is positive.
 
         Parameters
         ----------
@@ -133,6 +134,6 @@ class RunPlots:
         components
             ``moment`` [N m]; ``shear`` or ``axial`` [N], in the frame of the cross-section.
         times
-            Times [s] at which values along the beams are drawn, those of the nearest recorded rows.
+            Times [s] for which values along the beams are drawn; the nearest recorded rows are used.
         """
         return self._draw("beams", ax, beams=beams, components=components, times=times)

@@ -1,4 +1,4 @@
-"""Takes the rows of one run from the recorder; subclasses write them to a file, or keep them in memory."""
+"""Base class for writing the recorded rows of a run; subclasses write them to a file or store them in memory."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from mbdkit.trust.criteria import Judgement
 
 
 def utc_now() -> str:
-    """Return the time, ISO 8601, to the millisecond."""
+    """Return the current time, ISO 8601, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
@@ -54,9 +54,9 @@ class Ending:
     warnings
         Warnings about the spec and the run, as sentences.
     accuracy
-        Estimated errors of the rows, if they were checked.
+        Estimated errors of the rows, if the run was checked.
     integrals
-        Time integrals by their integrands, numbers or pairs of numbers, in SI units.
+        Integrals over time and extrema, by expression, in SI units; see `mbdkit.archive.measured_values.Integrals`.
     """
 
     status: str
@@ -74,7 +74,7 @@ class Ending:
 
 
 class AnySpec(Protocol):
-    """What an archive stores of a spec."""
+    """The part of a spec that an archive stores."""
 
     def canonical_json(self) -> str:
         """Return its canonical JSON."""
@@ -83,12 +83,12 @@ class AnySpec(Protocol):
         """Return the SHA-256 of the UTF-8 bytes of its canonical JSON."""
 
     def run_id(self) -> str:
-        """Return the name of its run."""
+        """Return the name of the run."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The spec of a run, and where and how it was made.
+    """The spec of a run, and where and how the run was made.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class SharedForces:
-    """Attributes of the archive of a mechanism with redundant joints.
+    """Attributes of an archive whose mechanism has redundant joints.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ class RunWriter(ABC):
 
     @abstractmethod
     def rows(self, dim: str) -> int:
-        """Return the number of rows taken along a growing axis of the layout."""
+        """Return the number of rows received along a growing axis of the layout."""
 
     @abstractmethod
     def take(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:
@@ -172,7 +172,7 @@ class RunWriter(ABC):
 
     @abstractmethod
     def flush_if_due(self) -> None:
-        """Write the buffered rows and flush the file, if there is one, from time to time."""
+        """From time to time, write the buffered rows and flush the file, if there is one."""
 
     @abstractmethod
     def abandon(self) -> None:
@@ -185,11 +185,11 @@ class RunWriter(ABC):
         Parameters
         ----------
         ending
-            Results known at the end. This method adds ``finish_s`` to `Ending.stats`: the time [s] that it takes itself
-            up to the renaming.
+            Results known at the end. This method adds its own duration up to the renaming [s] to `Ending.stats`, as
+            ``finish_s``.
         measured
-            Takes the measures of the run from the file, in which all else is written, and returns the attribute
-            ``measures``; not called without a file.
+            Function that evaluates the measures from the file, which is otherwise complete, and returns the attribute
+            ``measures``. Not called without a file.
 
         Returns
         -------

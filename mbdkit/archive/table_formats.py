@@ -24,7 +24,7 @@ MATLAB_LENGTH = 63
 
 
 class ExportedTable(Protocol):
-    """Interface of a table that is written."""
+    """Interface of a table that can be exported."""
 
     @property
     def group(self) -> str:
@@ -43,7 +43,7 @@ class ExportedTable(Protocol):
         """The other columns."""
 
     def blocks(self) -> Iterator[tuple[np.ndarray, list[np.ndarray]]]:
-        """Yield the values of the first column and of the others in blocks of rows."""
+        """Yield the values of the first column and of the other columns, in blocks of rows."""
 
     def without_text(self) -> ExportedTable:
         """Return the table without its columns of text."""
@@ -80,8 +80,8 @@ def write_json(table: ExportedTable, path: Path) -> None:
 def write_sto(table: ExportedTable, path: Path) -> None:
     """Write a storage file of OpenSim: a header, and numbers separated by tabulators with the time first.
 
-    Angles are in radians. White space and other characters that OpenSim would take for separators become ``_`` in the
-    names. Text is left out.
+    Angles are in radians. In names, white space and other characters that OpenSim would read as separators are replaced
+    by ``_``. Text is left out.
     """
     table = table.without_text()
     labels = _distinct(re.sub(r"[\s\x00-\x1f\x7f]+", "_", shown(name)) for name, _ in _names_and_units(table))

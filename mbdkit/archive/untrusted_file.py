@@ -1,7 +1,8 @@
 """Opens untrusted HDF5 files, and refuses harmful contents before anything is read.
 
 HDF5 follows external links, external storage and virtual datasets to other files, and allocates memory as declared in
-the file. An archive is a tree of groups and arrays of numbers and strings, whose values are in the file.
+the file. Therefore only trees of groups and of arrays of numbers and strings are accepted, with all values in the file
+itself.
 """
 
 from __future__ import annotations
@@ -30,25 +31,27 @@ ATTRIBUTES = 10_000
 """Largest number of attributes of a group or an array."""
 
 UNPACKED = 50
-"""Compressed arrays may unpack to this many times the size of the file. Results compress to about 85 %."""
+"""Largest ratio of the size of compressed arrays to that of the file. Results compress to about 85 %."""
 
 FREE = 1 << 26
 """Compressed or sparse arrays up to this size are not compared with the size of the file [bytes]."""
 
 CHUNK = 1 << 28
-"""Largest size to which one compressed chunk may unpack [bytes]; it is held in memory as a whole."""
+"""Largest uncompressed size of one chunk [bytes]; a chunk is decompressed in memory as a whole."""
 
 TEXT = 1 << 30
-"""Largest size of all strings of an attribute [bytes]."""
+"""Largest total size of the strings of an attribute [bytes]."""
 
 FIXED = 1 << 12
-"""Longest string of fixed length, as other programs add them [bytes]; those of an archive have variable length."""
+"""Longest string of fixed length [bytes]. Other programs may add such strings; those of an archive have variable
+length.
+"""
 
 _FEW = 64  # strings of an attribute that are read without an estimate of their size
 _DEFLATE = 1032  # largest ratio of deflate
 _FILTERS = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
 _OF_SCALES = {b"CLASS", b"NAME", b"REFERENCE_LIST", b"DIMENSION_LIST"}
-_DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")])  # of a string, in the file
+_DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")])  # layout of a string in the file
 
 
 def check_regular(path: Path) -> None:
@@ -67,7 +70,7 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
     what
         What the file should be, for messages, such as ``run archive``.
     hint
-        What to do with a damaged file, appended to messages.
+        Advice on a damaged file, which is appended to messages.
     objects
         Largest number of groups and arrays.
 
@@ -106,7 +109,7 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
 
 
 def is_sparse(path: Path) -> bool:
-    """Return whether a large file has almost no data, so that reading its bytes would take long for nothing."""
+    """Return whether a large file holds almost no data, so that reading its zeros would take very long."""
     status = os.stat(path)
     # File systems that compress store less than the size; those that do not count blocks report 0.
     on_disk = 512 * getattr(status, "st_blocks", 0)
@@ -185,7 +188,7 @@ class _Inspection:
         for index in range(count):
             attribute = h5a.open(item, index=index)
             if attribute.name in _OF_SCALES:
-                continue  # not read as values
+                continue  # links are not read as values
             place = f"the attribute {attribute.name.decode(errors='replace')} of {path}"
             space, kind = attribute.get_space(), attribute.get_type()
             is_text = self.kind(place, kind, space)
@@ -196,8 +199,8 @@ class _Inspection:
                 raise self.refused(f"{place} has {number:,} strings that may be too large for the memory")
 
     def largest_heap(self) -> int:
-        """Return the size of the largest string collection (global heap) [bytes], by searching the file for its
-        signature.
+        """Return the size of the largest string collection (global heap) [bytes], found by searching the file for
+        signatures.
         """
         largest = 0
         with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
@@ -267,7 +270,9 @@ class _Inspection:
             raise self.refused(f"a compressed chunk of {path} has {most[0]:,} bytes, more than can be unpacked safely")
 
     def strings(self, path: str, item: h5d.DatasetID, layout: int, size: int) -> None:
-        """Refuse strings that are together longer than the file, because many of them share their characters."""
+        """Refuse strings whose total length exceeds that of the file, which is possible if many of them share
+        characters.
+        """
         places: list[tuple[int, int]] = []
         if layout == h5d.CHUNKED:
             _each_chunk(item, lambda info: places.append((info.byte_offset, info.size)))

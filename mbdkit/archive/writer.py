@@ -35,7 +35,7 @@ FLUSH_INTERVAL = 1.0
 #: HDF5 distinguishes files in memory by name.
 _MEMORY = itertools.count(1)
 
-#: Rows that are copied at once when a run continues.
+#: Number of rows that are copied at a time when a run continues.
 _ROWS_COPIED = 1024
 
 #: Disk space reserved for attributes.
@@ -147,16 +147,16 @@ class ArchiveWriter(RunWriter):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The lines of the arrays with the rows written so far, of which `data_sha256` is the hash, sorted."""
+        """Sorted lines that describe the arrays with the rows written so far; `data_sha256` is their hash."""
         grown = (series.line() for table in self._tables.values() for series in table.series)
         return tuple(sorted(filter(None, grown)))
 
     def keep_checkpoint(self, state: Mapping[str, Any]) -> None:
-        """Write the rows taken so far, and the state from which the run continues after them."""
+        """Write the buffered rows, and the state from which a run can continue after them."""
         assert self._target is not None
         with self._storing():
             self._write_more()
-            self._target.sync()  # before the checkpoint that counts these rows
+            self._target.sync()  # before the checkpoint is written, which counts these rows
             attributes = self._file.attrs
             series = [one for table in self._tables.values() for one in table.series]
             checkpoint = Checkpoint(
@@ -171,7 +171,7 @@ class ArchiveWriter(RunWriter):
             checkpoint.write(self._target.part)
 
     def copy_rows(self, checkpoint: Checkpoint, part: BinaryIO) -> None:
-        """Append the rows of a checkpoint from its ``.part``, and take over the creation time of the latter."""
+        """Append the rows of a checkpoint from its ``.part``, and adopt the creation time of that file."""
         self._file.attrs.modify("created_utc", checkpoint.head["created_utc"])
         for dim, table in self._tables.items():
             rows = checkpoint.rows[dim]
@@ -188,7 +188,7 @@ class ArchiveWriter(RunWriter):
             self._write_more()
 
     def take_place_of(self, part: Path) -> None:
-        """Rename the file to `part`, and replace the ``.part`` of that name, which an interrupted run has left."""
+        """Rename the file to `part`; it replaces the ``.part`` that an interrupted run has left there."""
         assert self._target is not None
         self._target.take_place_of(part)
 
@@ -202,7 +202,7 @@ class ArchiveWriter(RunWriter):
             with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
                 self._write_tables(more=False)
                 file.flush()
-                del file["trajectory"].attrs[layout.ROWS_FLUSHED]  # from now on, all rows are there
+                del file["trajectory"].attrs[layout.ROWS_FLUSHED]  # all rows have been written
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
                 self._write_end(ending.reason, {**ending.stats, "finish_s": 0.0}, misalignment_max)
@@ -210,11 +210,11 @@ class ArchiveWriter(RunWriter):
                 if ending.integrals:
                     set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
                 file.flush()
-                file.attrs.modify("status", ending.status)  # written last, because it declares everything else valid
+                file.attrs.modify("status", ending.status)  # written last, because it marks all other contents as valid
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
-                # computed from the file, so that it covers everything in it; attributes that the layout prescribes are
-                # not read
+                # Computed from the file, so that the hash covers all of its contents. Attributes prescribed by the
+                # layout are not read.
                 set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, layout_lines()))
             if self._target is None:
                 self._end(started)
@@ -305,10 +305,11 @@ class ArchiveWriter(RunWriter):
         self._kept = True
 
     def _mark_rows(self) -> None:
-        """Flush the tables, and then note the number of their rows.
+        """Flush the tables, then store the numbers of their rows in an attribute.
 
-        HDF5 writes its metadata in many pieces. If the process is killed meanwhile, arrays may show rows that are not
-        there. The note is one piece of its own, so that the rows it counts are always complete.
+        HDF5 writes its metadata in many pieces. If the process is killed in between, arrays may seem to have rows that
+        were
+        never written. The attribute is written in one piece, so that the rows it counts are always complete.
         """
         if self._target is not None:
             self._file.flush()

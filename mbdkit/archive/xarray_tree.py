@@ -21,7 +21,7 @@ def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:
     Parameters
     ----------
     rows
-        Numbers of rows to load by first axis; other arrays are loaded completely.
+        Number of rows to load, by the name of the first axis; arrays with other first axes are loaded completely.
 
     Returns
     -------

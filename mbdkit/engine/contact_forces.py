@@ -1,9 +1,9 @@
 """Contacts that act in a run: loads at the centres of mass, whose values are traced functions of the state.
 
-A contact acts on each of its bodies that moves with a force and a torque. Their values are laws without a pathway (see
-`mbdkit.engine.state_expressions`) that share one block of parameters: the coordinates and velocities of the bodies,
-which kernels renew, the numbers of the shapes, and those of the laws. The tangents are derivatives of the traced
-functions by these coordinates and velocities.
+A contact exerts a force and a torque on each of its bodies that is not ground. Their values are laws without a pathway
+(see `mbdkit.engine.state_expressions`) that share one block of parameters: the coordinates and velocities of the
+bodies, which kernels renew, the numbers of the shapes, and those of the laws. The tangents are the derivatives of the
+traced functions by these coordinates and velocities.
 """
 
 from __future__ import annotations
@@ -26,20 +26,25 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 HEAVY = 10.0
-"""Largest normal force at the start, relative to the weight of all bodies, with which an overlap counts as that of
-bodies at rest."""
+"""Largest contact force at the start that is accepted as that of bodies at rest, relative to the weight of all
+bodies.
+"""
 
 HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
-"""What a rigid contact holds from step to step, as first-order states without rates, and their units."""
+"""First-order states that store the force and mode of a rigid contact during a step, and their units; they have no
+rates.
+"""
 
 NO_LAW = (0.0,) * 7
-"""Numbers of the law of a rigid contact."""
+"""Parameters of the law of a rigid contact, which exerts no compliant force."""
 
 HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque": "N m"}
-"""The same of a body: sums of the forces of its rigid contacts, and of their torques about the centre of mass."""
+"""First-order states of a body, with units: the sum of the forces of its rigid contacts, and of their torques about the
+centre of mass.
+"""
 
 COORDINATES = 6
-"""Coordinates and velocities of a body: x, y, angle and their rates."""
+"""Number of coordinates and velocities of a body: x, y, angle and their rates."""
 
 FORCES = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "hertz", "linear": "linear",
           "smooth-sphere-half-space": "smooth"}  # fmt: skip
@@ -47,7 +52,7 @@ FORCES = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "h
 
 
 class Form(NamedTuple):
-    """What determines the programs of a contact, all but numbers.
+    """All properties of a contact on which its programs depend; parameters are left out.
 
     Attributes
     ----------
@@ -64,7 +69,7 @@ class Form(NamedTuple):
 
     @property
     def inputs(self) -> list[int]:
-        """Coordinates and velocities that change, by their numbers among those of both bodies."""
+        """Indices of the inputs, the coordinates and velocities that can change, among those of both bodies."""
         return [
             COORDINATES * side + 3 * rate + axis
             for side, count in enumerate(self.moving)
@@ -74,19 +79,19 @@ class Form(NamedTuple):
 
     @property
     def wrenches(self) -> list[int]:
-        """Components of force and torque that act, by their numbers among those of both bodies."""
+        """Indices of the components of force and torque that act, among those of both bodies."""
         return [3 * side + axis for side, count in enumerate(self.moving) for axis in range(count)]
 
 
 class ContactLaws(NamedTuple):
-    """Laws of one `Form`.
+    """Laws that contacts of one `Form` share.
 
     Attributes
     ----------
     values
         Law of each component of `Form.wrenches`.
     slopes
-        Laws of the derivatives that are not always zero, by the component and the input.
+        Laws of the derivatives that are not always zero, by index of the component and of the input.
     """
 
     values: dict[int, TracedLaw]
@@ -95,7 +100,7 @@ class ContactLaws(NamedTuple):
 
 @dataclass(frozen=True)
 class ActingContact:
-    """A row of a contact that acts in runs.
+    """One row (possible contact point) of a contact that acts in runs.
 
     Attributes
     ----------
@@ -104,11 +109,11 @@ class ActingContact:
     form
         Its form.
     bodies
-        Numbers of its bodies.
+        Indices of its bodies.
     law
-        Numbers of its laws, in the order of `mbdkit.symbolic.contact_definitions.LAW`.
+        Parameters of its force law, in the order of `mbdkit.symbolic.contact_definitions.LAW`.
     first_state
-        Number of the first of the `HELD` states of a rigid contact; -1 of compliant ones.
+        Index of the first of the `HELD` states of a rigid contact; -1 for a compliant contact.
     coefficients
         Coefficient of restitution, and static and kinetic coefficient of friction.
     """
@@ -122,7 +127,7 @@ class ActingContact:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Numbers of the shapes and of the laws."""
+        """Parameters of the shapes and of the force law."""
         return *self.pair.numbers, *self.law
 
     @property
@@ -137,7 +142,7 @@ class ActingContact:
 
     @cached_property
     def options(self) -> dict[str, float]:
-        """Parameters of the laws by name; those of inputs are zero."""
+        """Parameters of the laws by name; those that are inputs are zero."""
         given = {_input(one): 0.0 for one in self.form.inputs}
         return given | {_number(i): float(x) for i, x in enumerate(self.numbers)}
 
@@ -145,8 +150,11 @@ class ActingContact:
 def contact_values(
     contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, z: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the recorded quantities (T, C) of contacts at positions and velocities (T, 3 (B + 1)) and first-order
-    states (T, Z), and the points at which their forces act and normals (T, C, 2) in the global frame.
+    """Return the quantities (T, C) of contacts in recorded states, their points and their normals (T, C, 2).
+
+    Positions and velocities are (T, 3 (B + 1)), first-order states (T, Z). Points, at which the forces act, and normals
+    are
+    given in the global frame.
     """
     found = {name: np.zeros((len(q), len(contacts))) for name in ("gap", "slip", *HELD)}
     found |= {name: np.zeros((len(q), len(contacts), 2)) for name in ("point", "normal")}
@@ -175,7 +183,7 @@ def contact_values(
 
 
 def held_coordinates(contacts: Sequence[ActingContact]) -> list[int]:
-    """Return the coordinates on which the forces of rigid contacts act, by their numbers, in increasing order."""
+    """Return the indices of the coordinates on which forces of rigid contacts act, in increasing order."""
     sides = [side for one in contacts if one.first_state >= 0 for side in zip(one.bodies, one.form.moving, strict=True)]
     return [3 * body + axis for body, count in sorted(set(sides)) for axis in range(count)]
 
@@ -186,7 +194,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
     Parameters
     ----------
     number
-        Number of each body, the ground's included.
+        Index of each body by name, ground included.
 
     Raises
     ------
@@ -243,8 +251,8 @@ def _function(form: Form) -> Any:
 
 @lru_cache(maxsize=64)
 def contact_laws(form: Form, numbers: int) -> ContactLaws:
-    """Return the laws of a form, whose shapes and laws have so many numbers."""
-    # The functions are traced once, with all derivatives; each law needs a part of what is computed.
+    """Return the laws of a form; `numbers` is the number of parameters of its shapes and force law."""
+    # The functions are traced once, with all derivatives; each law needs a part of the result.
     source, inputs = Source(), form.inputs
     parameters = [Traced(source, f"parameters[{i}]") for i in range(len(inputs) + numbers)]  # in the order of names
     state: list[Any] = [0.0] * (2 * COORDINATES)
@@ -269,21 +277,23 @@ def _law(value: Traced) -> TracedLaw:
 
 @cache
 def held_law() -> TracedLaw:
-    """Return the law whose value is its parameter."""
+    """Return a law whose value is its only parameter."""
     return _law(Traced(Source(), "parameters[0]"))
 
 
 def check_start(
     contacts: Sequence[ActingContact], q: np.ndarray, v: np.ndarray, tolerance: float, weight: float
 ) -> None:
-    """Raise SpecError for the first contact whose shapes overlap at the start by more than those of bodies at rest.
+    """Raise SpecError for the first contact whose shapes overlap too much at the start.
+
+    Rigid contacts may overlap by `tolerance`. The force of a compliant contact may be up to `HEAVY` times the weight.
 
     Parameters
     ----------
     q, v
-        (3 (B + 1),) position and velocity, ground last.
+        (3 (B + 1),) positions and velocities, ground last.
     tolerance
-        Overlap that always counts as closed [m].
+        Overlap that counts as closed [m].
     weight
         Weight of all bodies [N].
     """

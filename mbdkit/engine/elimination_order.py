@@ -12,11 +12,12 @@ from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.schur import Schur
 
 PIVOT_STRATEGIES = (("NATURAL", 1e-3), ("MMD_AT_PLUS_A", 1e-3), ("COLAMD", 0.1), ("COLAMD", 1.0))
-"""Pairs of SuperLU's column ordering and threshold for diagonal pivots, relative to the largest entry of the column, in
-order of preference."""
+"""SuperLU's column orderings in order of preference, each with its threshold for diagonal pivots, relative to the
+largest entry of the column.
+"""
 
 ACCURATE = 1e-11
-"""Largest residual of a trial solution, relative to the right-hand side, for pivots to be accepted."""
+"""Pivots are accepted if the residual of a trial solution, relative to the right-hand side, is at most this."""
 
 LITTLE_FILL = 4
 """If the factors have at most this many times the entries of the matrix, no further strategy is tried."""
@@ -25,7 +26,7 @@ GOOD_CONDITION = 1e8
 """1-norm condition number of the equilibrated matrix below which no further scaling is tried."""
 
 WORST_CONDITION = 1e13
-"""1-norm condition number from which on the matrix counts as singular."""
+"""1-norm condition number of the equilibrated matrix from which the matrix counts as singular."""
 
 
 class SingularSystemError(Exception):
@@ -132,7 +133,9 @@ def empty_schur() -> Schur:
 
 
 class PivotChoice(NamedTuple):
-    """A pivot sequence and the scaling for which it was chosen; all (n,), the scales in original order."""
+    """A pivot sequence and the scaling for which it was chosen; all arrays (n,), scales in the original order of
+    unknowns.
+    """
 
     row_of: np.ndarray
     column_of: np.ndarray
@@ -177,7 +180,7 @@ def pivot_order(
     for scale in scales:
         row_scale, column_scale = equilibrate(n, row, column, np.abs(values) * scale[row] * scale[column])
         row_scale, column_scale = row_scale * scale, column_scale * scale
-        # Entries that happen to be zero must stay in the pattern. A product of sparse matrices would drop them.
+        # Entries that happen to be zero must stay in the pattern; a product of sparse matrices would drop them.
         entries = values * row_scale[row] * column_scale[column]
         scaled = csc_array((entries, (place[row], place[column])), shape=(n, n))
         lu, condition = _sparsest(scaled)
@@ -217,7 +220,7 @@ def _sparsest(matrix: Any) -> tuple[Any, float]:
         rmatvec=lambda x: best.solve(x.ravel(), "H"),
         dtype=matrix.dtype,
     )
-    with np.errstate(all="ignore"):  # a matrix that is singular to round-off has a condition number that is not finite
+    with np.errstate(all="ignore"):  # the condition number of a matrix that is singular to round-off is not finite
         return best, float(onenormest(inverse) * abs(matrix).sum(axis=0).max())
 
 
@@ -248,7 +251,7 @@ def equilibrate(n: int, row: np.ndarray, column: np.ndarray, sizes: np.ndarray) 
 
 
 def power_of_two(x: np.ndarray) -> np.ndarray:
-    """Return the nearest powers of two. Scaling by them causes no rounding errors."""
+    """Return the powers of two nearest to `x`. Scaling by them causes no rounding errors."""
     return np.exp2(np.round(np.log2(x)))
 
 

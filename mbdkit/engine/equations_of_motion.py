@@ -72,8 +72,8 @@ class EquationsOfMotion:
     rows. Every returned array is new. The computations are compiled; their cost is linear in the number of bodies.
 
     All methods raise `StepError` with the code ``singular`` if there is no unique solution, or ``not-finite`` on
-    overflow. Work is counted in `counters`: each evaluation of forces or accelerations as an evaluation of the
-    right-hand side, each evaluation of tangents as a Jacobian, each solve with an iteration matrix as a Newton
+    overflow. Work is counted in `counters`: an evaluation of forces or accelerations counts as an evaluation of the
+    right-hand side, an evaluation of tangents as a Jacobian, and a solution with an iteration matrix as a Newton
     iteration.
 
     Parameters
@@ -140,8 +140,9 @@ class EquationsOfMotion:
         return self._workspace.mechanism.length
 
     def free_now(self) -> np.ndarray:
-        """Return for each body (B,) whether the last tangents that were evaluated have no joint at it, and no force on
-        it that depends on a position or velocity.
+        """Return for each body (B,) whether only rigid contacts couple it to others, according to the last tangents.
+
+        Such a body has no joint, and no force on it depends on a position or velocity.
         """
         terms = self._workspace.terms
         coupled = (self._classes != MASS) & (self.terms_now[terms.source] != 0.0)
@@ -151,12 +152,14 @@ class EquationsOfMotion:
         return free
 
     def hold(self, z: np.ndarray) -> None:
-        """Use the values `z` (Z,) of first-order states in what is evaluated next."""
+        """Use the values `z` (Z,) of first-order states in later evaluations."""
         self._workspace.take_states(z)
 
     @property
     def contacts(self) -> tuple[ActingContact, ...]:
-        """Rigid contacts. The methods of this class include the forces of compliant contacts, but not of rigid ones."""
+        """Rigid contacts. The methods of this class include the forces of compliant contacts, but not those of rigid
+        ones.
+        """
         return tuple(one for one in self._workspace.mechanism.contacts if one.first_state >= 0)
 
     @property
@@ -218,7 +221,7 @@ class EquationsOfMotion:
         return self._sparse((terms.factor == 0) & (terms.row >= n), below=True)
 
     def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
-        """Return all derivatives of the equations at a state with accelerations `a` (n,) and multipliers `lam` (m,)."""
+        """Return all tangents at a state with accelerations `a` (n,) and multipliers `lam` (m,)."""
         self._evaluate_tangents(t, q, v, a, lam)
         classes = self._classes
         return Tangents(
@@ -323,10 +326,11 @@ class EquationsOfMotion:
         return np.array([pairs[row.pair, row.place] for row in rows])
 
     def reactions(self, t: float, q: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Return the reactions (J, 3) of the joints on their second bodies, of multipliers `lam` (m,).
+        """Return the reactions (J, 3) of the joints on their second bodies for multipliers `lam` (m,).
 
-        They are forces (x, y) and the torque at the joint point [N, N m], or impulses if the multipliers are; redundant
-        joints share theirs evenly.
+        A reaction is a force (x, y) and the torque at the joint point [N, N m]; impulses if the multipliers are
+        impulses. They
+        are shared evenly between redundant joints.
         """
         workspace, times, none = self._workspace, np.array([t]), np.zeros(self.n)
         mechanism = workspace.mechanism
@@ -369,7 +373,8 @@ class EquationsOfMotion:
 
         def solve() -> int:
             self.counters.factorizations += 1
-            if self._pinned.bundle.solver is not workspace.solver:  # uses new pivots, chosen here or by the recorder
+            # the workspace has new pivots, chosen here or by the recorder
+            if self._pinned.bundle.solver is not workspace.solver:
                 self._pinned.replace(self._pinned.bundle._replace(solver=workspace.solver))
                 self.address = self._pinned.address
             return int(equations.solution_of(self.address, *state, given, force, rows, x, mu))
@@ -416,7 +421,7 @@ class EquationsOfMotion:
         return csr_array((values, (row, terms.column)), shape=(rows, self.n))
 
     def stored_pivots(self) -> list[dict[str, Any]]:
-        """Return the pivots of the iteration matrices so far as plain values of a checkpoint."""
+        """Return the pivots of all iteration matrices used so far, as plain values for a checkpoint."""
         return [
             {
                 "matrix": list(key),
@@ -444,7 +449,8 @@ class EquationsOfMotion:
     def _choose_at_start(self, key: tuple[bool, ...], coefficients: np.ndarray) -> None:
         """Choose pivots from the values at the start, if possible.
 
-        A run that is resumed later then has the same pivots as an uninterrupted one.
+        This choice does not depend on where the run was interrupted, so that a resumed run has the same pivots as
+        others.
         """
         try:
             a, lam = self.accelerations(self.t0, self.q0, self.v0)

@@ -2,7 +2,7 @@
 
 A law that is a SymPy expression becomes a program (`mbdkit.engine.kernels.law_programs`): SymPy writes its source with
 all derivatives, and the operations of this source become the instructions. The packaged laws have machine code of their
-own (`mbdkit.engine.kernels.law_kernels`). Functions of plugins are compiled by Numba, in every process.
+own (`mbdkit.engine.kernels.law_kernels`). Functions of plugins are compiled by Numba, once in every process.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _STORED: Mapping[ForceLaw, LawFunction] = {
     one_sided.LAW: law_kernels.one_sided,
     tabulated.LAW: law_programs.table,
 }
-"""The packaged laws, which have machine code of their own."""
+"""The packaged laws, which have their own machine code."""
 
 _COMPILED: dict[tuple[ForceLaw, tuple[str, ...]], CompiledLaw] = {}
-"""Laws that this process has bound; the key is the law and the names of its parameters."""
+"""Laws compiled by this process; keys are a law and the names of its parameters."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class CompiledLaw:
     program
         Address that the function gets as first argument; 0 if it needs none.
     claims
-        `HAS_POTENTIAL` and `PASSIVE`, as bits.
+        The properties `HAS_POTENTIAL` and `PASSIVE`, as bits.
     keeper
-        Reference that keeps program and machine code in memory.
+        Object whose lifetime is that of the program and machine code.
     law, parameters
         The law, and the names and example values of its parameters.
     """
@@ -67,7 +67,7 @@ class CompiledLaw:
 
 
 def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[float]]:
-    """Return a law that kernels can call, and the parameters of one element: their number, followed by their values.
+    """Return a law that kernels can call, and the parameters of one element: first their number, then their values.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def bind_law(law: ForceLaw, options: Any, name: str) -> tuple[CompiledLaw, list[
 
 
 def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw:
-    """Return a law; `example` maps the names of an expression's parameters to example values."""
+    """Compile a law; `example` maps the names of an expression's parameters to example values."""
     claims = HAS_POTENTIAL * (law.potential not in (None, False)) | PASSIVE * law.passive
     try:
         address, program, keeper = _code_of(law, example, duals=False)
@@ -103,12 +103,12 @@ def _compile(law: ForceLaw, example: dict[str, float], name: str) -> CompiledLaw
 
 @cache
 def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
-    """Return a law for dual numbers; `name` is that of the force in error messages.
+    """Return a law for dual numbers; `name` is the name of the force element in error messages.
 
     Raises
     ------
     PluginError
-        If it cannot be compiled for them.
+        If the law cannot be compiled for dual numbers.
     """
     law, example = compiled_law.law, dict(compiled_law.parameters)
     try:
@@ -172,10 +172,11 @@ _CONSTANTS = {"pi": np.pi, "e": np.e, "inf": np.inf, "nan": np.nan}
 
 
 class _Compiler:
-    """Compiles the source of a law, one function that returns four numbers, to a program.
+    """Compiles the source of a law, a function that returns four numbers, to a program.
 
-    Operations stay in the order of the source, which determines the last bits of a law. Registers of intermediate
-    results are used again after their last use.
+    Operations stay in the order of the source, because it determines the rounding errors. Registers of intermediate
+    results
+    are reused after their last use.
     """
 
     def __init__(self, source: str, parameters: int):
@@ -198,7 +199,7 @@ class _Compiler:
                 self.results = [self.value(one) for one in statement.value.elts]
 
     def value(self, node: ast.expr) -> int:
-        """Append the instructions of an expression; return the number of its value."""
+        """Append the instructions of an expression; return the index of its value."""
         number = _number(node)
         if number is not None:
             return self._constant(number)
@@ -258,7 +259,7 @@ class _Compiler:
         return self.values - 1
 
     def block(self) -> np.ndarray:
-        """Return the program as integers, for the kernel."""
+        """Return the program as integers for the kernel."""
         places = self._registers()
         code = [len(self.code), len(self.constants), *(places[one] for one in self.results)]
         for number, (name, first, second, third) in enumerate(self.code, 3 + self.parameters):

@@ -21,7 +21,7 @@ class Formulation:
         Levels at which the integrated equations impose the constraints.
     coordinates
         Coordinates that are integrated: those of all bodies, or those of the joints of a spanning tree
-        (`mbdkit.engine.spanning_tree`), whose constraints then hold in any state.
+        (`mbdkit.engine.spanning_tree`). In the latter case the constraints of these joints hold exactly in every state.
     """
 
     name: FormulationName
@@ -30,7 +30,8 @@ class Formulation:
 
     @property
     def solves_multipliers(self) -> bool:
-        """Whether multipliers are unknowns of their own. Otherwise they follow from the state, with the accelerations.
+        """Whether the multipliers are unknowns of the stages. Otherwise they follow from the state, as the
+        accelerations do.
 
         In the latter case the equations are ordinary differential equations. Every method can integrate them, and
         Baumgarte's terms can be added to their constraint rows.

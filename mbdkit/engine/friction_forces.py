@@ -1,4 +1,6 @@
-"""Friction in joints as force elements: their pathways, and their laws, which depend on multipliers of the joint."""
+"""Friction in joints as force elements: their pathways, and their laws, which depend on the multipliers of the
+joint.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +18,19 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Segment
 
 REACTIONS = ("reaction_0", "reaction_1")
-"""Parameters of the laws that stand for the multipliers of the first rows of the joint; kernels renew them."""
+"""Parameters of the laws that stand for the multipliers of the first rows of the joint; kernels update them."""
 
 
 @dataclass(frozen=True)
 class FrictionForce:
-    """Friction in a joint as a force element along the coordinate of the joint; it is its own pathway.
+    """Friction in a joint as a force element along the coordinate of the joint. This object is also the pathway.
 
     Attributes
     ----------
     name, joint
         Name of the joint, and the joint.
     number
-        Number of the joint.
+        Index of the joint.
     friction
         Friction of the joint.
     """
@@ -41,7 +43,7 @@ class FrictionForce:
 
     @property
     def pathway(self) -> FrictionForce:
-        """The pathway along which the force acts, which is the element itself."""
+        """The pathway along which the force acts, which is this object."""
         return self
 
     @property
@@ -50,7 +52,7 @@ class FrictionForce:
         return self.joint.coordinate_unit
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the relative angle of the bodies, or the travel of the joint."""
+        """Return the segments of the pathway: the relative angle of the bodies, or the travel of the joint."""
         if self.joint.travel is None:
             return (Segment("relative_angle", self.joint.bodies),)
         ax, ay, bx, by, ux, uy = self.joint.travel
@@ -83,13 +85,15 @@ Law = Callable[[Any, Mapping[str, Any]], Any]
 
 
 def _pin(rate: Any, p: Mapping[str, Any]) -> Any:
-    """Return the torque of a pin with radius `arm` against its rate; the multipliers are its reaction force."""
+    """Return the friction torque of a pin with radius `arm` at an angular rate; the multipliers are its reaction
+    force.
+    """
     force = np.sqrt(p["reaction_0"] * p["reaction_0"] + p["reaction_1"] * p["reaction_1"])
     return p["arm"] * _against(force, p["arm"] * rate, p)
 
 
 def _slide(rate: Any, p: Mapping[str, Any]) -> Any:
-    """Return the force against the motion of a slide of length ``1 / arm``.
+    """Return the friction force of a slide of length ``1 / arm`` at a rate of its travel.
 
     The multipliers are the normal force and the moment, which are equivalent to one normal force at each end.
     """
@@ -104,12 +108,12 @@ def _against(normal: Any, slip: Any, p: Mapping[str, Any]) -> Any:
 
 @lru_cache(maxsize=2)
 def friction_law(force: Law) -> TracedLaw:
-    """Return the law of one kind of friction."""
+    """Return the law of this kind of friction."""
     return TracedLaw(lambda length, rate, time, p: force(rate, p), lambda one: one.numbers, passive=True)
 
 
 def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:
-    """Return the friction of all joints that have it."""
+    """Return the friction of all joints that have friction, as force elements."""
     found = []
     for number, (name, joint) in enumerate(mechanism.joints.items()):
         if (friction := getattr(joint, "friction", None)) is not None:

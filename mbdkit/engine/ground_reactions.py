@@ -1,4 +1,4 @@
-"""Forces of the ground on the bodies that touch it, and where they act."""
+"""Forces of the ground on the bodies that touch it, and their points of application."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     contacts
         All contacts of the mechanism.
     values
-        Their quantities; see `mbdkit.engine.contact_forces.contact_values`.
+        Quantities of the contacts; see `mbdkit.engine.contact_forces.contact_values`.
 
     Returns
     -------
     dict
         ``force`` (T, F, 2) and ``normal_force`` (T, F), sums over the contacts of a body [N], and
-        ``center_of_pressure`` (T, F, 2), the mean of their points with the normal forces as weights [m]; nan where no
-        contact is closed.
+        ``center_of_pressure`` (T, F, 2), the mean of the contact points weighted with the normal forces [m]; nan where
+        no contact is closed.
     """
     pairs = [one.pair.ordered for one in contacts]
     names = feet(pairs)

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 WELL_HELD = 0.1
-"""Smallest component in the self-stresses, relative to the largest one, of a row that may be removed."""
+"""A row may be removed only if its component in the self-stresses is at least this, relative to the largest
+component.
+"""
 
 SAME_FRAME = 1e-6
 """Deviation (1 - cosine) below which a direction counts as fixed in the frame of a body."""
@@ -62,7 +64,7 @@ def choose_spare(
         directions = []
         for k, x in enumerate(left):
             (a, b), (_, c) = x[best] @ x[best].T
-            angle = np.arctan2(2 * b, a - c) / 2  # of the leading eigenvector
+            angle = np.arctan2(2 * b, a - c) / 2  # angle of the leading eigenvector
             direction = np.array([np.cos(angle), np.sin(angle)])
             taken = direction @ x[best]
             taken /= np.linalg.norm(taken)
@@ -73,7 +75,7 @@ def choose_spare(
 
 
 def _largest_part(x: np.ndarray) -> np.ndarray:
-    """Return the largest singular value of each of the blocks `x` (P, 2, r)."""
+    """Return the largest singular value of each block (2, r) of `x` (P, 2, r)."""
     a, b, c = (np.einsum("pr,pr->p", x[:, i], x[:, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
     return np.sqrt((a + c) / 2 + np.hypot((a - c) / 2, b))
 
@@ -90,7 +92,7 @@ def direction_frames(
     rows
         (P,) number of rows of each pair.
     pairs
-        (P, 4) kind, first and second body of each pair, motion.
+        (P, 4) for each pair its kind, first body, second body and motion.
     angles
         (K, B + 1) angle of each body at each position, ground last [rad].
     """
@@ -114,7 +116,10 @@ def direction_frames(
 
 
 def _in_frame(directions: np.ndarray, angle: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Fit one direction, rotating by `angle` (K,), to directions (K, 2); return the largest deviation and the fit."""
+    """Fit a direction that is fixed in a frame with angles `angle` (K,) to directions (K, 2).
+
+    Returns the largest deviation (1 - cosine), and the fitted direction in this frame.
+    """
     c, s = np.cos(angle), np.sin(angle)
     x, y = directions.T
     own = np.column_stack([c * x + s * y, -s * x + c * y])

@@ -1,4 +1,4 @@
-"""Factorized sparse matrix of a Newton iteration, whose pivots are reused from one factorization to the next."""
+"""Factorized sparse matrix of a Newton iteration; its pivots are reused in later factorizations."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def vector(x: np.ndarray, size: int, dtype: np.dtype[Any] = REAL) -> np.ndarray:
 
 
 def classes_of(workspace: Workspace) -> np.ndarray:
-    """Return the class of each of a workspace's terms: M, Phi_q, C, K, gamma_v or residual_q."""
+    """Return the class of each matrix term of a workspace: M, Phi_q, C, K, gamma_v or residual_q."""
     terms, n = workspace.terms, 3 * len(workspace.mechanism.bodies)
     plain = np.where(terms.source < n, MASS, JACOBIAN)
     level = np.where(terms.row < n, STIFFNESS, RESIDUAL_Q)
@@ -54,7 +54,7 @@ def classes_of(workspace: Workspace) -> np.ndarray:
 
 @dataclass
 class Pivots:
-    """A choice of pivots for all matrices with terms of the same classes, and storage for these matrices."""
+    """Pivots for all matrices whose terms have the same classes, and storage for these matrices."""
 
     shape: tuple[int, int]
     """Numbers of coordinates and of multipliers, (n, m)."""
@@ -66,7 +66,7 @@ class Pivots:
     """Matrices that are no longer in use."""
 
     def take(self, dtype: type) -> PinnedBundle:
-        """Return storage for a matrix, recycled if possible."""
+        """Return storage for a matrix, reusing that of an earlier one if possible."""
         if self.free:
             return self.free.pop()
         factors = new_factors(self.pattern, dtype)._replace(reference=self.reference)
@@ -74,7 +74,7 @@ class Pivots:
 
 
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:
-    """Choose pivots for the tangents of the last evaluation; raises SingularSystemError."""
+    """Choose pivots for the tangents of the last evaluation; raise SingularSystemError if there are none."""
     used = coefficients[classes] != 0
     terms = workspace.terms.kept(used)
     pattern, position = workspace.pivots_of(terms, coefficients[classes[used]])
@@ -84,9 +84,9 @@ def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.nd
 
 
 class IterationMatrix:
-    """A factorized matrix, made by `EquationsOfMotion.iteration_matrix`.
+    """A factorized matrix, created by `EquationsOfMotion.iteration_matrix`.
 
-    Later evaluations and other matrices leave it unchanged.
+    It does not change when other states or matrices are evaluated.
     """
 
     def __init__(self, source: np.ndarray, pivots: Pivots, coefficients: np.ndarray, counters: Counters):

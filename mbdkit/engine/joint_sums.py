@@ -21,7 +21,7 @@ class JointSums:
     Attributes
     ----------
     joint : (P,) int array
-        Number of the joint of each pair.
+        Index of the joint of each pair.
     """
 
     def __init__(self, mechanism: CompiledMechanism):
@@ -41,7 +41,7 @@ class JointSums:
     def misalignment(self, residual: np.ndarray) -> np.ndarray:
         """Return the misalignment of joints, (T, J) [m], from the residuals (T, P, 2) of their pairs.
 
-        From the time derivatives of the residuals, the result is the velocity misalignment [m/s].
+        If the time derivatives of the residuals are given, the result is the velocity misalignment [m/s].
         """
         return self.misalignment_of_squares(squared_misalignment(residual[..., 0], residual[..., 1]))
 
@@ -57,7 +57,7 @@ class JointSums:
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Sum values (..., P, n) of pairs over each joint: (..., J, n)."""
         out = np.zeros((*values.shape[:-2], self._joints, values.shape[-1]))
-        for pairs in self._rounds:  # the pairs of each joint in their order, so that sums have the same bits
+        for pairs in self._rounds:  # a fixed order of the pairs makes sums reproducible bit by bit
             out[..., self.joint[pairs], :] += values[..., pairs, :]
         return out
 

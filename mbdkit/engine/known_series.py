@@ -1,4 +1,4 @@
-"""Which mechanisms have Taylor series: those whose every element has a recurrence in the kernels."""
+"""Determines whether a mechanism has Taylor series: each of its elements must have a recurrence in the kernels."""
 
 from __future__ import annotations
 

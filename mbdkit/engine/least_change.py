@@ -30,7 +30,7 @@ class LeastChange:
     t0
         Time [s].
     fixed
-        (n,) whether a coordinate is held constant.
+        (n,) whether a coordinate is kept constant.
     """
 
     def __init__(self, compiled: CompiledMechanism, t0: float, fixed: np.ndarray):
@@ -60,7 +60,7 @@ class LeastChange:
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
-        """(6 m,) row and column of the entries of the Jacobian, those of ground included."""
+        """(6 m,) row and column of each entry of the Jacobian, including those of ground."""
         bodies = self.compiled.topology.pairs[self.rows[:, 0], 1:3]
         columns = (3 * bodies[:, :, None] + np.arange(3)).ravel()
         return np.repeat(np.arange(len(self.rows)), 6), columns
@@ -131,7 +131,7 @@ class LeastChange:
                     break
                 scale *= 0.5
             if best[0] is q:
-                return q  # limited by round-off, or no further progress
+                return q  # the residual is limited by round-off, or does not decrease any more
             closed_enough = gap <= tolerance
             q, phi, jacobian, _ = best
             if closed_enough:
@@ -158,14 +158,14 @@ class LeastChange:
             if not largest < size:
                 return None
             q, multipliers = q + step, multipliers + change
-            if largest <= 1e-9 * size:  # converges quadratically, so the next change would be round-off
+            if largest <= 1e-9 * size:  # with quadratic convergence, the next change would be round-off
                 gap = float(np.max(np.abs(self.evaluate(q)[0])))
                 near = self.distance(given, q) <= self.distance(given, start) * (1 + 1e-9)
                 return q if gap <= tolerance and near else None
         return None
 
     def descended(self, given: np.ndarray, q: np.ndarray, tolerance: float) -> np.ndarray | None:
-        """Take a step along the constraints towards the given positions; None if no nearer position is found."""
+        """Take a step along the constraints towards the given positions; return None if it finds no nearer position."""
         _, jacobian, _ = self.evaluate(q)
         try:
             step, _ = self.kkt(jacobian)(self.mass * (q - given), np.zeros(len(self.rows)))
@@ -224,7 +224,7 @@ class LeastChange:
         matrix = csc_array(parts, shape=(n + m, n + m))
         try:
             lu = splu(matrix)
-        except RuntimeError as error:  # masses or lengths of such different sizes that an entry vanishes
+        except RuntimeError as error:  # raised if masses or lengths differ so much in size that an entry vanishes
             raise np.linalg.LinAlgError(str(error)) from None
 
         def solve(gradient: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -245,7 +245,7 @@ class LeastChange:
         return row[order], column[order], value[order]
 
     def _hessian(self, stiffness: Entries | None) -> Entries:
-        """Return the entries of M + K over the free coordinates that are not zero."""
+        """Return the entries of M + K over the free coordinates that are not structurally zero."""
         from scipy.sparse import csr_array
 
         if stiffness is None:
@@ -268,7 +268,7 @@ class LeastChange:
 
     @cached_property
     def _free_places(self) -> np.ndarray:
-        """(n,) number of each coordinate among the free ones; -1 for fixed ones."""
+        """(n,) index of each coordinate among the free ones; -1 for fixed coordinates."""
         places = np.full(self.n, -1, dtype=np.int64)
         places[self.free] = np.arange(len(self.free))
         return places

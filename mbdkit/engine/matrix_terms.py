@@ -69,7 +69,7 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
     offsets
         Index in ``Scratch.source`` at which each array of terms begins.
     stabilized
-        Whether Baumgarte's terms are part of gamma, whose derivatives then have at least the pattern of the Jacobian.
+        Whether gamma includes Baumgarte's terms. The pattern of its derivatives then includes that of the Jacobian.
     """
     top = mechanism.topology
     tables = (
@@ -99,7 +99,9 @@ class _Table:
 def _terms(
     count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
-    """Return the terms of a mechanism with these integers; cached, because runs of a study usually share them."""
+    """Return the terms of a mechanism with these integer arrays; cached, because the runs of a study usually share
+    them.
+    """
     pairs, rows, spare, springs, couplings, loads, sections, row_index, slopes, inputs = (
         table.array for table in tables
     )
@@ -126,7 +128,7 @@ def _terms(
         by_coordinate = np.repeat(given[:, 1:2] // 3, 2, axis=1)
         of_input = np.where(segment[:, None] < 0, by_coordinate, springs[:, 1:3][segment] if len(springs) else 0)
         sides = loads[slopes[:, 0], 1:3], of_input
-        # The columns of the second body of an input that is a coordinate are zero.
+        # If an input is a coordinate, the columns of its second body are zero.
         terms.add_tangents("slope", 36 * np.arange(len(slopes)), 6, sides, range(6))
     for nodes in range(2, NODES + 1):
         members = np.flatnonzero(sections[:, 1] == nodes)
@@ -136,15 +138,15 @@ def _terms(
 
 
 def _coordinate(bodies: np.ndarray, column: int) -> np.ndarray:
-    """Return the index of a coordinate of elements, by its number among the coordinates of their `bodies`."""
+    """Return the index of coordinate `column` among the coordinates of the `bodies` of each element."""
     return 3 * bodies[:, column // 3] + column % 3
 
 
 class _Terms:
     """Collects the terms of a mechanism with `n3` coordinates.
 
-    Among its rows and columns, three are reserved for the coordinates of the ground, before those of multipliers; `add`
-    leaves out their terms, and `joined` removes them.
+    Three rows and columns are reserved for the coordinates of the ground, before those of the multipliers. `add` leaves
+    terms in them out, and `joined` removes them.
     """
 
     def __init__(self, n3: int, row_index: np.ndarray, offsets: dict[str, int]):
@@ -164,7 +166,8 @@ class _Terms:
         reduced = np.isin(members, spare[:, 0])
 
         def is_listed(entry: int) -> np.ndarray:
-            # If one of two rows is redundant, the other is a combination of both and has no structural zeros. A pair
+            # If one of the two rows is redundant, the other is a combination of both and has no structural zeros. A
+            # pair
             # without rows has no multiplier.
             return np.where(reduced, (entry < 6) & (rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
 
@@ -201,11 +204,12 @@ class _Terms:
         name
             Its arrays are `name` with ``_stiff`` and ``_damp``.
         first
-            Index of the first number of each element's tangent in these arrays; a tangent has rows of `width` numbers.
+            Index at which the tangent of each element begins in these arrays; a row of a tangent has `width` numbers.
         bodies
-            For each element, the bodies on which the force acts, and those by whose coordinates it is differentiated.
+            For each element, the bodies on which the force acts, and the bodies by whose coordinates it is
+            differentiated.
         entries
-            Numbers of the coordinates that occur.
+            Indices of the coordinates that occur.
         """
         for i, j in product(entries, repeat=2):
             place = first + width * i + j

@@ -39,7 +39,7 @@ class ConstrainedSystem(Protocol):
 def nearest_positions(p: ConstrainedSystem, t: float, q: np.ndarray) -> np.ndarray:
     """Return the positions (n,) nearest to `q` in the mass metric that satisfy all constraints at time `t`.
 
-    Does not count as a projection.
+    The counter of projections is not increased.
 
     Raises
     ------
@@ -60,7 +60,8 @@ def nearest_positions(p: ConstrainedSystem, t: float, q: np.ndarray) -> np.ndarr
 def nearest_velocities(p: ConstrainedSystem, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the velocities (n,) nearest to `v` in the mass metric with ``Phi_q v + Phi_t = 0``.
 
-    The equations are linear; a second solve removes the rounding error of the first. Does not count as a projection.
+    The equations are linear; a second solution removes the rounding error of the first. The counter of projections is
+    not increased.
     """
     none = np.zeros(p.n)
     for _ in range(2):

@@ -15,12 +15,12 @@ from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.workspace import Workspace
 
 SELF_STRESS_BYTES = 1 << 25
-"""Limit on the size of the buffer for self-stresses. They are only needed to distribute redundant reactions."""
+"""Largest size of the buffer for self-stresses [bytes]. They are needed only to distribute redundant reactions."""
 
 
 @dataclass(frozen=True)
 class SingularState:
-    """A state without unique accelerations: its row, and the unknown where elimination failed (-1 if not known)."""
+    """A state without unique accelerations: its row, and the unknown at which elimination failed (-1 if not known)."""
 
     row: int
     unknown: int
@@ -28,7 +28,7 @@ class SingularState:
 
 @dataclass(frozen=True)
 class GivenForces:
-    """Accelerations and constraint forces that are given, because they do not follow from the mechanism alone, as with
+    """Given accelerations and constraint forces, used if they do not follow from the mechanism alone, as with
     actuators.
 
     Attributes
@@ -80,7 +80,9 @@ class StateObserver:
 
     @property
     def kept(self) -> np.ndarray:
-        """(P, 11) vectors of the distance to singularity, which are reused from one state to the next."""
+        """(P, 11) vectors of the iteration for the distance to singularity, which starts from those of the previous
+        state.
+        """
         return self._near
 
     def arrays(self, states: int) -> Observed:
@@ -109,14 +111,14 @@ class StateObserver:
         out
             Receives the values of T states.
         given
-            Accelerations and constraint forces of the states, if they are not those of the mechanism alone.
+            Accelerations and constraint forces of the states, if they do not follow from the mechanism alone.
         z
-            (T, Z) first-order states of force elements; may be left out if there are none.
+            (T, Z) first-order states; may be left out if the mechanism has none.
 
         Raises
         ------
         mbdkit.base.errors.SpecError
-            If the mechanism has such states and they are not given.
+            If the mechanism has first-order states and they are not given.
 
         Returns
         -------
@@ -130,7 +132,7 @@ class StateObserver:
         self.gaps, self.gap_uncertainty = np.zeros((2, count, self._directions))
 
         def evaluate(end: int) -> int:
-            """Evaluate the states from `done` to `end`, add their number to `done`, and return a status."""
+            """Evaluate the states from `done` to `end`, increase `done` by their number, and return a status."""
             nonlocal done
             part = slice(done, end)
             stress, rows = self._self_stress(end - done), out.rows(part)
@@ -158,7 +160,7 @@ class StateObserver:
         return None
 
     def _note_gaps(self, rows: slice, q: np.ndarray, observed: Observed, stress: SelfStress) -> None:
-        """Compute `gaps` and `gap_uncertainty` of some rows."""
+        """Compute `gaps` and `gap_uncertainty` for some rows."""
         distance = observed.singularity_distance
         found = unexplained_gaps(self.workspace.mechanism, q, observed.phi, distance, stress.lam)
         self.gaps[rows], self.gap_uncertainty[rows] = found

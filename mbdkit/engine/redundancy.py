@@ -26,13 +26,15 @@ from mbdkit.engine.self_stress import SMALL, looped_rows, scaled_matrix, self_st
 from mbdkit.engine.workspace import Workspace
 
 MOVES = (1e-4, 1e-2, 0.1)
-"""Sizes of the displacements from the start, relative to the characteristic length and to 1 rad."""
+"""Displacements from the start at which redundancy is tested, relative to the characteristic length and to 1 rad."""
 
 SMALL_MOVE = 1e-2
 """Displacements up to this size are possible from every position that is not singular."""
 
 LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
-"""Times after the start at which drivers are checked: the smaller of a time [s] and a fraction of the run."""
+"""Times after the start at which drivers are checked: for each pair, the smaller of a time [s] and a fraction of the
+run.
+"""
 
 FAR, FAR_MOVE = 40, 0.2
 """Number of distant positions, and the displacement from one to the next. Together they cover a full rotation.
@@ -44,18 +46,21 @@ FAR_COORDINATES = 12_000
 """Limit on the total number of coordinates of the distant positions; large mechanisms have fewer positions."""
 
 CLOSED = 1e-11
-"""Largest residual of a consistent position, relative to the largest coordinate."""
+"""Largest residual of a position that counts as consistent, relative to the largest coordinate."""
 
 CONTRADICTION = 1e-7
-"""Rows are inconsistent if the accelerations they require differ by more than this, relative to their terms."""
+"""Rows are inconsistent if the accelerations that they require differ by more than this, relative to the size of the
+terms.
+"""
 
 INVOLVED = 1e-6
-"""Component in a self-stress above which the reaction of a joint is not unique."""
+"""The reaction of a joint is not unique if its component in a self-stress is above this."""
 
 
 @dataclass(frozen=True)
 class _Place:
-    """A consistent position: coordinates (n,), scale factors of the rows (m',) and self-stresses (m', r) of the rows.
+    """A consistent position: coordinates (n,), and scale factors (m',) and self-stresses (m', r) of the m' rows in
+    closed loops.
 
     The factors scale the rows to a norm of about 1; they are equal for both rows of a pair. The self-stresses belong to
     the scaled rows.
@@ -143,7 +148,7 @@ class _Analysis:
         return search.closed(q, 1e-14 * max(1.0, float(np.max(np.abs(q)))))
 
     def place_at(self, search: LeastChange, q: np.ndarray, spare: int = 0) -> _Place:
-        """Return the consistent position `q` with its self-stresses, whose expected number is `spare`."""
+        """Return the consistent position `q` with its self-stresses; `spare` is their expected number."""
         _, (row, column, value), _ = search.evaluate(q)
         local = np.full(len(self.compiled.rows), -1)
         local[self.rows] = np.arange(len(self.rows))
@@ -162,19 +167,21 @@ class _Analysis:
         return _Place(q, scale, stresses)
 
     def freedom(self, start: _Place) -> np.ndarray | None:
-        """Return an admissible displacement (n,) of characteristic length; None without degrees of freedom."""
+        """Return an admissible displacement (n,) whose size is the characteristic length; None without degrees of
+        freedom.
+        """
         _, jacobian, _ = self.search.evaluate(start.q)
         touched = np.zeros(self.n, dtype=bool)
         touched[jacobian[1][np.isin(jacobian[0], self.rows)]] = True
         if np.count_nonzero(touched) == len(self.rows) - start.stresses.shape[1]:
             return None
         step = np.where(touched, np.random.default_rng(0).normal(size=self.n), 0.0) / self.unit
-        for _ in range(3):  # repeated, since one projection leaves components that are only nearly admissible
+        for _ in range(3):  # one projection leaves components that are only nearly admissible
             step = self.allowed(start.q, step)
         return step * (self.compiled.length / float(np.max(np.abs(step * self.unit)[touched])))
 
     def allowed(self, q: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Return the admissible displacement at `q` that is nearest to a given one."""
+        """Return the admissible displacement at `q` nearest to `step`."""
         solve = self.search.kkt(self.search.evaluate(q)[1])
         return solve(-self.search.mass * step, np.zeros(len(self.compiled.rows)))[0]
 
@@ -255,7 +262,7 @@ class _Analysis:
     # ---- errors --------------------------------------------------------------------------------------------------
 
     def check_accelerations(self, start: _Place, v0: np.ndarray) -> None:
-        """Raise SpecError if redundant rows require different accelerations."""
+        """Raise SpecError if redundant rows require accelerations that contradict each other."""
         search, top = self.search, self.compiled.topology
         constraints_at(top, search.scratch, self.t0, with_ground(start.q), with_ground(v0))
         gamma = search.scratch.gamma[self.pair, self.place] * start.scale

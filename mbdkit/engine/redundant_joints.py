@@ -1,9 +1,9 @@
-"""Redundant joints: residuals that the misalignment of the other rows does not explain, and reactions of least norm.
+"""Redundant joints: residuals that would remain without misalignment of the other rows, and reactions of least norm.
 
-A self-stress is a combination of constraint rows whose gradient vanishes. Therefore the same combination of the
-residuals Phi vanishes too, to first order, for any deviation of the mechanism from its constraints by numerical error.
-It is the residual in the redundant direction that would remain if all other rows were satisfied. If it does not vanish,
-the rows are inconsistent, like those of two drivers whose motions diverge.
+A self-stress is a combination of constraint rows whose gradient vanishes. If numerical error moves the mechanism off
+its constraints, the same combination of the residuals Phi therefore vanishes to first order. This combination is the
+residual that would remain in the redundant direction if all other rows were satisfied. If it does not vanish, the rows
+are inconsistent, like those of two drivers whose motions diverge.
 
 Reactions of redundant joints are not unique. Of all equivalent ones, those of least norm are recorded.
 """
@@ -25,7 +25,7 @@ def units_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:
 def unexplained_gaps(
     mechanism: CompiledMechanism, q: np.ndarray, phi: np.ndarray, distance: np.ndarray, self_stress: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the residuals in D redundant directions that remain if the other rows are satisfied, and their
+    """Return the residuals in D redundant directions that would remain if the other rows were satisfied, with their
     uncertainty.
 
     Parameters
@@ -76,9 +76,9 @@ def share_evenly(
     Parameters
     ----------
     lam : (T, P, 2) array
-        Multipliers of any solution; overwritten.
+        Multipliers of any solution; overwritten by the result.
     reactions : (T, P, 3) array
-        Force (x, y) [N] and torque [N m] of each pair of rows; overwritten.
+        Force (x, y) [N] and torque [N m] of each pair of rows; overwritten by the result.
     self_stress, its_reactions : (T, D, P, 2) and (T, D, P, 3) arrays
         D linearly independent self-stresses, which are multipliers without generalized forces, and their reactions.
     joint : (P,) int array

@@ -1,8 +1,8 @@
-"""Repeated calls of a kernel with the same bundles, whose words are written once.
+"""Repeated calls of a kernel with the same bundles, whose addresses and sizes are written into its argument block once.
 
-Checking a mechanism and its working arrays, and writing their words, takes a hundred times longer than a kernel on a
-small mechanism. Like those of `PinnedBundle`, the bundles are not checked. The layout of the block is that of
-`mbdkit.engine.native.kernel`.
+Checking a mechanism and its working arrays, and writing their arguments, takes a hundred times longer than running a
+kernel on a small mechanism. As with `PinnedBundle`, the bundles are not checked. `mbdkit.engine.native.kernel` defines
+the layout of the block.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _CALL = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64)
 
 
 class RepeatedCall:
-    """A kernel without results and its first arguments.
+    """A kernel that returns no results, with fixed first arguments.
 
     Parameters
     ----------
     kernel
         The kernel.
     bundles
-        Its first arguments; their arrays are not replaced as long as this object is used.
+        The first arguments. Their arrays must not be replaced while this object is in use.
     """
 
     def __init__(self, kernel: Kernel, *bundles: Any):
@@ -35,7 +35,7 @@ class RepeatedCall:
         self._block: np.ndarray | None = None
 
     def __call__(self, *arguments: float | np.ndarray) -> None:
-        """Call the kernel with further arguments: floats, and arrays of the types that it requires."""
+        """Call the kernel with further arguments: floats, and arrays of the required types."""
         if IN_PYTHON:
             self.kernel(*self.bundles, *arguments)
             return
@@ -46,7 +46,7 @@ class RepeatedCall:
             else:
                 block[place] = id(one) + HEAD
         if self._call(self._address) != 0:
-            self.kernel(*self.bundles, *arguments)  # for the error
+            self.kernel(*self.bundles, *arguments)  # an ordinary call raises the error with its reason
 
     def _block_for(self, count: int) -> np.ndarray:
         words = [word for bundle in self.bundles for word in words_of(bundle)]

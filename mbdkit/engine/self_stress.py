@@ -23,12 +23,12 @@ MOST_DENSE = 300
 TRACE = 1e-12
 """Regularisation of the sparse solves.
 
-An iteration suppresses the components of singular values far above the square root of this value.
+Each iteration suppresses components whose singular values are far above the square root of this value.
 """
 
 
 def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
-    """Return the numbers (m',) of the constraint rows of all joints that can be part of closed loops."""
+    """Return the indices (m',) of the constraint rows of all joints that can be part of closed loops."""
     ground = len(compiled.bodies)
     ends = [compiled.topology.pairs[members[0], 1:3].tolist() for members in compiled.joint_pairs]
     on_body: dict[int, set[int]] = {}
@@ -53,7 +53,7 @@ def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
 
 
 def scaled_matrix(m: int, row: np.ndarray, column: np.ndarray, value: np.ndarray) -> Any:
-    """Return a matrix with the given entries, without empty columns: dense up to `MOST_DENSE` rows, else sparse."""
+    """Return a matrix with the given entries and without empty columns: dense up to `MOST_DENSE` rows, else sparse."""
     columns, column = np.unique(column, return_inverse=True)
     shape = (m, len(columns))
     if m > MOST_DENSE:
@@ -107,7 +107,9 @@ def smallest_stress(jacobian: Any) -> tuple[np.ndarray, float]:
 
 
 def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the left singular vectors of the `some` smallest singular values and these values, in descending order."""
+    """Return the left singular vectors of the `some` smallest singular values, and these values, in descending
+    order.
+    """
     from scipy.sparse import block_array, eye_array
     from scipy.sparse.linalg import splu
 

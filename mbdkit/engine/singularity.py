@@ -1,15 +1,15 @@
 """Distance to singularity: a measure of how close the constraints of a mechanism are to becoming dependent.
 
-It is the smallest singular value of ``D Phi_q M^-1/2``, the constraint Jacobian of the independent rows in the mass
-metric. The block-diagonal matrix D makes the two rows (x, y) of each pair orthonormal, so that the value does not
-depend on the orientation of the axes. It is 1 if the joints do not interact, and 0 if the rows are dependent. Near a
-singular position it is proportional to the remaining distance. The rounding errors of accelerations grow with its
+The distance is the smallest singular value of ``D Phi_q M^-1/2``, the constraint Jacobian of the independent rows in
+the mass metric. The block-diagonal matrix D makes the two rows (x, y) of each pair orthonormal, so that the value does
+not depend on the orientation of the axes. It is 1 if the joints do not interact, and 0 if the rows are dependent. Near
+a singular position it is proportional to the remaining distance. The rounding errors of accelerations grow with its
 inverse, those of multipliers with the square of its inverse.
 
-During a run it is computed by inverse iteration with two vectors on ``D Phi_q M^-1 Phi_q^T D^T``. The iteration
-reuses the matrix factors from the solution for the accelerations and starts from the two vectors found for the previous
-recorded state. The distance is the square root of the smaller Ritz value (Parlett, The Symmetric Eigenvalue Problem,
-1998). This is an upper bound of the exact distance, at most 1 % too large.
+During a run the distance is computed by inverse iteration with two vectors on ``D Phi_q M^-1 Phi_q^T D^T``. The
+iteration reuses the matrix factors from the solution for the accelerations and starts from the two vectors found for
+the previous recorded state. The distance is the square root of the smaller Ritz value (Parlett, The Symmetric
+Eigenvalue Problem, 1998). This is an upper bound of the exact distance, at most 1 % too large.
 """
 
 from __future__ import annotations

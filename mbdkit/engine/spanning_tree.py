@@ -16,18 +16,20 @@ from mbdkit.engine.kernels.system import Topology
 from mbdkit.engine.kernels.tree import COLUMNS, PLACE, TURN
 
 _PLACING = {KINDS["revolute"]: 0, KINDS["moving_center"]: 0, KINDS["point_on_line"]: 1}
-"""Kinds of constraints that place a body, and the number of coordinates of its position that they leave free."""
+"""Kinds of constraints that determine the position of a body, and the number of its coordinates that they leave
+free.
+"""
 _TURNING = (KINDS["fixed_angle"], KINDS["driver_angle"])
 _ROWS = {KINDS["point_on_line"]: 1, KINDS["fixed_angle"]: 1, KINDS["driver_angle"]: 1}
-"""Number of rows of these constraints, if it is not 2."""
+"""Number of rows of the constraints that do not have 2."""
 
 
 def spanning_tree(top: Topology) -> np.ndarray:
     """Return a spanning tree with as few coordinates as possible, as the kernels read it.
 
-    The tree grows from ground (Prim's algorithm). The next joint is the one that leaves the fewest coordinates free;
-    among equals, the one closest to ground. Bodies that no joint can place are free. Redundant constraints, which are
-    not solved for, are not part of the tree.
+    The tree grows from ground (Prim's algorithm). The next joint is the one that leaves the fewest coordinates free; on
+    a tie, the one closest to ground. Bodies that no joint can connect to the tree have three free coordinates.
+    Redundant constraints, which are not solved for, are not part of the tree.
 
     Returns
     -------
@@ -48,7 +50,9 @@ def spanning_tree(top: Topology) -> np.ndarray:
     reached: list[tuple[int, int, int, int, int]] = []
 
     def turned(body: int) -> tuple[int, int]:
-        """Return the pair that determines the angle of a body from that of a placed one (-1: none), and its side."""
+        """Return the pair that determines the angle of a body relative to a body in the tree (-1: none), and its side
+        in the pair.
+        """
         known = (one for one in turning[body] if depth[int(top.pairs[one[0], 2 - one[1]])] >= 0)
         return next(known, (-1, 0))
 
@@ -76,8 +80,8 @@ def spanning_tree(top: Topology) -> np.ndarray:
 
 
 def is_tree_of_pins(top: Topology, tree: np.ndarray) -> bool:
-    """Return whether all constraints are fixed pins of the tree without friction, so that articulated bodies give the
-    accelerations.
+    """Return whether articulated bodies can compute the accelerations: all constraints are fixed pins of the tree
+    without friction.
     """
     if len(top.frictions):
         return False
@@ -86,7 +90,7 @@ def is_tree_of_pins(top: Topology, tree: np.ndarray) -> bool:
 
 
 def cut_joints(mechanism: CompiledMechanism) -> tuple[str, ...]:
-    """Return the names of the joints that are not, or only in part, in the spanning tree."""
+    """Return the names of the joints that are not entirely part of the spanning tree."""
     tree = spanning_tree(mechanism.topology)
     kept = {*tree[:, PLACE].tolist(), *tree[:, TURN].tolist()}
     return tuple(

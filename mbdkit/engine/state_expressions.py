@@ -1,8 +1,8 @@
 """Expressions of the state for kernels: values of loads, with derivatives by their inputs, and rates of states.
 
-An expression becomes a law (`mbdkit.engine.force_laws`) without a pathway: its constants, its inputs and the states in
-it are parameters, of which kernels renew the inputs and the states. Inputs are coordinates, velocities, and
-lengths, rates and tensions of pathways; all other quantities are written in terms of these.
+An expression becomes a law (`mbdkit.engine.force_laws`) without a pathway. Its parameters are its constants, its inputs
+and the states that it contains; kernels update the inputs and states before each evaluation. Inputs are coordinates,
+velocities, and lengths, rates and tensions of pathways; all other quantities are written in terms of these.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 STATE_INPUT = -1
-"""Kind of an input that is a first-order state."""
+"""Code of an input that is a first-order state."""
 _POSITIONS = {"x": 0, "y": 1, "angle": 2}
 _VELOCITIES = {"vx": 0, "vy": 1, "angular_velocity": 2}
 
 
 class Input(NamedTuple):
-    """An input of expressions: its kind, and the number of the coordinate, of the first segment, or of the state."""
+    """Input of an expression: its kind, and the index of the coordinate, of the first segment, or of the state."""
 
     kind: int
     number: int
@@ -52,11 +52,11 @@ class StateExpression:
     law
         The expression as a law.
     inputs
-        Its inputs, in the order of its first parameters.
+        Its inputs, in the order of the parameters that stand for them, which come first.
     slopes
-        Its derivatives by the inputs that are not states.
+        Its derivatives by the inputs, except states.
     parameters
-        Number of its parameters, followed by their values; those of inputs are zero.
+        Number of its parameters, followed by their values; those that stand for inputs are zero.
     """
 
     law: CompiledLaw
@@ -67,18 +67,18 @@ class StateExpression:
 
 @dataclass(frozen=True)
 class Numbering:
-    """What expressions need to know of a mechanism that is being compiled.
+    """Indices in a mechanism that is being compiled, which expressions refer to.
 
     Parameters
     ----------
     mechanism
         The mechanism.
     bodies
-        Number of each body, the ground's included.
+        Index of each body by name, ground included.
     springs
-        First segment of each force element on a pathway, by ``forces.NAME`` or ``muscles.NAME``.
+        Index of the first segment of each force element on a pathway, by ``forces.NAME`` or ``muscles.NAME``.
     states
-        Number of each first-order state, and of each output and state of a controller, ``controller.output``.
+        Index of each first-order state, and of each output and state of a controller, ``controller.output``.
     """
 
     mechanism: Mechanism
@@ -87,12 +87,12 @@ class Numbering:
     states: Mapping[str, int] = field(default_factory=dict)
 
     def expression(self, text: str, name: str) -> StateExpression:
-        """Compile an expression; `name` is that of its element, for error messages.
+        """Compile an expression; `name` is the name of its element in error messages.
 
         Raises
         ------
         SpecError
-            If a quantity in it is not one that kernels can evaluate here.
+            If it contains a quantity that kernels cannot evaluate here.
         """
         program, quantities = higher_layers.state_program(text, self.mechanism)
         terms = _Terms(self)
@@ -117,7 +117,7 @@ def _names(count: int) -> list[str]:
 
 
 class _Terms:
-    """Writes quantities as texts of SymPy, in inputs and constants of the mechanism."""
+    """Translates quantities to SymPy source in terms of inputs and constants of the mechanism."""
 
     def __init__(self, numbering: Numbering):
         self.numbering = numbering
@@ -125,7 +125,7 @@ class _Terms:
         self.constants: dict[str, float] = {}
 
     def written(self, kind: str, name: str, attribute: str) -> str:
-        """Return a quantity as text."""
+        """Return a quantity as SymPy source."""
         mechanism = self.numbering.mechanism
         match kind:
             case "states":
@@ -169,7 +169,7 @@ class _Terms:
         return self._input(kind, 3 * self.numbering.bodies[name] + places[attribute])
 
     def _of_point(self, body: str, point: Sequence[float], attribute: str) -> str:
-        """Return a coordinate or velocity of a point of a body."""
+        """Return a coordinate or velocity of a point of a body, as SymPy source."""
         px, py = (self._constant(one) for one in point)
         angle, spin = self._of_body(body, "angle"), self._of_body(body, "angular_velocity")
         x = f"({px}*cos({angle}) - {py}*sin({angle}))"
@@ -178,7 +178,7 @@ class _Terms:
         return f"({self._of_body(body, attribute)} + {moved})"
 
     def _coordinate(self, name: str) -> str:
-        """Return the angle or travel of a joint; see `mbdkit.engine.kernels.acting.joint_values`."""
+        """Return the angle or travel of a joint, as SymPy source; see `mbdkit.engine.kernels.acting.joint_values`."""
         joint = self.numbering.mechanism.joints[name]
         a, b = joint.bodies
         if joint.travel is None:
@@ -196,7 +196,10 @@ class _Terms:
 def _laws(
     program: Program, written: tuple[str, ...], inputs: int, constants: tuple[str, ...]
 ) -> tuple[ExpressionLaw, tuple[ExpressionLaw, ...]]:
-    """Return a program of quantities as a law, and its derivatives by its inputs; its numbers are parameters."""
+    """Compile a program of quantities to a law and the laws of its derivatives by the inputs.
+
+    Constants of the program become parameters of the law.
+    """
     import sympy as sp
 
     symbols = {name: sp.Symbol(name, real=True) for name in (*_names(inputs), *constants)}

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 _PIVOTED = ("pivoted", "pattern", "factors", "scatter")
-"""Parts of a solver that change during a run; the others are constant, or scratch arrays."""
+"""Parts of a solver that change during a run; all others are constant or scratch arrays."""
 
 
 def stored(bundle: Any) -> dict[str, Any]:
-    """Return the arrays of a bundle by name, nested as the bundle is; they are not copied."""
+    """Return the arrays of a bundle by name, nested as in the bundle; they are not copied."""
     return {
         name: stored(value) if isinstance(value, tuple) else value
         for name, value in zip(bundle._fields, bundle, strict=True)
@@ -48,7 +48,9 @@ def fill(array: np.ndarray, values: Any) -> None:
 
 
 def pattern_of(state: Any, unknowns: int) -> Pattern:
-    """Return a stored pattern of a matrix of `unknowns` rows, or the empty one; raise ValueError if it is invalid."""
+    """Return the stored pattern of a matrix with `unknowns` rows, or the empty one; raise ValueError if it is
+    invalid.
+    """
     pattern = Pattern(**{name: _vector(state, name) for name in Pattern._fields})
     if not len(pattern.row_of):
         unknowns = 0

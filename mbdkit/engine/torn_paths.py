@@ -1,4 +1,4 @@
-"""Paths of muscles that have no length because of a circle."""
+"""Muscles whose path has no length because it cannot pass a wrapping circle."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from mbdkit.engine.workspace import Workspace
 
 
 def torn_path(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray) -> str:
-    """Return a clause on a muscle whose path cannot pass a circle at a position; empty if there is none.
+    """Return a clause that names a muscle whose path cannot pass a circle at a position; empty if there is none.
 
     Parameters
     ----------
     workspace
-        The mechanism; its working arrays are used.
+        The mechanism; its working arrays are overwritten.
     t, q, v
         Time [s], positions and velocities (3 (B + 1),).
     """

@@ -1,4 +1,6 @@
-"""Laws that are functions of numbers: each is called once with objects that record its operations as source."""
+"""Laws written as Python functions of numbers: each is called once, with objects that record its operations as
+source.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +25,14 @@ _TEXTS: Mapping[Any, str] = {
     np.less: "{} < {}", np.less_equal: "{} <= {}", np.greater: "{} > {}", np.greater_equal: "{} >= {}",
     np.where: "({1} if {0} else {2})",
 }  # fmt: skip
-"""Functions that can be traced, and their form in the source."""
+"""Functions that can be traced, and how they are written in the source."""
 
 _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.add: lambda f, x, y: (1.0, 1.0),
     np.subtract: lambda f, x, y: (1.0, -1.0),
     np.multiply: lambda f, x, y: (y, x),
     np.divide: lambda f, x, y: (1.0 / y, -f / y),
-    np.power: lambda f, x, y: (y * x ** (y - 1.0), 0.0),  # of constant exponents
+    np.power: lambda f, x, y: (y * x ** (y - 1.0), 0.0),  # for constant exponents
     np.negative: lambda f, x: (-1.0,),
     np.sqrt: lambda f, x: (0.5 / f,),
     np.exp: lambda f, x: (f,),
@@ -42,18 +44,20 @@ _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.cos: lambda f, x: (-np.sin(x),),
     **dict.fromkeys((np.less, np.less_equal, np.greater, np.greater_equal), lambda f, x, y: (0.0, 0.0)),
 }
-"""Derivatives of a function with the value f by its operands; of the other functions, only values can be traced."""
+"""Derivatives of functions by their operands; f is the value of the function. All other functions are traced without
+derivatives.
+"""
 
 
 class Source:
-    """Collects the assignments of the source; equal terms are computed once."""
+    """Collects the assignments of the source; equal terms occur only once."""
 
     def __init__(self) -> None:
         self.names: dict[tuple[Any, ...], str] = {}
         self.lines: list[tuple[str, str, tuple[str, ...]]] = []
 
     def term(self, function: Any, operands: Sequence[Term]) -> Term:
-        """Return the value of a function, as a constant if all operands are constants."""
+        """Return the variable that holds the value of a function, or the value if all operands are constants."""
         if not any(isinstance(one, str) for one in operands):
             return float(function(*operands))
         same = _without_effect(function, operands)
@@ -69,7 +73,7 @@ class Source:
         return self.names[key]
 
     def needed(self, results: Sequence[Term]) -> list[str]:
-        """Return the assignments that results depend on, in their order."""
+        """Return the assignments on which the results depend, in their order."""
         wanted = {one for one in results if isinstance(one, str)}
         kept = []
         for name, text, used in reversed(self.lines):
@@ -80,8 +84,9 @@ class Source:
 
 
 def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
-    """Return the result of a sum with 0, of a product or quotient with 0 or 1, or of a choice between equals; None of
-    others.
+    """Return the simplified result of a sum with 0, a product or quotient with 0 or 1, or a choice between equals.
+
+    None if the operation is none of these.
     """
     first, *others = operands
     second = others[0] if others else None
@@ -101,14 +106,14 @@ def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
 
 
 class Traced(NDArrayOperatorsMixin):
-    """A number of a law while it is traced, with its derivatives by length and rate, if they are wanted."""
+    """A number of a law that is traced, with its derivatives by length and rate if they are requested."""
 
     def __init__(self, source: Source, term: Term, slopes: tuple[Any, ...] = ()):
         self.source, self.term, self.slopes = source, term, slopes
 
     @property
     def plain(self) -> Traced:
-        """The number without its derivatives, with which an iteration gets close to a solution at no further cost."""
+        """The number without derivatives; an iteration can approach its solution with it at no additional cost."""
         return Traced(self.source, self.term)
 
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **_: Any) -> Any:
@@ -118,7 +123,7 @@ class Traced(NDArrayOperatorsMixin):
         return self._applied(function, operands)
 
     def _applied(self, function: Any, operands: Sequence[Any]) -> Any:
-        if function is np.arcsinh:  # dual numbers lack it
+        if function is np.arcsinh:  # dual numbers do not support it
             (x,) = operands
             return np.log(x + np.sqrt(x * x + 1.0))
         operands = [one.term if isinstance(one, Traced) and not isinstance(one.term, str) else one for one in operands]

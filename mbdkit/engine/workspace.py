@@ -58,12 +58,15 @@ class Workspace:
     formulation: str = "index-1"
     stabilization: Stabilization = NONE
     stepping_topology: Topology = field(init=False)
-    """The mechanism with Baumgarte's terms if so stabilized; recorded accelerations are computed without them."""
+    """Topology of the integrated equations, with Baumgarte's terms if the run is stabilized by them.
+
+    Recorded accelerations are computed without these terms.
+    """
     scratch: Scratch = field(init=False)
     solver: Solver = field(init=False)
     _offsets: dict[str, int] = field(init=False, repr=False)
     pivotings: int = field(init=False, default=0)
-    """Number of times that pivots were chosen."""
+    """Number of times that pivots have been chosen."""
 
     def __post_init__(self) -> None:
         self.scratch, self._offsets = new_scratch(self.mechanism)
@@ -84,8 +87,9 @@ class Workspace:
             failed=np.array([-1]),
         )
         self._engine = PinnedBundle(Engine(top, self.scratch, self.solver))
-        # creating bundles takes most of the time of a small workspace, so that only one is created if both engines are
-        # equal
+        # Creating bundles takes most of the time of a small workspace; therefore only one is created if both engines
+        # are
+        # equal.
         self._stepping_engine = (
             PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver)) if stabilized else self._engine
         )
@@ -103,7 +107,7 @@ class Workspace:
 
     @property
     def stepping_engine(self) -> int:
-        """Address of the bundle of the stepped mechanism, with the same arrays and solver."""
+        """Address of the bundle of the integrated equations, with the same arrays and solver."""
         return self._stepping_engine.address
 
     @property
@@ -134,7 +138,8 @@ class Workspace:
         return pattern, new_factors(pattern, complex if isinstance(rate, complex) else float), _scatter(terms, position)
 
     def pivots_of(self, terms: MatrixTerms, coefficients: np.ndarray) -> tuple[Pattern, np.ndarray]:
-        """Choose pivots for the sum of `terms` with their `coefficients`, by the current values in ``scratch.source``.
+        """Choose pivots for the sum of `terms` with their `coefficients`, using the current values in
+        ``scratch.source``.
 
         Returns
         -------
@@ -195,7 +200,7 @@ class Workspace:
         self.scratch.sides[:] = begin, end
 
     def take_states(self, z: np.ndarray) -> None:
-        """Use the values `z` (Z,) of first-order states in the forces that are evaluated next."""
+        """Use the values `z` (Z,) of first-order states in later evaluations of forces."""
         state, place = self.mechanism.topology.state_places.T
         self.scratch.law_values[place] = z[state]
 
@@ -222,22 +227,24 @@ class Workspace:
 
     @property
     def locks(self) -> bool:
-        """Whether the last evaluation failed because the friction in joints has no solution."""
+        """Whether the last evaluation failed because the friction in the joints has no solution."""
         top = self.mechanism.topology
         return bool(self.scratch.faulty[0] in top.springs[top.frictions, 3])
 
     @property
     def cause(self) -> Literal["self-locking", "not-finite"]:
-        """Code of the failure that `unusable` describes."""
+        """Failure code that corresponds to `unusable`."""
         return "self-locking" if self.locks else "not-finite"
 
     def unusable_law(self) -> str | None:
-        """Return the name of the last force whose law did not return a finite number, if any."""
+        """Return the name of the force element whose law last failed to return a finite number, if any."""
         law = int(self.scratch.faulty[0])
         return self.mechanism.laws[law][0] if law >= 0 else None
 
     def use_pivots(self) -> None:
-        """Switch to the pivoted solver, with pivots chosen for the current values; raises SingularSystemError."""
+        """Switch to the pivoted solver, with pivots for the current values; raise SingularSystemError if there are
+        none.
+        """
         pattern, factors, scatter = self.choose_pivots()
         self.solver.pivoted[0] = 1
         self.use_solver(self.solver._replace(pattern=pattern, factors=factors, scatter=scatter))
@@ -261,7 +268,7 @@ class Workspace:
     def with_own_pivots(self) -> Workspace:
         """Return a workspace that shares the arrays of this one, but whose pivots are chosen independently.
 
-        Its motions are not clamped.
+        The motions of the new workspace are not clamped.
         """
         other = copy(self)
         other.pivotings = 0
@@ -306,7 +313,7 @@ class Workspace:
 
 
 def finite_motions(top: Topology, u: np.ndarray) -> bool:
-    """Return whether all used values of `u` (motions, 3) are finite; loads use no derivatives."""
+    """Return whether all values of `u` (motions, 3) that are used are finite; the derivatives of loads are not used."""
     driven = np.unique(top.pairs[:, 3][top.pairs[:, 3] >= 0])
     centers = u[len(u) - OF_CENTER * len(top.centers) :]
     return all(bool(np.all(np.isfinite(x))) for x in (u[:, 0], u[driven], centers))
@@ -376,7 +383,8 @@ def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scra
     Parameters
     ----------
     converted
-        Returns arrays of these numbers with the shapes of the given ones, and a last axis for the parts of a number.
+        Function that returns an array of such numbers for a given array, with an additional last axis for the parts of
+        a number.
     """
     plain, offsets = new_scratch(mechanism)
     scratch = converted(plain)
@@ -391,17 +399,18 @@ def scratch_of(mechanism: CompiledMechanism, converted: Callable[[Scratch], Scra
 
 
 def _scatter(terms: MatrixTerms, target: np.ndarray) -> Scatter:
-    """Sort terms by the class of their factor into the lists that `gather_values` reads; `target` (N,) is the index
-    among the values of the matrix.
+    """Group terms by the class of their factor into the lists that `gather_values` reads.
+
+    `target` (N,) is the index of each term among the values of the matrix.
     """
     both = np.column_stack([terms.source, target]).astype(np.int64)
     return Scatter(*(np.ascontiguousarray(both[terms.factor == factor]) for factor in range(4)))
 
 
 def example_workspace() -> Workspace:
-    """Return a workspace of a single free body, whose arrays have the types of those of any workspace.
+    """Return a workspace of a single free body.
 
-    Kernels are compiled for the types of bundles that are made of it.
+    Its arrays have the types of those of any workspace; kernels are compiled for these types.
     """
     m = Mechanism()
     m.body("body", mass=1.0, inertia=1.0)

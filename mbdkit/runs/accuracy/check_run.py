@@ -1,4 +1,4 @@
-"""Checks the accuracy of a run: by companion runs, or by the coarser runs that have chosen its tolerance."""
+"""Checks the accuracy of a run: by companion (comparison) runs, or by the pilot runs that determined its tolerance."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ def check_run(
 ) -> Accuracy:
     """Estimate the errors of a run by comparison runs (companions).
 
-    With fixed steps, a check takes 6 times as many steps as the run (20 times for time-stepping methods), plus those of
-    the guard (a run with another method). If the spec limits wall time, the same limit applies to all companions
-    together.
+    With fixed steps, the companions take 6 times as many steps as the run (20 times for time-stepping methods). In
+    addition there is the guard, a run with another method. If the spec limits wall time, the same limit applies to all
+    companions together.
 
     Parameters
     ----------
     spec, method, workspace
         The run.
     rows
-        Its recorded rows.
+        Recorded rows of the run.
     steps
-        Number of its steps.
+        Number of steps of the run.
     interrupted
-        Whether the user has asked to stop; then the errors are unknown.
+        Function that returns whether the user has asked to stop; the errors are then unknown.
     progress
         Called with (time reached, end time) [s] of each companion.
     contacts
@@ -86,10 +86,10 @@ def check_run(
 
 
 def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
-    """Return the time until which runs have the same impacts in the same order [s], and a sentence that says why they
-    differ later.
+    """Return the time until which runs have the same impacts in the same order [s], and the reason of later
+    differences.
 
-    Time-stepping methods, which do not locate impacts, are left out.
+    The reason is a sentence. Time-stepping methods, which do not locate impacts, are left out.
     """
     undecided = min(one.undecided for one in runs)
     differs = math.inf
@@ -105,7 +105,7 @@ def _same_impacts(runs: Sequence[ContactState]) -> tuple[float, str]:
 
 
 def units_of(workspace: Workspace, rows: ObservedRows) -> Units:
-    """Return the natural units of the mechanism in a run; it has at least two rows."""
+    """Return the natural units of the mechanism in a run, which must have at least two rows."""
     mass = float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))
     return Units.of(workspace.mechanism.length, mass, float(rows.time[-1] - rows.time[0]))
 
@@ -126,7 +126,9 @@ def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: f
 
 
 def _watch(spec: RunSpec) -> Callable[[Workspace, Stepper], Watch] | None:
-    """Return a function that wraps the stepper of a companion to set states at events; None if no event sets states."""
+    """Return a function that wraps the stepper of a companion so that events set states; None if no event sets
+    states.
+    """
     if not spec.settings():
         return None
     from mbdkit.runs.watched_events import watch_events
@@ -142,7 +144,7 @@ def _guard(
     progress: Callable[[float, float], None] | None,
     watch: Callable[[Workspace, Stepper], Watch] | None,
 ) -> tuple[Companion, CompanionRows]:
-    """Return the first guard that reaches the end; if none does, the one that gets farthest."""
+    """Return the first guard run that reaches the end; if none does, the one that gets farthest."""
     best: tuple[Companion, CompanionRows] | None = None
     for companion in chosen.guards:
         states = run_companion(companion, workspace, times, budget.stopped, progress, watch)
@@ -161,7 +163,7 @@ def _reached(found: CompanionRows) -> float:
 
 
 def _sentence(chosen: Chosen, told: list[tuple[Companion, CompanionRows]]) -> str:
-    """Return a description of the estimate and of the companions that stopped early."""
+    """Return a description of the estimate and of the companions that ended early."""
     first, second = (companion.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from comparison runs with {first} and {second}, confirmed by a run with "
@@ -181,23 +183,25 @@ def _no_errors(rows: ObservedRows) -> ErrorEstimate:
 
 
 FIRST_STEPS = 5
-"""Number of steps after which runs with different tolerances differ. Their first steps are often equal, and the next
-ones grow by the same factor, the largest that step-size control allows."""
+"""Runs with different tolerances are assumed to differ only after this many steps.
+
+Their first steps are often equal, and the next ones grow by the same factor, the largest that step-size control allows.
+"""
 
 
 def check_by_pilots(
     spec: RunSpec, workspace: Workspace, rows: ObservedRows, pilots: Sequence[RecordedPilot], setting: float
 ) -> Accuracy:
-    """Estimate the errors of a run from pilots of larger tolerance.
+    """Estimate the errors of a run from pilot runs with larger tolerances.
 
     Parameters
     ----------
     spec, workspace
         The run.
     rows
-        Its recorded rows.
+        Recorded rows of the run.
     pilots
-        One or two pilots of its method, the coarsest first.
+        One or two pilot runs with the same method, the coarsest first.
     setting
         Tolerance of the run.
     """
@@ -220,7 +224,7 @@ def check_by_pilots(
 
 
 def _cut(errors: ErrorEstimate, times: np.ndarray, until: float) -> ErrorEstimate:
-    """Return estimates that are unknown after a time [s]."""
+    """Return the estimates with all values after a time [s] set to unknown."""
     late = times > until
     parts = {name: getattr(errors, name).copy() for name in ("position", "velocity", "reaction", "torque")}
     for values in parts.values():
@@ -234,8 +238,7 @@ AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
 
 
 def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:
-    """Return the estimates, completed by the requested accuracy, the accuracy reached, and the choice of method and
-    step.
+    """Return the estimates with the requested accuracy, the accuracy reached, and the choice of method and step added.
 
     Parameters
     ----------
@@ -265,10 +268,9 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
 
 
 def missed_because(accuracy: Accuracy, tried: Sequence[Choice], failure: Failure | None = None) -> str:
-    """Return the reason why the requested accuracy is not reached, as a clause; empty if it is reached, or if nothing
-    was chosen.
+    """Return the reason why the requested accuracy is not reached, as a clause.
 
-    `failure` is the reason why the run ended early, or None.
+    Empty if it is reached, or if nothing was chosen. `failure` is the reason why the run ended early, or None.
     """
     if accuracy.is_reached or not tried:
         return ""
