@@ -19,7 +19,7 @@ from mbdkit.spec import RunSpec
 
 @dataclass(frozen=True)
 class Refused:
-    """A run without results, because an exception was raised.
+    """A run without results, because it raised an exception.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Refused:
 
 
 CHUNK = 8 * WIDTH
-"""Number of runs that are prepared before any of them is advanced; similar ones are then vectorized together."""
+"""Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together."""
 
 
 def simulate_batch(
@@ -47,19 +47,19 @@ def simulate_batch(
 ) -> Iterator[FinishedRun | Refused]:
     """Run validated specs, and yield the result of each, in the order of `specs`.
 
-    The numbers, and therefore `FinishedRun.data_sha256`, are those of `simulate` for the same spec. Runs on index-1
-    equations with explicit methods, or with fixed steps of Gauss and Radau IIA methods, are vectorized; see
+    The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
+    index-1 equations with explicit methods, or with fixed steps of Gauss and Radau IIA methods, are vectorized; see
     `mbdkit.runs.lane_runs` for the exceptions. All others are computed one after another.
 
     Parameters
     ----------
     begun
-        Called with the index of a run in `specs`, from 0, before code of plugins prepares it or runs it alone. Several
+        Called with the index of a run in `specs`, from 0, before plugin code prepares the run or runs it alone. Several
         runs are prepared before the first result is yielded.
     measures
-        As for `simulate`. Runs whose measures contain time integrals are not vectorized.
+        See `simulate`. Runs whose measures contain time integrals are not vectorized.
     lanes
-        Loops and compiled mechanisms of earlier batches, made for the same `measures`; by default, new ones.
+        Loops and compiled mechanisms of earlier batches with the same `measures`; by default, new ones.
     """
     begun = begun or _ignored
     lanes, remaining = lanes or LaneRuns(Starts(), measures), iter(enumerate(specs))
@@ -75,18 +75,18 @@ def simulate_batch(
 
 
 def _ignored(place: int) -> None:
-    """Ignore that a run begins."""
+    """Default for `begun`: do nothing."""
 
 
 def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:
-    """Yield the specs of runs, after calling `begun` with the index of each."""
+    """Yield the specs of runs; before each, call `begun` with its index."""
     for place, spec in chunk:
         begun(place)
         yield spec
 
 
 def _alone(spec: RunSpec, starts: Starts, measures: Sequence[str]) -> FinishedRun | Refused:
-    """Run one spec."""
+    """Run one spec without vectorization."""
     try:
         return simulate_arrays(spec, starts=starts, measures=measures)
     except (Exception, SystemExit) as error:

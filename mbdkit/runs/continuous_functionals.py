@@ -23,15 +23,17 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 BLOCK = 256
-"""Number of steps in a block, which are evaluated together. It is fixed for the reason given in `integrals.BLOCK`."""
+"""Number of steps in a block; they are evaluated together. The number is fixed for the reason given in
+`integrals.BLOCK`.
+"""
 BESIDE = NODES_WITHOUT_ACCELERATIONS // 2
-"""Number of ends of steps on both sides of a block that its polynomials use."""
+"""Number of step ends before and after a block that its polynomials use."""
 
 
 @dataclass
 class _Ends:
-    """Ends of consecutive steps (N,): times, positions, velocities and first-order states, and the discontinuities at
-    both sides.
+    """Ends of consecutive steps (N,): times, positions, velocities and first-order states; and the times of the
+    discontinuities before and after them.
     """
 
     time: list[float] = field(default_factory=list)
@@ -50,7 +52,7 @@ class _Ends:
             own.append(np.array(given))
 
     def drop(self, count: int) -> None:
-        """Discard ends that are not needed any more."""
+        """Discard the first ends, which are not needed any more."""
         del self.time[:count], self.q[:count], self.v[:count], self.z[:count]
         self.done -= count
 
@@ -104,7 +106,7 @@ class ContinuousFunctionals:
         return -side * math.inf
 
     def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
-        """Add the ends (T,) of further steps of a run whose motions and loads have no discontinuities."""
+        """Add the ends (T,) of further steps. Motions and loads of the run must have no discontinuities."""
         for row in range(len(time)):
             if time[row] > self._ends.time[-1]:
                 self._ends.add(time[row], q[row], v[row], z[row])
@@ -130,8 +132,9 @@ class ContinuousFunctionals:
         self._take(whole=False)
 
     def _take(self, *, whole: bool) -> None:
-        """Evaluate the waiting steps of this part of the motion; if `whole`, only blocks that are complete and followed
-        by `BESIDE` further ends.
+        """Evaluate the waiting steps of this part of the motion.
+
+        If `whole`, only complete blocks are evaluated, and only if they are followed by `BESIDE` further ends.
         """
         ends = self._ends
         while True:
@@ -160,7 +163,7 @@ class ContinuousFunctionals:
             observed = observed_at(self._observer, np.clip(time, *sides), q, v, z)
             if is_rigid or not has_states:
                 accelerations = observed.acc
-            else:  # second derivatives of the states are not known
+            else:  # the second derivatives of first-order states are not known
                 q, v = np.column_stack([q, z]), np.column_stack([v, observed.state_rates])
         steps = range(first - begin, first - begin + count)
         held = z if is_rigid else None
@@ -171,7 +174,7 @@ class ContinuousFunctionals:
         return span[0] <= self._times[one.text] <= span[1] and bool(np.isnan(self._values[one.text]).any())
 
     def _add(self, one: Functional, part: MotionPart) -> None:
-        """Add a part of the motion to an integral, an extremum or a value."""
+        """Add the contribution of a part of the motion to an integral, an extremum or a value."""
         if one.is_value:
             self._values[one.text] = value_at(part, one, {}, 0.0, self._times[one.text])
         elif one.is_extremum:
@@ -180,17 +183,17 @@ class ContinuousFunctionals:
             self._sums[one.text] = self._sums[one.text] + sampled(part, one, {}, 0.0).integral()
 
     def totals(self) -> dict[str, np.ndarray]:
-        """Return the values of the functionals that are not nested, by their texts; nan where undefined."""
+        """Return the values of the functionals that are not nested, by their source text; nan where undefined."""
         self._take(whole=False)
         return self._sums | self._values | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
 
     def nested(self, one: Functional, known: Integrals, events: EventTimes) -> np.ndarray:
-        """Return the value of a nested functional from those of its inner ones.
+        """Return the value of a nested functional from the values of its inner functionals.
 
         Parameters
         ----------
         events
-            Returns quantities of events.
+            Function that returns quantities of events.
         """
         whole = [part for part in self._parts if len(part.time) > 1]
         span = (whole[0].time[0], whole[-1].time[-1]) if whole else (math.nan, math.nan)
@@ -247,7 +250,7 @@ class ContinuousFunctionals:
 
 
 def no_events(quantity: Quantity) -> float:
-    """Return nan, the time of an event that is not known."""
+    """Return nan for every quantity of an event, as long as no events are known."""
     return math.nan
 
 
@@ -258,9 +261,9 @@ def value_at(part: MotionPart, one: Functional, known: Integrals, duration: floa
 
 
 def peak_with(part: MotionPart, one: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
-    """Return the extremum over a part of the motion and the motion before it, whose extremum is `before`.
+    """Return the extremum over a part of the motion and the motion before it; `before` is the extremum of the latter.
 
-    The time of `before` is nan if nothing precedes it.
+    The time of `before` is nan if nothing precedes the part.
     """
     sign = -1.0 if one.reduction == "min" else 1.0
     begins = math.isnan(before.time)

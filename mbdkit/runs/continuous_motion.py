@@ -1,10 +1,10 @@
 """Integrals and extrema of quantities of the motion between the ends of the steps of a run.
 
 The states between the ends of steps are those of the polynomials of degree 11 of `step_interpolation`, whose error is
-below that of the steps. An integrand with `abs`, `min`, `max` or another operation that changes its form is integrated
-by Gauss-Legendre quadrature between the points at which its form changes, and an extremum is searched on the samples of
-the quadrature and at these points. Otherwise a measure with such a point within a step would be of first or second
-order.
+below that of the steps. Operations such as `abs`, `min` and `max` change the form of an integrand at certain points.
+The integrand is integrated by Gauss-Legendre quadrature between these points, and extrema are searched among the
+samples of the quadrature and at these points. Without this division, measures would be of first or second order if such
+a point lies within a step.
 """
 
 from __future__ import annotations
@@ -25,36 +25,43 @@ from mbdkit.quantities.states import States
 from mbdkit.runs.step_interpolation import StepEnds
 
 POINTS = 8
-"""Number of nodes of Gauss-Legendre quadrature between two points of a step. Its order 16 suffices for steps of a
-fourth of a period."""
+"""Number of nodes of Gauss-Legendre quadrature between two points of a step. Its order, 16, suffices for steps of a
+quarter of a period.
+"""
 _NODES, _WEIGHTS = (0.5 * x for x in (1.0 + leggauss(POINTS)[0], leggauss(POINTS)[1]))
 _PLACES = np.array([0.0, *_NODES, 1.0])
 """Times at which quantities are sampled in a step, from 0 at its start to 1 at its end (shares of the step)."""
 _INNER = slice(1, -1)
 
 AT_ROOT = 1e-14
-"""Accuracy with which the points at which an operation changes its form are located, as a share of the step."""
+"""Accuracy, as a share of the step, with which the points are located at which an operation changes its form."""
 MOST_ITERATIONS = 60
 """Largest number of iterations of this search; regula falsi with bisection needs about ten."""
 
 POTENTIAL = 0.5
-"""Largest rise of a quantity within a step above its values at both ends, as a multiple of the second differences of
-the values at ends: four times the rise of a parabola."""
+"""Largest possible rise of a quantity within a step above its values at both ends.
+
+It is a multiple of the second differences of the values at ends: four times the rise of a parabola.
+"""
 RISE = 0.25
-"""Largest rise above the samples within a step, as a multiple of their second differences: twice that of a parabola."""
+"""Largest possible rise within a step above the samples, as a multiple of their second differences: twice the rise of a
+parabola.
+"""
 NOISE = 1e-12
-"""Second differences below this share of the values are rounding errors."""
+"""Second differences below this share of the values count as rounding errors."""
 EQUAL = 1e-9
 """Two extrema that differ by less than this share of the range of a quantity count as equal."""
 FEW = 64
-"""In up to this many steps, all steps are searched for an extremum, whatever the second differences."""
+"""If there are at most this many steps, all are searched for an extremum, whatever the second differences."""
 PEAK = 1e-3
-"""Accuracy of the time of an extremum in a first search, as a share of the step. The time is then the root of the
-derivative of a polynomial through `PEAK_POINTS` values up to `AROUND` steps away, which is exact up to rounding errors;
-a search for the largest value would be exact to half the digits only."""
+"""Accuracy of the time of an extremum in the first search, as a share of the step.
+
+The time is then refined as the root of the derivative of a polynomial through `PEAK_POINTS` values up to `AROUND` steps
+away, which is exact up to rounding errors. A search for the largest value would give only half of the digits.
+"""
 AROUND, PEAK_POINTS = 0.02, 7
 SAME = 1e-14
-"""Two values near each other whose relative difference is smaller than this are equal up to rounding errors."""
+"""Two neighbouring values count as equal if their relative difference is below this."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,7 @@ class Peak:
 
 @dataclass(frozen=True)
 class Quadrature:
-    """Times (T,) and weights (T,) of an integral over time [s]."""
+    """Times (T,) and weights (T,) of the quadrature of an integral over time [s]."""
 
     time: np.ndarray
     weight: np.ndarray
@@ -95,8 +102,8 @@ class MotionPart:
     names
         Names of the elements.
     ends
-        The ends of these steps, and further ends on both sides if there are any (N,). In the columns, positions are
-        followed by first-order states, and velocities by the rates of the states.
+        The ends of these steps, with further ends on both sides if available (N,). In the columns, positions are
+        followed by first-order states, and velocities by the rates of these states.
     steps
         The steps, as indices of their starts in `ends`.
     sides
@@ -119,7 +126,7 @@ class MotionPart:
         return np.diff(self.ends.time[self.steps.start : self.steps.stop + 1])
 
     def times(self, steps: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return the times [s] at the shares `places` of steps; index 0 is the first step of this part."""
+        """Return the times [s] at the shares `places` of steps; step 0 is the first one of this part."""
         begin = self.ends.time[self.steps.start + steps]
         return np.asarray(begin + places * (self.ends.time[self.steps.start + steps + 1] - begin))
 
@@ -142,7 +149,7 @@ class MotionPart:
 
 
 def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
-    """Return the values of states; nan from the first state without unique accelerations on."""
+    """Return the quantities at given states; nan from the first state without unique accelerations on."""
     arrays = observer.arrays(len(time))
     singular = observer.observe(time, q, v, arrays, z=z)
     if singular is not None:
@@ -161,7 +168,7 @@ class Sampled:
     part, functional, known, duration
         See `sampled`.
     steps
-        (S,) numbers of the steps.
+        (S,) indices of the steps.
     values
         (S, P) samples at the shares `_PLACES` of each step; (2, S, P) for a vector.
     roots
@@ -282,7 +289,7 @@ def sampled(
     Parameters
     ----------
     known
-        The values of its inner functionals.
+        Values of the inner functionals of `functional`.
     duration
         Duration of the run [s].
     steps
@@ -310,8 +317,9 @@ def sampled(
 def steps_of_extremum(
     part: MotionPart, functional: Functional, known: Integrals, duration: float, best: float
 ) -> tuple[np.ndarray, float]:
-    """Return the indices of the steps in which an extremum may lie, and the largest of `best` and the values at the
-    ends of all steps.
+    """Return the indices of the steps in which an extremum may lie, and the largest value known so far.
+
+    The latter is the maximum of `best` and of the values at the ends of all steps.
 
     Parameters
     ----------
@@ -328,27 +336,30 @@ def steps_of_extremum(
     if count <= FEW or not np.all(np.isfinite(values)):
         return np.arange(count), best
     bend = np.abs(np.diff(values, 2))
-    bend = np.concatenate([bend[:1], bend, bend[-1:]])  # at each end
+    bend = np.concatenate([bend[:1], bend, bend[-1:]])  # repeated for the first and the last step
     wide = np.maximum(bend, np.maximum(np.append(bend[1:], 0.0), np.append(0.0, bend[:-1])))
     rise = POTENTIAL * np.maximum(wide[:-1], wide[1:])
     return np.flatnonzero(np.maximum(values[:-1], values[1:]) + rise >= best), best
 
 
 _At = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""A scalar at shares of steps (G,), as a function of the indices of the steps (G,) and the shares (G,)."""
+"""Function that returns a scalar at shares of steps (G,) from the indices of the steps (G,) and the shares (G,)."""
 
 
 def _beside(share: np.ndarray) -> np.ndarray:
-    """Return the shares 0 and `share` of G steps, (G, 2), because vectors are compared with those at the start."""
+    """Return the shares 0 and `share` of G steps, (G, 2).
+
+    The start is included because vectors are compared with their values there.
+    """
     return np.stack([np.zeros_like(share), share], axis=1)
 
 
 def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return brackets of the roots of a scalar (G, P): index of the row, shares before and after the root, and values
-    at these shares.
+    """Return brackets of the roots of a scalar with samples (G, P).
 
-    Where three samples approach zero without a change of sign, the vertex of the parabola through them is sampled as
-    well.
+    They are the index of the row, the shares before and after the root, and the values at these shares. If three
+    samples
+    approach zero without a change of sign, the vertex of the parabola through them is sampled as well.
     """
     a, b, c = values[:, :-2], values[:, 1:-1], values[:, 2:]
     dips = (a * b > 0.0) & (b * c > 0.0) & (np.abs(b) <= np.abs(a)) & (np.abs(b) <= np.abs(c)) & (a != c)
@@ -370,7 +381,7 @@ def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.n
     all_groups, places, samples = all_groups[order], places[order], samples[order]
     changes = (all_groups[1:] == all_groups[:-1]) & (np.sign(samples[1:]) * np.sign(samples[:-1]) < 0.0)
     first = np.flatnonzero(changes)
-    exact = np.flatnonzero((samples == 0.0) & (places > 0.0) & (places < 1.0))  # a sample at a root
+    exact = np.flatnonzero((samples == 0.0) & (places > 0.0) & (places < 1.0))  # the sample itself is a root
     lower, upper = np.concatenate([first, exact]), np.concatenate([first + 1, exact])
     return all_groups[lower], places[lower], places[upper], samples[lower], samples[upper]
 
@@ -378,7 +389,10 @@ def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.n
 def _roots(
     group: np.ndarray, a: np.ndarray, b: np.ndarray, fa: np.ndarray, fb: np.ndarray, at: _At
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and shares of the roots between `a` and `b`, by the Illinois method with bisection, all at once."""
+    """Return rows and shares of all roots, each between `a` and `b`, by the Illinois method with bisection.
+
+    The roots are computed simultaneously.
+    """
     a, b, fa, fb = a.copy(), b.copy(), fa.copy(), fb.copy()
     for iteration in range(MOST_ITERATIONS):
         open_ = np.flatnonzero((b - a > AT_ROOT) & (fa != 0.0) & (fb != 0.0))

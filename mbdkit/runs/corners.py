@@ -20,17 +20,19 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 MOST_STOPS = 5000
-"""Largest number of points of a table, or of discontinuities, of one motion at which steps end."""
+"""Largest number of times at which steps end because of one motion: points of its table, or discontinuities."""
 
 ON_GRID = 1e-4
-"""A point of a table with continuous acceleration needs no stop if it is closer to the end of a fixed step than this
-share of the step."""
+"""A point of a table with continuous acceleration is no stop if its distance from the end of a fixed step is below this
+share of the step.
+"""
 
 QUINTIC_ORDER = 4
 """Highest order of methods whose fixed steps may cross the points of a quintic spline."""
 
 OVERSHOOT = 0.1
-"""There is a warning if the spline of a table overshoots the range of its values by more than this share of the range.
+"""A warning is issued if the spline of a table overshoots the range of its values by more than this share of the
+range.
 """
 
 
@@ -38,8 +40,8 @@ OVERSHOOT = 0.1
 class Stops:
     """Times [s] at which steps end.
 
-    `margins` [s] are the uncertainties of `times`. `impacts` are those times at which the velocity of a driver is
-    discontinuous, and `samples` those at which the output of a controller changes.
+    `margins` [s] are the uncertainties of `times`. `impacts` lists the times at which the velocity of a driver is
+    discontinuous, and `samples` the times at which an output of a controller changes.
     """
 
     times: tuple[float, ...] = ()
@@ -49,10 +51,11 @@ class Stops:
 
 
 def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
-    """Return the times at which the steps of a run end, apart from the fixed grid; raises the errors of
-    `RunSpec.mechanism`.
+    """Return the times at which the steps of a run end, apart from the fixed grid.
 
-    If `all_knots`, points of tables close to the grid are stops too, for a run of the same mechanism without this grid.
+    With `all_knots`, points of tables close to the grid are stops as well; this is needed for a run of the same
+    mechanism
+    without this grid. Raises the errors of `RunSpec.mechanism`.
     """
     start, end = spec.time.start, spec.time.final
     found: list[tuple[Corner, bool]] = []
@@ -99,8 +102,8 @@ def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
 
 
 def knots_of(spec: RunSpec) -> tuple[float, ...]:
-    """Return the times of all points of tables and discontinuities of the motions and loads of a run, including its
-    start and end [s].
+    """Return the times of all points of tables and all discontinuities of motions and loads, including start and end of
+    the run [s].
     """
     start, end = spec.time.start, spec.time.final
     return tuple(sorted(corner.time for _, motion in _motions(spec) for corner in corners_of(motion, start, end)))
@@ -180,9 +183,11 @@ def _is_driver(key: str) -> bool:
 def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
     """Return whether steps have to end at a discontinuity.
 
-    Fixed steps need not end at points of tables that are close to the grid, nor, for methods of up to order 4, at
-    points of quintic splines. At these points only the fifth derivative is discontinuous. If a driver follows the
-    spline, it is the third derivative of accelerations, and a step across its discontinuity has an error of order 4.
+    Fixed steps need not end at points of tables that are close to the grid. Fixed steps of methods of up to order 4
+    need
+    not end at points of quintic splines either, where only the fifth derivative is discontinuous. If a driver follows
+    such
+    a spline, this is the third derivative of the accelerations, and a step across the point has an error of order 4.
     """
     step = spec.time.step
     if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):
@@ -196,8 +201,10 @@ def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
 
 
 def _check_end(motion: Motion, corner: Corner, start: float, end: float, unit: str) -> None:
-    """Raise SpecError if a motion is discontinuous at the start or end of the run and has, exactly at this time, the
-    value that holds outside of the run.
+    """Raise SpecError if a motion is discontinuous at the start or end of the run and its value there is the outer
+    limit.
+
+    The value exactly at the start or end must be the limit from within the run.
     """
     is_start = corner.time - start <= end - corner.time
     inner = corner.after if is_start else corner.before

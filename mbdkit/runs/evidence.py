@@ -54,9 +54,9 @@ def evidence_of_run(
     Parameters
     ----------
     recorder
-        The recorder, with all rows written.
+        The recorder, after all rows have been written.
     steps
-        Quantities observed over all steps, including those that are not recorded; None if the method could not start.
+        Quantities observed over all steps, including steps that are not recorded; None if the method could not start.
     ending
         Status and reason.
     misalignment_max
@@ -64,7 +64,7 @@ def evidence_of_run(
     size
         Size of the mechanism [m].
     warnings
-        Warnings that question the result.
+        Warnings that cast doubt on the result.
     """
     steps = steps or StepEvidence(0.0, 0.0, 0.0)
     energies, angles = recorder.energies, recorder.largest_angle
@@ -95,7 +95,7 @@ def estimated_errors(
     Parameters
     ----------
     recorder
-        The recorder, which has kept the rows.
+        The recorder, which has stored the rows.
     accuracy
         The estimates.
     position_error
@@ -116,5 +116,5 @@ def estimated_errors(
 
 
 def _name_of_largest(recorder: Recorded, values: np.ndarray) -> str:
-    """Return the name of the joint with the largest of the values (J,); empty without joints."""
+    """Return the name of the joint with the largest value (J,); empty without joints."""
     return recorder.mechanism.joints[int(np.argmax(values))] if len(values) else ""

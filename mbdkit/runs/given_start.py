@@ -1,4 +1,4 @@
-"""Initial states in which some quantities have given values."""
+"""Initial states in which given quantities have given values."""
 
 from __future__ import annotations
 
@@ -19,13 +19,17 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import RunSpec
 
 RATES = {"vx": "x", "vy": "y", "angular_velocity": "angle"}
-"""Coordinates of bodies and markers, by the names of their velocities."""
+"""Coordinates of bodies and markers, by the name of their velocity."""
 LONGEST = 0.2
-"""Largest change of a given value in one iteration of the path: angles in rad, lengths as a share of the length of the
-mechanism. Small changes keep closed loops in their configuration."""
+"""Largest change of a given value in one iteration: angles in rad, lengths as a share of the length of the mechanism.
+
+Values change gradually, and small changes keep closed loops in their configuration.
+"""
 MOST_ITERATIONS = 30
 MET = 1e-12
-"""Largest residual of given values and joints [m, rad, m/s, rad/s], relative to the largest coordinate or velocity."""
+"""Residuals of given values and joints [m, rad, m/s, rad/s] below this count as zero, relative to the largest
+coordinate or velocity.
+"""
 
 
 def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: Starts) -> RunSpec:
@@ -63,7 +67,7 @@ def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: St
 
 
 def _check_equal_but_for_start(one: Mechanism, other: Mechanism) -> None:
-    """Raise SpecError if the initial positions determine more than the start."""
+    """Raise SpecError if initial positions of the mechanism determine anything else than the initial state."""
     for a, b in zip(compile_mechanism(one).topology, compile_mechanism(other).topology, strict=True):
         if a.shape != b.shape or not np.allclose(a, b, rtol=1e-9, atol=1e-9, equal_nan=True):
             raise SpecError("joints placed by `at`, `from` or `to` move with the start; give `points`", key="initial")
@@ -116,16 +120,17 @@ class _GivenStart:
             q = closed
         for quantity, value in held.values():
             if isinstance(quantity, Coordinate):
-                q[3 * quantity.body + quantity.axis] = value  # without rounding error
+                q[3 * quantity.body + quantity.axis] = value  # set exactly, without rounding errors
         return q
 
     def _closed(self, q: np.ndarray, quantities: list[Quantity], values: np.ndarray) -> np.ndarray | None:
-        """Return positions with closed joints in which the quantities have these values; None if none are found."""
+        """Return positions with closed joints in which the quantities have the given values; None if none are found."""
         for _ in range(MOST_ITERATIONS):
             rows, phi, _ = self._rows(q, quantities)
             lack = np.concatenate([phi, self._values(quantities, q) - values])
             q = q - self.light * np.linalg.lstsq(rows * self.light, lack, rcond=1e-12)[0]
-            if np.max(np.abs(lack)) <= MET * max(1.0, float(np.max(np.abs(q)))):  # and one more step was taken
+            # the step taken after this residual was evaluated reduces it further
+            if np.max(np.abs(lack)) <= MET * max(1.0, float(np.max(np.abs(q)))):
                 return q
         return None
 

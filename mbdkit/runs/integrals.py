@@ -1,12 +1,12 @@
 """Time integrals, extrema, and values at given times for measures, computed during the run.
 
-The weighted sum of the values of a smooth integrand at the stages is the result of the method for an additional
-equation ``z' = f(t, q, v)``, so that an integral has the order of the method for any number of recorded states.
-Integrands with `abs`, `min` or `max`, extrema, and values at given times are those of the motion between the ends of
-the steps; see `mbdkit.runs.continuous_motion`.
+For a smooth integrand, the weighted sum of its values at the stages is what the method would compute for an additional
+equation ``z' = f(t, q, v)``. The integral therefore has the order of the method, however few states are recorded.
+Integrals with `abs`, `min` or `max`, extrema, and values at given times are computed from the motion between the ends
+of steps; see `mbdkit.runs.continuous_motion`.
 
-The values of an integrand that contains other integrals, as in ``rms(x - mean(x))``, are known only at the end of the
-run. Until then, the values of the quantities in it are kept at all nodes (times of stages), or the ends of all steps.
+An integrand that contains other integrals, as in ``rms(x - mean(x))``, can be evaluated only at the end of the run.
+Until then, the values of its quantities are stored at all nodes (times of stages), or at the ends of all steps.
 """
 
 from __future__ import annotations
@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 BLOCK = 1024
-"""Number of nodes that are summed together. It is fixed, because the number of steps between two calls depends on wall
-time, but the last bits of the integrals must not."""
+"""Number of nodes that are summed together.
+
+It is fixed, because sums must not depend on the number of steps between two calls, which varies with wall time.
+"""
 
 
 def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str, ...]:
-    """Return the expressions of the measures of a run, and further ones."""
+    """Return the expressions of the measures of a run, followed by the given ones."""
     texts = [*(measure.expression for measure in spec.defined_measures() if measure.item is None), *expressions]
     return tuple(dict.fromkeys(texts))
 
@@ -47,7 +49,7 @@ def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Func
     Parameters
     ----------
     expressions
-        Expressions of further measures, beside those of the spec.
+        Expressions of further measures, in addition to those of the spec.
 
     Raises
     ------
@@ -70,7 +72,7 @@ class RunIntegrals:
     timetable
         The times of the run.
     suits_stiff
-        Whether the method is chosen for stiff mechanisms.
+        Whether the method is intended for stiff mechanisms.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class RunIntegrals:
     ):
         self.functionals = functionals
         self._workspace = workspace.with_own_pivots()
-        # Values of first-order states at the stages are not kept: with them, integrals use the ends of steps.
+        # First-order states at the stages are not stored; if there are any, integrals use the ends of steps instead.
         has_states = bool(workspace.mechanism.states)
         others = [one for one in functionals if has_states or not one.is_of_stages]
         #: Integrals and extrema of the motion between the ends of steps; None if there are none.
@@ -109,12 +111,12 @@ class RunIntegrals:
             self._take(whole=True)
 
     def totals(self, events: EventTimes = no_events) -> Integrals:
-        """Return all values by the texts of the functionals, in SI units; nan where undefined.
+        """Return the values of all functionals by their source text, in SI units; nan where undefined.
 
         Parameters
         ----------
         events
-            Returns quantities of the events of the run.
+            Function that returns quantities of the events of the run.
         """
         self._take(whole=False)
         found: dict[str, float | tuple[float, ...]] = {}
@@ -124,7 +126,7 @@ class RunIntegrals:
             found |= {text: _plain(total) for text, total in self.continuous.totals().items()}
         time, weight, *values = self._joined_kept()
         series, duration = Series(time, dict(zip(self._read, values, strict=True)).__getitem__), float(weight.sum())
-        for one in self.functionals:  # inner ones come first
+        for one in self.functionals:  # inner functionals come before those that contain them
             if one in self._nested:
                 at_nodes = one.values(series, found, duration)
                 found[one.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
@@ -164,7 +166,7 @@ class RunIntegrals:
             self.continuous.restore(state["continuous"])
 
     def _take(self, *, whole: bool) -> None:
-        """Add up the waiting nodes in blocks; if `whole`, nodes that do not fill a block remain waiting."""
+        """Sum the waiting nodes in blocks; if `whole`, nodes that do not fill a block remain waiting."""
         nodes = Nodes.joined(self._waiting)
         count = len(nodes.time)
         done = count - count % BLOCK if whole else count
@@ -173,7 +175,7 @@ class RunIntegrals:
         self._waiting = [nodes.part(slice(done, None))]
 
     def _joined_kept(self) -> list[np.ndarray]:
-        """Return times, weights, and the quantities in nested integrands at all nodes; empty arrays if there are
+        """Return times, weights, and the quantities of nested integrands at all nodes; empty arrays if there are
         none.
         """
         if not self._kept:
@@ -181,7 +183,7 @@ class RunIntegrals:
         return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]
 
     def _unknown(self, quantity: Quantity, count: int) -> np.ndarray:
-        """Return nan as the values of a quantity at nodes, in their shape."""
+        """Return nan as the values of a quantity at `count` nodes, with the shape of the quantity."""
         if quantity.beam:
             elements = self._workspace.mechanism.beam_elements(quantity.beam)
             return np.full((elements.stop - elements.start, count), np.nan)
@@ -200,7 +202,7 @@ class RunIntegrals:
         gains = [np.atleast_1d(np.sum(x * nodes.weight, axis=-1)) for x in values]
         if self._sums is None:
             self._sums, self._low = ([np.zeros_like(x) for x in gains] for _ in range(2))
-        for index, gain in enumerate(gains):  # compensated sums
+        for index, gain in enumerate(gains):  # compensated summation
             y = gain + self._low[index]
             total = self._sums[index] + y
             self._low[index], self._sums[index] = y - (total - self._sums[index]), total

@@ -1,6 +1,6 @@
-"""Vectorized runs: prepares specs, advances those that differ only in numbers together, and finishes them.
+"""Vectorized runs: prepares specs, advances runs that differ only in numbers together, and finishes them.
 
-Each run is a lane, one element of the SIMD vectors with which a loop computes the steps of several runs at once.
+Each run is computed in a lane, an element of the SIMD vectors with which one loop advances several runs at once.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 _LOG = logger_of(__name__)
 
 MOST_GROUPS = 8
-"""Number of loops, each for one mechanism and method, that are kept for the next batch."""
+"""Number of loops, each for one mechanism and method, that are stored for later batches."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class LaneMember:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """Key that is equal for runs that can share a loop and have the same arrays."""
+        """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
         steps = table.interval if self.method.traits.tolerances else table.steps
         return self.topology, self.method, pivots, steps, table.every, self.spec.output.recorded
@@ -84,7 +84,7 @@ class LaneMember:
 
 @dataclass(frozen=True)
 class _Started:
-    """A run at its start, which may turn out not to be suited to vectorization."""
+    """A run at its consistent start; whether it can be vectorized is not yet known."""
 
     spec: RunSpec
     method: Method
@@ -127,7 +127,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
 
 
 def _sizes(started: Sequence[_Started | None]) -> list[float]:
-    """Return the sizes of mechanisms at their starts [m], 0 where there is none."""
+    """Return the sizes of the mechanisms at their starts [m]; 0 for runs without a start."""
     sizes = [0.0] * len(started)
     by_bodies: dict[tuple[str, ...], list[int]] = defaultdict(list)
     for place, one in enumerate(started):
@@ -143,14 +143,14 @@ def _sizes(started: Sequence[_Started | None]) -> list[float]:
 
 
 class LaneRuns:
-    """Computes vectorized runs (members), and keeps the loops for further runs.
+    """Computes vectorized runs, and stores their loops for later runs.
 
     Parameters
     ----------
     starts
-        Computes consistent initial states, and keeps compiled mechanisms.
+        Computes consistent initial states, and stores compiled mechanisms.
     measures
-        Expressions that will be evaluated for the runs, beside the measures of their specs.
+        Expressions that will be evaluated for the runs, in addition to the measures of their specs.
     """
 
     def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
@@ -161,8 +161,9 @@ class LaneRuns:
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
 
     def members(self, specs: Iterable[RunSpec]) -> list[LaneMember | None]:
-        """Prepare runs for vectorization; None for a run that has to be computed alone, because it cannot be vectorized
-        or its preparation fails.
+        """Prepare runs for vectorization; None for a run that has to be computed alone.
+
+        A run is computed alone if it cannot be vectorized, or if its preparation fails.
         """
         begin = time.perf_counter()
         started = []
@@ -183,8 +184,9 @@ class LaneRuns:
         return [None if member is None else replace(member, seconds=seconds) for member in members]
 
     def _started(self, spec: RunSpec) -> _Started | None:
-        """Compute the consistent initial state of a run; None if it cannot be vectorized. Raises the errors of a single
-        run.
+        """Compute the consistent initial state of a run; None if it cannot be vectorized.
+
+        Raises the same errors as a single run.
         """
         method = self._method(spec)
         if method is None:
@@ -195,8 +197,9 @@ class LaneRuns:
         return _Started(spec, method, cautions, start)
 
     def _method(self, spec: RunSpec) -> Method | None:
-        """Return the method of a run; None if its settings cannot be vectorized. Results are cached, because specs
-        often share settings.
+        """Return the method of a run; None if a run with these settings cannot be vectorized.
+
+        Results are cached, because specs often share settings.
         """
         settings = (
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
@@ -207,11 +210,12 @@ class LaneRuns:
         return self._settings[1]
 
     def _member(self, started: _Started, size: float) -> LaneMember | None:
-        """Return the member for a run with its initial state; None if it cannot be vectorized."""
+        """Return the `LaneMember` of a run with its initial state; None if it cannot be vectorized."""
         spec, method, start = started.spec, started.method, started.start
         size = size or start.mechanism.length
         table = timetable(spec, guards(spec, size))
-        # Quantities of muscles and contacts are computed with numbers of the mechanism, which runs in lanes share.
+        # Quantities of muscles and contacts are computed from numbers of the mechanism that all runs in a vector would
+        # share.
         if start.mechanism.muscles or start.mechanism.contacts or not suits_lanes(method, start.mechanism, table):
             return None
         pivots = self._pivots.of(method, start, table)
@@ -224,10 +228,11 @@ class LaneRuns:
         return self._topology[1]
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
-        """Run the members and return the results in their order; None for a run that must be repeated alone."""
+        """Run the members and return their results in order; None for a run that must be repeated alone."""
         if not members:
             return []
-        # read once for all: the processor time of a process with several threads takes long to read on some systems
+        # Measured once for all runs: for a process with several threads, reading the processor time is slow on some
+        # systems.
         begin, cpu = time.perf_counter(), time.process_time()
         results: list[FinishedRun | None] = [None] * len(members)
         groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
@@ -248,14 +253,17 @@ class LaneRuns:
 
     def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
         group = self._groups.pop(key, None) or _Group(first)
-        self._groups[key] = group  # the loop used last is kept longest
+        self._groups[key] = group  # moves the group to the end; the group used least recently is discarded first
         if len(self._groups) > MOST_GROUPS:
             self._groups.pop(next(iter(self._groups)))
         return group
 
 
 def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
-    """Return a run with the extrema and values that measures need, from its rows, which are the ends of all steps."""
+    """Return a run with the extrema and values that its measures need.
+
+    They are computed from the rows of the run, which are the ends of all steps.
+    """
     start, functionals = member.start, functionals_of(member.spec, measures)
     if not functionals:
         return run
@@ -285,9 +293,10 @@ class _RecordedRun:
 def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
     """Return the indices of similar runs, sorted by their initial kinetic and gravitational energy.
 
-    A loop ends with the lane that has the most steps, so that the numbers of steps in its lanes should be similar. In
-    ensembles of double pendulums with different starts, lanes are busy in 83 to 87 % of all iterations of the loop;
-    without sorting, in 75 to 77 %; sorted by their numbers of steps, which are not known in advance, in 94 %.
+    A loop ends when the run with the most steps does, so that runs in the same loop should have similar numbers of
+    steps. In ensembles of double pendulums with different starts, this order keeps lanes busy in 83 to 87 % of the
+    iterations, compared with 75 to 77 % without sorting. Sorting by the numbers of steps, which are not known in
+    advance, would give 94 %.
     """
     starts = [members[place].start for place in places]
     mass, gravity, q, v = (
@@ -306,8 +315,8 @@ def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
 
 
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
-    """Return the loop for runs like the first."""
-    method: Any = first.method  # one that has lanes
+    """Return the loop for runs like `first`."""
+    method: Any = first.method  # a method with a loop for lanes
     if first.method.traits.tolerances:
         return ControlledLaneStepper(method, workspace)
     rows = 1 + -(-first.table.steps // first.table.every)
@@ -345,7 +354,7 @@ class _Group:
         lost = results.lost | self._beyond_limits(results, [table.guards for table in tables])
         if np.all(lost):
             return [None] * len(members)
-        with np.errstate(all="ignore"):  # in lost lanes
+        with np.errstate(all="ignore"):  # values in lanes whose run has failed may overflow
             arrays = {key: self._by_run(RECORDED[key].take(states), key, len(members)) for key in self.row_keys}
             recorded = self._recorded(members, results, states)
             coordinates = results.observed.joints[..., 0]
@@ -389,13 +398,14 @@ class _Group:
         return recorded_states(self.mechanism, stretch, observed, np.repeat(start, rows), np.zeros(len(q)))
 
     def _by_run(self, values: np.ndarray, key: str, count: int) -> np.ndarray:
-        """Return the rows of all runs as (W, T, ...), contiguous and of the type of the layout."""
+        """Return the rows of all runs as a contiguous array (W, T, ...) with the type of the layout."""
         shaped = values.reshape(count, len(values) // count, *values.shape[1:])
         return np.ascontiguousarray(shaped, self.types[key])
 
     def _beyond_limits(self, results: LaneResults, limits: Sequence[Guards]) -> np.ndarray:
-        """Return (W,) whether a recorded state of a run may exceed a limit of misalignment, so that each joint must be
-        checked.
+        """Return (W,) whether a recorded state of a run may exceed a limit of misalignment.
+
+        The joints of such runs must be checked one by one.
         """
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in limits])
@@ -462,7 +472,7 @@ class _Group:
         steps: StepEvidence,
         counters: Mapping[str, int],
     ) -> FinishedRun:
-        """Compute the verdict on a run and return the run; its `stats` do not yet contain the times of its steps."""
+        """Return a run with its verdict; its `stats` do not yet include the wall time of the steps."""
         begin = time.perf_counter()
         worst, extremes = recorded
         ending = "complete", ""

@@ -1,8 +1,9 @@
-"""Watches whether the force laws of a run are used within the ranges that they declare.
+"""Checks whether the force laws of a run are used within the ranges that they declare.
 
-Length and rate of every pathway are evaluated at the ends of all steps, recorded or not; for implicit methods, at the
-stages if not every step is recorded. Between these times, the extremes of the cubic with these lengths and rates count.
-An excursion within one step is therefore seen if the step resolves the motion.
+Length and rate of every pathway are evaluated at the ends of all steps, recorded or not. With implicit methods they are
+evaluated at the stages instead if not every step is recorded. Between these times, the cubic polynomials through
+lengths and rates are checked at their extremes. An excursion within a step is therefore found if the step resolves the
+motion.
 """
 
 from __future__ import annotations
@@ -29,14 +30,16 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 ROUNDING = 1e-9
-"""Share of the larger of its bounds by which an argument may exceed a bound."""
+"""An argument may exceed a bound by this share of the larger bound of its range."""
 
 BULGE = 0.02
-"""An extreme of the cubic within a step counts only if it exceeds the bound by more than this share of its distance to
-the nearer end of the step. A smaller excess may be an error of the cubic, which is of order 4 in the step."""
+"""Smallest excess of an extreme within a step, relative to its distance from the nearer end of the step, that counts.
+
+A smaller excess may be an error of the cubic, which is of order 4 in the step.
+"""
 
 UNBOUNDED = ((-math.inf, math.inf),) * len(ARGUMENTS)
-"""The bounds of a law that holds everywhere."""
+"""Bounds of a law that holds everywhere."""
 
 
 def steps_are_rows(spec: RunSpec) -> bool:
@@ -51,7 +54,7 @@ class WatchedLaw:
     Attributes
     ----------
     name, law
-        Kind and name of the element, and long name of its law.
+        Kind and name of the element, and full name of its law.
     column
         Index of the element among the force elements and muscles.
     unit
@@ -81,7 +84,7 @@ class WatchedLaw:
 
 
 def has_ranges(mechanism: Mechanism) -> bool:
-    """Return whether a force law of a mechanism declares a range. Raises the errors of `law_range`."""
+    """Return whether any force law of a mechanism declares a range. Raises the errors of `law_range`."""
     laws: list[Law | MuscleForce] = [force for force in mechanism.forces.values() if isinstance(force, Law)]
     laws += acting_muscles(mechanism).values()
     return any(_bounds(force) != UNBOUNDED for force in laws)
@@ -97,9 +100,9 @@ class LawRanges:
     Parameters
     ----------
     laws
-        The force elements that are watched.
+        The force elements that are checked.
     workspace
-        The mechanism, for states between those that are recorded; None if every step is recorded.
+        The mechanism, which is needed to evaluate states between the recorded ones; None if every step is recorded.
     stops
         Whether the run stops where a law leaves its range.
     """
@@ -122,8 +125,9 @@ class LawRanges:
     def of(
         cls, model: Mechanism, mechanism: CompiledMechanism, workspace: Workspace | None = None, *, stops: bool = False
     ) -> LawRanges | None:
-        """Return the `LawRanges` of a mechanism; None if none of its laws declares a range. Raises the errors of
-        `has_ranges`.
+        """Return the `LawRanges` of a mechanism; None if none of its laws declares a range.
+
+        Raises the errors of `has_ranges`.
         """
         if not has_ranges(model):
             return None
@@ -146,13 +150,13 @@ class LawRanges:
         return self._observer is not None
 
     def add_between(self, nodes: Nodes) -> None:
-        """Keep states between recorded ones until the next recorded states are added."""
+        """Store states between recorded ones until `add` receives the next recorded states."""
         if self._observer is None or not len(nodes.time):
             return
         observed = self._observer.arrays(len(nodes.time))
         z = np.tile(
             self._observer.workspace.mechanism.initial_states, (len(nodes.time), 1)
-        )  # lengths do not depend on z
+        )  # lengths do not depend on first-order states
         singular = self._observer.observe(
             np.ascontiguousarray(nodes.time),
             np.ascontiguousarray(nodes.q),
@@ -170,12 +174,12 @@ class LawRanges:
         return arguments
 
     def add(self, time: np.ndarray, forces: np.ndarray) -> float | None:
-        """Add recorded states, and those between them.
+        """Check recorded states, and the states between them.
 
         Parameters
         ----------
         time
-            (T,) times [s], later than those before.
+            (T,) times [s], later than those of earlier calls.
         forces
             (T, F, 5) values of all force elements, of which the first two are length and rate.
 
@@ -200,7 +204,9 @@ class LawRanges:
         return None if np.all(np.isinf(self._first)) else float(self._first.min())
 
     def _note(self, values: np.ndarray, margins: np.ndarray, times: np.ndarray, cubics: np.ndarray) -> None:
-        """Store the first and the worst of the values (T, K, 3) that exceed their bounds by more than `margins`."""
+        """Note the first and the largest excess of the values (T, K, 3) over their bounds, where it is more than
+        `margins`.
+        """
         for side, sign in enumerate(self._sides):
             outside = sign * values - margins > self._limits[..., side]
             for k, argument in zip(*np.nonzero(outside.any(axis=0)), strict=True):
@@ -217,7 +223,7 @@ class LawRanges:
                     self._first[place] = _entry(cubics[:, :, k, 2], cubics[:, :, k, argument], bound, seen)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return a sentence for each bound that an argument of a law has passed."""
+        """Return one sentence for each bound that an argument of a law has exceeded."""
         warnings = []
         for k, argument, side in zip(*np.nonzero(np.isfinite(self._first)), strict=True):
             place = k, argument, side
@@ -230,7 +236,7 @@ class LawRanges:
         return tuple(warnings)
 
     def failure(self) -> Failure:
-        """Return the failure of a run that stops because it has left a range."""
+        """Return the failure of a run that is stopped because a force law has left its range."""
         k, argument, _ = np.unravel_index(np.argmin(self._first), self._first.shape)
         law, what = self.laws[int(k)], ARGUMENTS[argument]
         leaves = f"the {what} of {law.name} leaves the range in which {law.held(int(argument))}"
@@ -273,7 +279,7 @@ def _values(cubics: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 
 def _turning_points(cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the two shares of each step at which a cubic has an extreme; 0 where it has none within the step."""
+    """Return the two shares of each step at which a cubic has an extreme; 0 for extremes outside the step."""
     _, c1, c2, c3 = cubics
     with np.errstate(all="ignore"):
         sum_ = -(c2 + np.copysign(np.sqrt(c2 * c2 - 3.0 * c3 * c1), c2))
@@ -283,7 +289,10 @@ def _turning_points(cubics: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _entry(times: np.ndarray, cubics: np.ndarray, bound: float, seen: float) -> float:
-    """Return the time at which a value passes a bound, in the step (4, N) in which it is first seen beyond it."""
+    """Return the time at which a value passes a bound, within the first step after which it is beyond the bound.
+
+    `cubics` are the coefficients (4, N) of the values in each step.
+    """
     step = int(np.searchsorted(times[0], seen)) - 1
     if step < 0:
         return seen

@@ -89,7 +89,7 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
         )
         with within_double_precision():
             require_unique_start(workspace)
-            workspace.mechanism.length**2  # step guards divide by it
+            workspace.mechanism.length**2  # step guards divide by this
             if workspace.mechanism.contact_treatment.is_rigid:
                 workspace = with_contact_forces(workspace)
     except SpecError as error:
@@ -102,8 +102,9 @@ def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, Assem
 def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | None) -> None:
     """Raise SpecError if the archive will not fit on its disk or in memory.
 
-    The check is skipped if the number of rows is not known in advance: if an adaptive method records its steps, or if
-    wall time is limited.
+    The check is skipped if the number of rows is not known in advance, because wall time is limited, or because an
+    adaptive
+    method records its steps.
     """
     rows = rows_expected(spec)
     if rows is None or spec.limits.wall_time is not None:
@@ -209,7 +210,7 @@ def timetable(
 ) -> Timetable:
     """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits.
 
-    If the `ends` of all steps are needed, the run advances by single steps unless it records all of them.
+    If the ends of all steps are needed (`ends`), the run returns after each step, unless it records all steps.
     """
     stops = stops_of(spec, all_knots=all_knots)
     table = Timetable(
@@ -237,8 +238,9 @@ def rows_are_ends(table: Timetable) -> bool:
 
 
 def plugin_failure(spec: RunSpec, error: BaseException) -> Failure:
-    """Return the failure of a run whose third-party integrator has raised an exception; re-raise exceptions of other
-    integrators.
+    """Return the failure of a run whose third-party integrator has raised an exception.
+
+    Exceptions of other integrators are raised again.
     """
     item = spec.integrator_item
     if item.origin.distribution == "mbdkit":

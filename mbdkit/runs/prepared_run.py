@@ -1,4 +1,4 @@
-"""Runs of one spec again and again with other numbers."""
+"""Repeated runs of one spec with different numbers."""
 
 from __future__ import annotations
 
@@ -22,18 +22,21 @@ from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.spec.varied_specs import VariedSpecs
 
 LONG = 15_000
-"""Single runs with fewer evaluations times bodies than this are computed by the vectorized loop. Its steps take up to
-twice as long as those of the other loop if all lanes but one are empty, but their preparation takes 1 to 2 ms less."""
+"""Single runs with fewer evaluations times bodies than this are computed by the vectorized loop.
+
+With only one lane in use, its steps take up to twice as long as those of the ordinary loop, but its preparation takes 1
+to 2 ms less.
+"""
 
 
 Numbers = Mapping[str, float | str]
 
 
 class PreparedRun:
-    """A spec that is run again with other numbers.
+    """A spec that is run repeatedly with different numbers.
 
-    What does not depend on the numbers is prepared once: the validation of other sections, the compiled mechanism, and
-    the loop over the steps.
+    Everything that does not depend on the numbers is prepared once: the validation of other sections, the compiled
+    mechanism, and the loop over the steps.
 
     Parameters
     ----------
@@ -43,7 +46,7 @@ class PreparedRun:
     Attributes
     ----------
     spec
-        The spec with its own numbers.
+        The spec with its original numbers.
     """
 
     def __init__(self, spec: RunSpec):
@@ -58,7 +61,7 @@ class PreparedRun:
         return spec_started_at(spec, initial, self._lanes.starts) if initial else spec
 
     def run(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> Run:
-        """Run the spec with other numbers; the results are those of `mbdkit.run` for `spec_with`, to the bit.
+        """Run the spec with other numbers; the results are bitwise equal to those of `mbdkit.run` for `spec_with`.
 
         Ctrl-C raises KeyboardInterrupt. Warnings are not printed; `Run.warnings` contains them.
 
@@ -69,8 +72,9 @@ class PreparedRun:
             ``model.angles.0``: numbers, or texts with a unit such as ``"2 N/mm"``.
         initial
             Initial values of kinematic quantities, such as ``crank.angle``, ``knee.angle`` (of a joint), ``foot.vx`` or
-            ``crank.angular_velocity``. Among all states that satisfy the joints, the start is the nearest one to that
-            of the spec in the mass metric; the spec of the run contains the mechanism written out at this start.
+            ``crank.angular_velocity``. Of all states that satisfy the joints and these values, the run starts from the
+            one nearest to the start of `spec` in the mass metric. The spec of the run contains the mechanism at this
+            start.
 
         Returns
         -------
@@ -96,7 +100,7 @@ class PreparedRun:
         return made
 
     def _vectorized(self, spec: RunSpec) -> Run | None:
-        """Return a run that was computed like those of an ensemble; None if it cannot be."""
+        """Return a run that was computed like those of an ensemble; None if it cannot be vectorized."""
         created = utc_now()
         with one_thread_of_linear_algebra():
             member = self._lanes.members([spec])[0]
@@ -121,8 +125,8 @@ class PreparedRun:
 def prepare(source: RunSource, **sections: Unpack[Sections]) -> PreparedRun:
     """Prepare a spec for many runs with other numbers, one after another, as in optimisation.
 
-    A small run then takes about a millisecond in addition to its steps. If all numbers are known in advance,
-    `mbdkit.ensemble` is faster.
+    A small run of the prepared spec then takes about a millisecond in addition to its steps. If all numbers are known
+    in advance, `mbdkit.ensemble` is faster.
 
     Parameters
     ----------

@@ -23,18 +23,19 @@ def _versions() -> dict[str, str]:
 
 
 _EMULATING = ("NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")
-"""Environment variables that make libraries use the code for another processor."""
+"""Environment variables that make libraries use code for another processor."""
 
 
 @cache
 def _processor() -> str:
-    """Return instruction set, model and extensions of the processor, and environment variables that emulate others.
+    """Return instruction set, model and extensions of the processor, and environment variables that emulate another
+    one.
 
-    Libraries of linear algebra and compilers select their code by these, so that the last bits of results depend on
+    Linear algebra libraries and compilers select their code accordingly, so that rounding errors of results depend on
     them.
     """
     content = {}
-    with suppress(OSError):  # elsewhere than on Linux, the name alone
+    with suppress(OSError):  # only Linux has this file; otherwise the name is used alone
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0].splitlines()
         content = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
     flags = content.get("flags", "").split()
@@ -51,7 +52,7 @@ def provenance(spec: RunSpec) -> dict[str, str | int | float]:
 
 
 def surroundings() -> dict[str, str | int | float]:
-    """Return the versions, platform and command, which all runs of a process have in common."""
+    """Return the versions, platform and command, which are the same for all runs of a process."""
     return {
         **_versions(),
         "python": platform.python_version(),

@@ -65,9 +65,9 @@ class ObservedRows:
     def at(
         cls, workspace: Workspace, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray | None = None
     ) -> ObservedRows:
-        """Return states with their reactions; all rows after a missing or singular one are nan.
+        """Return states with their reactions; rows are nan from the first missing or singular state on.
 
-        Positions and velocities are (T, 3 (B + 1)), first-order states, if there are any, (T, Z).
+        Positions and velocities are (T, 3 (B + 1)); first-order states, if there are any, are (T, Z).
         """
         count = int(np.sum(np.minimum.accumulate(np.all(np.isfinite(q) & np.isfinite(v), axis=1))))
         observer = StateObserver(workspace.with_own_pivots())

@@ -30,14 +30,15 @@ if TYPE_CHECKING:
     from mbdkit.stepping.contact_state import ContactImpact
 
 APART = 1e-6
-"""Residual of a redundant constraint row that round-off can explain, as a share of the characteristic length; for
-angles, in radians.
+"""Residuals of redundant constraint rows up to this size are attributed to round-off.
 
-It exceeds the residuals of assembly, which are at most 1e-11 of the largest coordinate."""
+They are relative to the characteristic length; those of angles are in radians. The limit exceeds the residuals of
+assembly, which are at most 1e-11 of the largest coordinate.
+"""
 
 SECOND_ORDER = 1.0
-"""Multiple of the uncertainty returned by `unexplained_gaps` that the residual of a redundant row must also exceed, in
-order to count as a contradiction.
+"""To count as a contradiction, the residual of a redundant row must also exceed this multiple of its uncertainty, as
+returned by `unexplained_gaps`.
 
 Measured on parallelograms with redundant rods, with seven methods and steps up to 0.3 s: while the joints are
 consistent, residuals stay below 0.1 of the uncertainty, near singular positions below 0.3; for drivers whose motions
@@ -65,11 +66,11 @@ class Recorder:
     workspace
         The mechanism at its start. The recorder uses a copy with its own pivots.
     writer
-        Takes the rows.
+        Writer that receives the rows.
     guards
         Limits of the misalignment of a recorded state.
     ranges
-        Watches force laws that hold in a range only, if there are any.
+        Checks force laws that declare a range; None if there are none.
 
     Attributes
     ----------
@@ -88,8 +89,9 @@ class Recorder:
     def __init__(
         self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS, ranges: LawRanges | None = None
     ):
-        # The number of steps between two calls depends on wall time. If pivots were shared with the stepper, so would
-        # the last bits of the steps and of the recorded rows.
+        # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
+        # stepper,
+        # the rounding errors of steps and of recorded rows would depend on it too.
         self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards
         mechanism = workspace.mechanism
         self._observer = StateObserver(self.workspace)
@@ -144,7 +146,7 @@ class Recorder:
     def _checked(
         self, stretch: Stretch, observed: Observed, singular: SingularState | None
     ) -> tuple[int, Failure | None]:
-        """Return the number of leading states that can be recorded, and the reason why the next one cannot be
+        """Return the number of leading states that can be recorded, and the reason why the next state cannot be
         recorded.
         """
         mechanism = self.workspace.mechanism
@@ -168,7 +170,7 @@ class Recorder:
         return count, failure
 
     def _contradiction(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state in which redundant joints are inconsistent with others, and the failure."""
+        """Return the row of the first state in which redundant joints are inconsistent, and the failure."""
         count = len(observed.phi)
         gaps, uncertainty = self._observer.gaps[:count], self._observer.gap_uncertainty[:count]
         apart = gaps > APART + SECOND_ORDER * uncertainty
@@ -183,8 +185,8 @@ class Recorder:
         return row, self._contradicting(pair, f"{gap:.2g} {unit} at {_at(stretch, row)}")
 
     def _contradicting(self, pair: int, gap: str) -> Failure:
-        """Return the failure of a redundant joint that is misaligned by `gap`, naming the joints with which it is
-        inconsistent.
+        """Return the failure of a redundant joint that is misaligned by `gap`; it names the joints that contradict this
+        joint.
 
         Joints count as redundant only if they are consistent at the start and in its neighborhood. They are then
         consistent in all positions on the branch (the continuous set of positions that contains the start), unless
@@ -207,9 +209,10 @@ class Recorder:
         )
 
     def _fallen_apart(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state in which a joint exceeds the limits of misalignment, and the failure."""
+        """Return the row of the first state in which the misalignment of a joint exceeds a limit, and the failure."""
         smallest = min(self.guards.misalignment, self.guards.angle_misalignment)
-        if np.max(np.abs(observed.phi), initial=0.0) <= smallest / 4:  # a joint has at most three rows; saves time
+        # a joint has at most three rows, so that none can exceed a limit; the check saves time
+        if np.max(np.abs(observed.phi), initial=0.0) <= smallest / 4:
             return None
         first: tuple[int, Failure] | None = None
         for values, limit, unit in (
@@ -232,7 +235,9 @@ class Recorder:
         return first
 
     def _out_of_range(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        """Return the row of the first state after a force law has left its range, and the failure if it stops runs."""
+        """Return the row of the first state after a force law has left its range, and the failure if this stops the
+        run.
+        """
         left = None if self.ranges is None else self.ranges.add(stretch.time, observed.forces)
         if self.ranges is None or left is None or not self.ranges.stops:
             return None
@@ -245,7 +250,7 @@ class Recorder:
         self.largest = np.maximum(self.largest, states.misalignment.max(axis=0, initial=0.0))
         peaks = np.abs(observed.phi).max(
             axis=0, keepdims=True
-        )  # limits are given for pairs; a joint has one pair with an angle
+        )  # limits are given for pairs of rows; a joint has at most one pair with an angle
         self.largest_angle = np.maximum(self.largest_angle, self._joints.angle_misalignment(peaks)[0])
         if len(observed.joints):
             coordinates = observed.joints[:, :, 0]
@@ -268,7 +273,7 @@ class Recorder:
             "iterations_max": iterations_max.astype(np.int64),
             "rejected": rejected.astype(np.int64),
         }
-        if stretch.corrections is not None:  # the layout selects the columns of the stabilization
+        if stretch.corrections is not None:  # the layout selects the columns that the stabilization fills
             projections, position, velocity, acceleration = stretch.corrections.T
             rows |= {
                 "projections": projections.astype(np.int64),

@@ -1,7 +1,7 @@
 """Continues a run that was killed from the checkpoint beside its ``.part``, with bitwise identical results.
 
 The rows up to the checkpoint are copied into a new file, which then takes the place of the ``.part``. The old file is
-not modified: after a crash, HDF5 may not know all parts of it that are in use.
+not modified: after a crash, HDF5 may not know all parts of the file that are in use.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from mbdkit.spec import RunSpec, load_spec
 PART = f"{SUFFIX}.part"
 
 _NEEDED = ("mbdkit", "numpy", "scipy", "machine_code", "processor")
-"""Entries of the provenance that, besides the plugins, must be equal for bitwise identical results."""
+"""Entries of the provenance, besides plugins, that must be equal for results to be bitwise identical."""
 
 _ANEW = "run it anew"
 
 _CHECKPOINT_0_2 = "checkpoint"
-"""Group of the checkpoints in a ``.part`` of version 0.2."""
+"""Name of the group that holds checkpoints in a ``.part`` of version 0.2."""
 
 
 def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | None = None) -> Run:
     """Continue a run that was killed, from the last checkpoint beside its unfinished archive.
 
-    The spec is that of the run. The results are bitwise identical to those of an uninterrupted run.
+    The spec is read from the checkpoint. The results are bitwise identical to those of an uninterrupted run.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def resume(part: str | Path, *, overwrite: bool = False, progress: Progress | No
     overwrite
         Whether an existing ``FILE.h5`` may be replaced.
     progress
-        As for `mbdkit.run`, except that the ``.part`` is kept if it raises an exception.
+        See `mbdkit.run`; unlike there, the ``.part`` is not removed if this function raises an exception.
 
     Returns
     -------
@@ -105,7 +105,9 @@ def continue_run(
 
 
 def final_path(part: Path) -> Path:
-    """Return the final name of an unfinished archive; raise SpecError if `part` is no such name or does not exist."""
+    """Return the final name of an unfinished archive; raise SpecError if `part` is not such a name or does not
+    exist.
+    """
     if not part.name.endswith(PART) or part.name == PART:
         left = part.with_name(f"{part.name}.part")
         other = left.name if part.suffix == SUFFIX and left.exists() else "FILE.h5.part"
@@ -122,7 +124,7 @@ def final_path(part: Path) -> Path:
 
 @contextlib.contextmanager
 def _held(part: Path) -> Iterator[BinaryIO]:
-    """Lock a ``.part`` against runs that would replace it; yield its bytes."""
+    """Lock a ``.part`` against runs that would replace it; the context variable is its bytes."""
     try:
         stream = part.open("rb")
     except OSError as error:
@@ -136,17 +138,17 @@ def _held(part: Path) -> Iterator[BinaryIO]:
             except BlockingIOError:
                 raise _still_going(part) from None
             except OSError:
-                pass  # a file system without locks
+                pass  # the file system does not support locks
         yield stream
 
 
 def _replacement(part: Path) -> Path:
-    """Return the name of the new file of a resumed run until it takes the place of the ``.part``."""
+    """Return the name of the new file of a resumed run before it replaces the ``.part``."""
     return part.with_name(f"{part.name.removesuffix('.part')}.resumed.part")
 
 
 def _finish_replacement(part: Path) -> None:
-    """Rename the new file of a resumed run that was killed between the renaming of its checkpoint and of the file."""
+    """Complete the renaming of the new file of a resumed run that was killed after renaming its checkpoint only."""
     new = _replacement(part)
     if not new.is_file():
         return
@@ -165,7 +167,7 @@ def _refused(part: Path, why: str, *, hint: str = _ANEW) -> SpecError:
 
 
 def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
-    """If a run had ended when it was killed, give its archive the final name; otherwise raise SpecError."""
+    """If a run had ended when it was killed, rename its archive to the final name; otherwise raise SpecError."""
     with load(part) as run:
         if run.status == "running":
             spec = _same_spec(part, run.spec_json, run.run_id, run.provenance)
@@ -184,8 +186,9 @@ def _renamed(part: Path, path: Path, overwrite: bool) -> Run:
 
 
 def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, Any]) -> RunSpec:
-    """Return the spec of a run; raise SpecError if the run began with other versions, because its results might then
-    not be bitwise identical to those of an uninterrupted run.
+    """Return the spec of a run; raise SpecError if the run began with other versions of software.
+
+    Its results might then differ from those of an uninterrupted run.
     """
     check_plugins_of(part, then)
     try:
@@ -214,7 +217,7 @@ class _Unfinished:
     path
         Final name of the archive.
     stream
-        The open file `part`, which shows whether another file has replaced it meanwhile.
+        The open file `part`, which is used to detect whether another file has replaced it in the meantime.
     """
 
     def __init__(self, part: Path, checkpoint: Checkpoint, path: Path, overwrite: bool, stream: BinaryIO):
@@ -261,7 +264,7 @@ class _Unfinished:
             part=_replacement(self.part),
             shared=shared_forces(workspace.mechanism),
         )
-        # Another call may have resumed and finished the run since this call opened the file.
+        # Another call may have resumed and finished the run after this call opened the file.
         if not (self.part.exists() and os.path.samestat(os.fstat(self.stream.fileno()), os.stat(self.part))):
             writer.abandon()
             raise _still_going(self.part)
@@ -287,7 +290,7 @@ class _Unfinished:
 
 
 def _word(key: str, provenance: Mapping[str, object]) -> str:
-    """Return the name of the component to which an entry of the provenance belongs, such as a plugin."""
+    """Return the name of the component that an entry of the provenance describes, such as a plugin."""
     kind, _, part = key.rpartition("_")
     if part == "version":
         return f"{provenance[kind]} {part}"

@@ -1,9 +1,10 @@
-"""The state of a run from which it can continue with bitwise identical results, collected from its parts and restored
-to them.
+"""Collects the state of a run from which it can continue with bitwise identical results, and restores it.
 
-A checkpoint is written between two stretches of steps, when all rows and crossings so far are in the tables of the
-archive. It contains the complete state of the stepper: positions and velocities with the low parts of their sums,
-step-size control, stage values, factors and pivots; and the state of the recorder and of event detection.
+A checkpoint is written between two stretches of steps, when all rows and crossings so far have been written to the
+archive. It contains the complete state of the stepper: positions and velocities with the compensation terms of their
+sums, step-size control, stage values, matrix factors and pivots. It also contains the state of the recorder and of
+event
+detection.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
 
 INTERVAL = 5.0
-"""Least wall time between two checkpoints [s]."""
+"""Smallest wall time between two checkpoints [s]."""
 
 SHARE = 0.01
 """Largest share of the wall time that checkpoints may take."""
@@ -46,7 +47,7 @@ TIMES = ("setup_s", "wall_s", "cpu_s")
 
 @dataclass(frozen=True)
 class Parts:
-    """The parts of a run whose state a checkpoint holds."""
+    """The objects of a run whose state a checkpoint contains."""
 
     workspace: Workspace
     stepper: CompiledStepper | PythonStepper
@@ -55,7 +56,7 @@ class Parts:
     integrals: RunIntegrals | None
 
     def stored(self) -> dict[str, Any]:
-        """Return their state as plain values; arrays are not copied."""
+        """Return the state of these objects as plain values; arrays are not copied."""
         workspace = self.workspace
         return {
             "workspace": {
@@ -74,13 +75,13 @@ class Parts:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore a stored state to these parts, which are those of a run at its start.
+        """Restore a stored state to these objects, which belong to a run at its start.
 
         Raises
         ------
         SpecError
-            If the state is not valid for the run. Since the hash of a checkpoint detects damage, such a state has been
-            modified on purpose.
+            If the state is not valid for the run. Since the hash of a checkpoint detects accidental damage, such a
+            state was modified on purpose.
         """
         try:
             kept, workspace = state["workspace"], self.workspace
@@ -111,9 +112,9 @@ class Continuation:
     state
         The state of the run.
     rows
-        Returns states and reactions of the rows before the checkpoint, for the estimate of their errors.
+        Function that returns states and reactions of the rows before the checkpoint, for the estimate of their errors.
     restored
-        Called once the state is restored.
+        Function that is called when the state has been restored.
     """
 
     state: Mapping[str, Any]
@@ -122,8 +123,8 @@ class Continuation:
 
     @property
     def times(self) -> dict[str, float]:
-        """The times ``setup_s``, ``wall_s`` and ``cpu_s`` that the run took so far [s]; 0 if a value is not a
-        number.
+        """The times ``setup_s``, ``wall_s`` and ``cpu_s`` of the run up to the checkpoint [s]; 0 for entries that are
+        not numbers.
         """
         known = self.state.get("times")
         times = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
@@ -147,9 +148,9 @@ class Checkpoints:
     Parameters
     ----------
     writer
-        Takes the rows and the checkpoints.
+        Writer of the rows and the checkpoints.
     state
-        Returns the state to be stored.
+        Function that returns the state to be stored.
     """
 
     def __init__(self, writer: ArchiveWriter, state: Callable[[], Mapping[str, Any]]):
@@ -167,18 +168,18 @@ class Checkpoints:
 
 
 def _kept(bundle: Any) -> dict[str, np.ndarray]:
-    """Return those arrays of the working data of a run or method that a checkpoint contains."""
+    """Return the working arrays of a run or method that a checkpoint contains."""
     return kept(bundle, STATE, RECORD)
 
 
 def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
     own, bundle = stepper.run_state.solver, stepper.method.pinned.bundle
-    systems = getattr(bundle, "systems", None)  # of methods whose stages are coupled
+    systems = getattr(bundle, "systems", None)  # methods whose stages are coupled have linear systems
     return {
         "run": _kept(stepper.run_state),
         "method": _kept(bundle),
         "systems": None if systems is None else stored(systems),
-        # evaluating an event may have chosen new pivots, which the stepper does not use
+        # the evaluation of an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
         "renewed": sorted(stepper._renewed),
         "sampler": stepper.sampler.stored(),
@@ -195,7 +196,7 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
     restore(_kept(bundle), state["method"])
-    past = getattr(bundle, "past", None)  # of methods that extrapolate several steps
+    past = getattr(bundle, "past", None)  # methods that extrapolate over several steps have this
     if past is not None and past.known[0] > len(past.acc):
         raise ValueError("it refers to more steps than are stored")
     if hasattr(bundle, "systems"):
@@ -205,14 +206,14 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
         stepper.run_state = stepper.run_state._replace(solver=solver_of(workspace, state["solver"]))
         stepper._pinned_state.replace(stepper.run_state)
     stepper._renewed = {(int(done), int(status)) for done, status in state["renewed"]}
-    if "sampler" in state:  # not in checkpoints of earlier versions
+    if "sampler" in state:  # checkpoints of earlier versions lack it
         stepper.sampler.restore(state["sampler"])
     stepper.impacts[:] = [Impact(*map(float, numbers)) for numbers in state["impacts"]]
     stepper._count()
 
 
 def _restore_systems(method: Any, state: Mapping[str, Any]) -> None:
-    """Give a method the linear systems of a checkpoint, whose pivots determine their shapes."""
+    """Give a method the linear systems of a checkpoint; the shapes of their arrays depend on the pivots."""
     workspace = method.workspace
     pattern = pattern_of(state["pattern"], workspace.unknowns)
     scatter = scatter_of(state["scatter"], len(workspace.scratch.source), len(pattern.a_column))

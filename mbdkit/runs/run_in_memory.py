@@ -23,9 +23,9 @@ def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str) -> Run
     Parameters
     ----------
     spec
-        Its spec.
+        Spec of the run.
     created_utc
-        Time at which it began, ISO 8601.
+        Time at which the run began, ISO 8601.
     """
     contents = partial(ArrayContents, finished, Heading(spec, spec.run_id(), created_utc, provenance(spec)))
     if not spec.measures:
@@ -36,7 +36,7 @@ def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str) -> Run
 
 
 def measured_values(run: Run, spec: RunSpec) -> MeasuredValues:
-    """Return the measures of a run, and log why some have no value."""
+    """Return the measures of a run, and log the reasons why some have no value."""
     values = take_all(run, spec)
     for name, reason in values.reasons.items():
         _LOG.warning("measure %s: %s", name, reason)
@@ -44,5 +44,5 @@ def measured_values(run: Run, spec: RunSpec) -> MeasuredValues:
 
 
 def measured_gradients(spec: RunSpec) -> str:
-    """Return the gradients of the measures as JSON; empty if the spec asks for none."""
+    """Return the gradients of the measures as JSON; empty if the spec does not request any."""
     return higher_layers.gradients_json(spec) if spec.gradients else ""

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
 Progress = Callable[[float, float], None]
-"""Called with the time reached and the end time [s]; see `mbdkit.run`."""
+"""Callback with the time reached and the end time [s]; see `mbdkit.run`."""
 
 _LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
 
@@ -69,12 +69,12 @@ _FINAL = ("wall-time", "max-steps", "plugin-error")
 
 
 class _Told:
-    """Calls the callback of a user; if it raises an exception, the run is stopped and the callback is not called again.
+    """Calls the callback of a user. If it raises an exception, the run is stopped and the callback is not called again.
 
     Parameters
     ----------
     stop
-        Stops the run, like Ctrl-C.
+        Function that stops the run, like Ctrl-C.
 
     Attributes
     ----------
@@ -113,9 +113,9 @@ class SimulatedRun:
     method
         The method of integration.
     writer
-        Takes the rows; an archive that has been begun, or arrays in memory.
+        Receives the rows and writes them to an open archive, or to arrays in memory.
     begin
-        When the run began, by `time.perf_counter` [s].
+        Time at which the run began, as returned by `time.perf_counter` [s].
     warnings
         Warnings so far.
     choice
@@ -139,7 +139,8 @@ class SimulatedRun:
         self.warnings, self.choice = warnings, choice
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
-        #: Whether the run becomes a `Run`, which Ctrl-C ends early; otherwise, only the arrays in its writer are used.
+        #: Whether the run is returned as a `Run`, which Ctrl-C ends early; otherwise, only the arrays in its writer are
+        #: used.
         self.becomes_run = True
         self.created = utc_now()
         self.in_memory: Run | None = None
@@ -161,7 +162,7 @@ class SimulatedRun:
         self.cause: BaseException | None = None
         self.interrupted = False
         self.accuracy: Accuracy | None = None
-        #: Expressions of measures, and what evaluates them in comparison runs.
+        #: Expressions of measures, and the function that evaluates them in comparison runs.
         self.expressions: Sequence[str] = ()
         self.measured_in: Measure | None = None
         self.continuation: Continuation | None = None
@@ -187,7 +188,7 @@ class SimulatedRun:
             "wall_s": time.perf_counter() - wall,
             "cpu_s": time.process_time() - cpu,
         }
-        if isinstance(self.stepper, Replay):  # its steps have been computed already
+        if isinstance(self.stepper, Replay):  # the steps have been computed already
             self.timings["wall_s"] += self.stepper.wall
             self.timings["cpu_s"] += self.stepper.cpu
         self.check_accuracy(told)
@@ -245,13 +246,15 @@ class SimulatedRun:
 
     @property
     def keeps_nodes(self) -> bool:
-        """Whether states within the steps are needed."""
+        """Whether states within the steps are needed, in addition to those at their ends."""
         ranges = self.recorder.ranges
         integrals = self.integrals is not None and self.integrals.needs_nodes
         return integrals or (ranges is not None and ranges.needs_nodes)
 
     def take_steps(self, stepper: Advancing, stretch: Stretch) -> None:
-        """Pass the states of the steps since the last call, at their ends and within them, to integrals and ranges."""
+        """Pass the states of the steps since the last call, at their ends and within them, to integrals and range
+        checks.
+        """
         steps = [] if self.watch is None else self.watch.taken_steps()
         continuous = None if self.integrals is None else self.integrals.continuous
         if continuous is not None and self.watch is not None:
@@ -266,7 +269,7 @@ class SimulatedRun:
             self.integrals.add(nodes)
         if self.recorder.ranges is not None:
             compiled = stepper if self.watch is None else self.watch.stepper
-            # of the stages of explicit methods, only the first, at the start of the step, is a state of the motion
+            # For explicit methods, only the first stage, at the start of the step, is a state of the motion.
             stages = compiled.method.stages if isinstance(compiled, CompiledStepper) else 1
             every = stages if self.method.traits.is_explicit else 1
             self.recorder.ranges.add_between(nodes.part(slice(None, None, every)))
@@ -281,7 +284,7 @@ class SimulatedRun:
             self.cause = error
 
     def take_up(self, continuation: Continuation) -> Mapping[str, float]:
-        """Restore the state of a checkpoint, and return the times that the run took before it [s]."""
+        """Restore the state of a checkpoint, and return the times that the run took before the checkpoint [s]."""
         parts = self.parts()
         assert parts is not None
         parts.restore(continuation.state)
@@ -292,7 +295,7 @@ class SimulatedRun:
 
     @property
     def inner_stepper(self) -> Advancing | None:
-        """The stepper of the method, without the watch for events that may wrap it."""
+        """The stepper of the method, without the event detection that may wrap it."""
         return self.stepper if self.watch is None else self.watch.stepper
 
     @property
@@ -309,7 +312,10 @@ class SimulatedRun:
         return Parts(self.workspace, stepper, self.watch, self.recorder, self.integrals)
 
     def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
-        """Return the checkpoints of the run, whose steps began at these times [s]; None if it has none."""
+        """Return the object that writes the checkpoints of the run; None if the run has no checkpoints.
+
+        The arguments are the wall time and the processor time at which its steps began [s].
+        """
         writer = self.writer
         if not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
             return None
@@ -378,7 +384,7 @@ class SimulatedRun:
             self.accuracy = replace(self.accuracy, compared_measures=compared)
 
     def measured(self, file: h5py.File) -> str:
-        """Return the measures of the run in a file, as its archive stores them, after storing their gradients."""
+        """Evaluate the measures of a run in a file, store their gradients, and return the attribute of the archive."""
         values = measured_values(Run(file), self.spec)
         if self.failure is None and not self.interrupted and (gradients := measured_gradients(self.spec)):
             set_text(file, GRADIENTS, gradients)
@@ -409,10 +415,12 @@ class SimulatedRun:
             notes = contacts.remarks()
         mechanism = self.spec.mechanism()
         ranges = self.recorder.ranges
-        left = () if ranges is None or ranges.stops else ranges.warnings()  # if it stops, the failure says so
+        # if the run stops there, the reason of failure says so
+        left = () if ranges is None or ranges.stops else ranges.warnings()
         self.warnings = (*self.warnings, *center_warnings(mechanism, self.recorder.reached), *left)
         questions = doubts(self.spec, self.warnings)
-        self.warnings = (*self.warnings, *notes)  # about the treatment of contacts, as intended
+        # notes about the treatment of contacts, which do not question the result
+        self.warnings = (*self.warnings, *notes)
         evidence = evidence_of_run(self.recorder, steps, ending, misalignment_max, self.size, questions)
         errors = None
         if self.accuracy is not None:

@@ -69,14 +69,14 @@ def run(
     source
         A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism with its `sections`.
     archive
-        File to which results are written during the run; by default, they are kept in memory.
+        File to which results are written during the run; by default, results stay in memory.
     overwrite
         Whether an existing archive may be replaced.
     progress
         Called with the time reached and the end time [s], several times per second; for the comparison runs of a check,
-        the time starts again from the beginning. If it raises KeyboardInterrupt, the run ends as by Ctrl-C, with the
-        status ``interrupted``. After any other exception, the archive is removed, and the exception is raised. By
-        default, notebooks show a progress bar.
+        the time starts again from the beginning. If it raises KeyboardInterrupt, the run ends as after Ctrl-C, with the
+        status ``interrupted``. If it raises any other exception, the archive is removed, and the exception is passed
+        on. By default, notebooks show a progress bar.
     **sections
         Sections of the spec, such as ``integrator={"name": "gauss", "stages": 2}``; they replace those of `source`.
 
@@ -125,16 +125,16 @@ def simulate(
     Parameters
     ----------
     path
-        Final name of the archive; None keeps it in memory.
+        Final name of the archive; None for an archive in memory.
     overwrite
         Whether an existing archive may be replaced.
     progress
-        As for `run`.
+        See `run`.
     starts
         Cache of compiled mechanisms for further runs, if given.
     measures
-        Expressions that will be evaluated for the run, beside the measures of the spec. Their integrals over time and
-        extrema are computed with the run, see `mbdkit.runs.integrals`.
+        Expressions that will be evaluated for the run, in addition to the measures of the spec. The integrals over time
+        and extrema that they contain are computed during the run; see `mbdkit.runs.integrals`.
     """
     begin = time.perf_counter()
     if path is not None:
@@ -157,9 +157,9 @@ def simulate_on(
     continuation
         The state to continue from.
     begun
-        Returns a writer that holds the rows up to this state.
+        Function that returns a writer with the rows up to this state.
     progress
-        As for `simulate`.
+        See `simulate`.
     """
     return _ended(spec, _Preparation(begun, time.perf_counter(), continuation=continuation), progress).run()
 
@@ -175,7 +175,7 @@ def simulate_arrays(
     Parameters
     ----------
     starts, measures
-        As for `simulate`.
+        See `simulate`.
     """
     preparation = _Preparation(_begun_arrays, time.perf_counter(), None, starts, measures, becomes_run=False)
     simulation = _ended(spec, preparation, None)
@@ -191,9 +191,9 @@ class _Preparation:
     Parameters
     ----------
     begun
-        Returns the writer of a run.
+        Function that returns the writer of a run.
     path, starts, measures
-        As for `simulate`.
+        See `simulate`.
     begin
         Time at which the run was requested [s].
     continuation
@@ -211,7 +211,9 @@ class _Preparation:
     becomes_run: bool = True
 
     def simulation(self, spec: RunSpec, choice: Choice | None = None) -> SimulatedRun:
-        """Return the simulation of a spec; `choice` says how method and step were chosen, unless the user gave them."""
+        """Return the simulation of a spec; `choice` says how method and step were chosen, and is None if the user gave
+        them.
+        """
         method = make_method(spec)
         check_jumps(spec)
         if spec.gradients:
@@ -227,7 +229,7 @@ class _Preparation:
         functionals = functionals_of(spec, self.measures)
         noted: list[bool] = []
         noting = _not_noted if self.begun is _begun_arrays else interrupts_noted
-        with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed
+        with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C
             writer = self.begun(spec, method, (workspace, start))
             try:
                 simulation = SimulatedRun(
@@ -258,8 +260,8 @@ def _ended(spec: RunSpec, preparation: _Preparation, progress: Progress | None) 
 
 
 def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress | None) -> SimulatedRun:
-    """Choose method and step for the accuracy of a spec, and run it; repeat with smaller steps while the accuracy is
-    not reached.
+    """Choose method and step for the requested accuracy of a spec, and run it with ever smaller steps until it is
+    reached.
 
     If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
     """
@@ -278,8 +280,8 @@ def _with_accuracy(spec: RunSpec, preparation: _Preparation, progress: Progress 
                 simulation.finish()
                 return simulation
         if following is None:
-            # the best attempt is repeated, because only one archive is written at a time; equal settings give equal
-            # results
+            # Only one archive is written at a time, so that the best attempt has to be repeated. Equal settings give
+            # equal results.
             with _finished_or_abandoned(preparation.simulation(best.applied_to(spec), best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [one for _, one in tried]
@@ -312,7 +314,7 @@ def _begun_archive(spec: RunSpec, method: Method, start: _Start, *, path: Path, 
 
 
 def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
-    """Return a writer that keeps the rows of a run in memory."""
+    """Return a writer that stores the rows of a run in memory."""
     workspace, assembled = start
     return ArrayWriter(
         archive_names(workspace.mechanism),
@@ -323,7 +325,7 @@ def _begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
 
 
 def measured_in(spec: RunSpec, expressions: Sequence[str]) -> Sequence[float] | None:
-    """Return the values of expressions in a comparison run, in SI units; None if it fails."""
+    """Return the values of expressions in a comparison run, in SI units; None if the run fails."""
     try:
         found = simulate_arrays(spec, measures=expressions)
         run = Run(ArrayContents(found, Heading(spec)))
@@ -339,7 +341,7 @@ def _log(warnings: Iterable[str]) -> None:
 
 
 def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
-    """Let Ctrl-C raise KeyboardInterrupt, because nobody sees the rows of an interrupted run."""
+    """Let Ctrl-C raise KeyboardInterrupt, because the rows of an interrupted run would not be shown."""
     return nullcontext()
 
 

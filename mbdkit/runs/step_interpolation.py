@@ -1,7 +1,7 @@
 """States between the steps of a run, by Hermite interpolation over several steps.
 
-Dense output of an explicit method of order 8 takes three more evaluations in each step. Positions, velocities and
-accelerations at the ends of steps are known anyway. Four ends define a polynomial of degree 11, whose error is far
+Dense output of an explicit method of order 8 takes three more evaluations in each step, but positions, velocities and
+accelerations at the ends of steps are known at no cost. Four ends define a polynomial of degree 11, whose error is far
 below that of the steps (1e-5 of it for steps of an eighth of a period).
 """
 
@@ -17,15 +17,15 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping.interface import SAME_TIME
 
 NODES = 4
-"""Number of ends of steps of one polynomial; fewer next to a discontinuity of a motion."""
+"""Number of step ends that determine one polynomial; fewer next to a discontinuity of a motion."""
 NODES_WITHOUT_ACCELERATIONS = 6
-"""Number of ends of one polynomial if accelerations are not used; its degree is also 11."""
+"""Number of step ends that determine one polynomial if accelerations are not used; its degree is also 11."""
 LEAST_DISTANCE = 0.05
-"""Smallest distance between two ends that one polynomial uses, as a share of the step for which it is made; the two
-ends of the step itself are always used.
+"""Smallest distance between two ends used by a polynomial, as a share of the step for which it is computed.
 
-Rounding errors grow with the inverse of this share to the power of five. At a share of 1e-4, as for a last step that is
-cut by an event, they reach 1e-6 of the accelerations; at 1e-7, no digit is right.
+The two ends of the step itself are always used. Rounding errors grow with the inverse of this share to the power of
+five. At a share of 1e-4, as for a last step that is cut by an event, they reach 1e-6 of the accelerations; at 1e-7, no
+digit is right.
 """
 
 
@@ -39,7 +39,8 @@ class StepEnds:
         (N,) times [s].
     q, v, a
         (N, 3 (B + 1)) positions, velocities and accelerations. If `a` is None, accelerations are not used, because in
-        stiff mechanisms they amplify the errors of positions. All may have a further last axis of derivatives.
+        stiff mechanisms they amplify the errors of positions. All three arrays may have an additional last axis of
+        derivatives.
     held
         (N, Z) forces of rigid contacts, which have no rates and are linear over each step; None without them.
     """
@@ -88,7 +89,7 @@ class StepEnds:
         return nodes, newton
 
     def _apart(self, step: int, count: int) -> np.ndarray:
-        """Return the ends of a step and up to `count` - 2 others around it that are not too close to each other."""
+        """Return the ends of a step, and up to `count` - 2 others near it that are not too close to each other."""
         time = self.time
         least = LEAST_DISTANCE * (time[step + 1] - time[step])
         sides: list[list[int]] = []
@@ -109,8 +110,9 @@ class StepEnds:
     def _divided_differences(self, steps: np.ndarray, window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return nodes (K, S) and coefficients (K, S, n) of the Newton form on the ends in `window` (NODES, S).
 
-        Divided differences with every node repeated three times, or twice without accelerations, the two ends of the
-        step first.
+        Every node occurs three times in the divided differences, or twice without accelerations; the two ends of the
+        step
+        come first.
         """
         is_end = (window == steps) | (window == steps + 1)
         window = np.take_along_axis(window, np.argsort(~is_end, axis=0, kind="stable"), axis=0)
@@ -164,7 +166,7 @@ class StepStates:
         self.parts: list[StepEnds] = []
         for begin, end in pairwise(borders):
             part = slice(begin, end + 1)
-            seen = time[part].copy()  # accelerations are discontinuous there
+            seen = time[part].copy()  # accelerations are discontinuous at the stop
             seen[0], seen[-1] = cuts[begin][1] if begin in cuts else seen[0], cuts[end][0] if end in cuts else seen[-1]
             out = observer.arrays(len(seen))
             ends = np.ascontiguousarray(q[part]), np.ascontiguousarray(v[part])

@@ -1,4 +1,6 @@
-"""The state of a run with rigid contacts, whose steps are taken in Python, as plain values of a checkpoint."""
+"""Conversion of the state of a run with rigid contacts, whose steps are taken in Python, to plain values of a
+checkpoint.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,14 @@ from mbdkit.stepping.interface import Impact
 from mbdkit.stepping.python_stepper import Interval, PythonStepper, Reached
 
 _INTEGERS = ("modes", "features")
-"""Arrays of contacts with integers, which may be negative."""
+"""Arrays of contacts whose values are integers, which may be negative."""
 _NAMES = ("cut", "changed")
 _REACHED = ("done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low")
 _INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction")
 
 
 def stored_stepper(stepper: PythonStepper) -> dict[str, Any]:
-    """Return the state of a stepper between two stretches of steps."""
+    """Return the state of a stepper between two stretches of steps as plain values."""
     now = stepper.now
     state = now.state
     return {
@@ -71,7 +73,7 @@ def restore_stepper(stepper: PythonStepper, state: Mapping[str, Any]) -> None:
 
 
 def _stored_contacts(memory: ContactState) -> dict[str, Any]:
-    """Return the state of contacts; the arrays of all impacts are joined."""
+    """Return the state of contacts as plain values; the impacts are stored as joined arrays."""
     values = {item.name: getattr(memory, item.name) for item in fields(memory)}
     numbers = [[*one[:-1]] for one in memory.impacts]
     values |= {
@@ -116,7 +118,7 @@ def _contacts_of(state: Mapping[str, Any], n: int, count: int, stepper: PythonSt
 
 
 def _array(value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a stored array; raise ValueError if it is none, or has another shape."""
+    """Return a stored array; raise ValueError if the value is not an array of this shape."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float64 or value.shape != shape:
         raise ValueError("an array has another shape or type")
     return value

@@ -1,5 +1,5 @@
-"""Warnings about values of a spec that are valid but probably unintended: angles in degrees, a start far from closed
-joints.
+"""Warnings about values of a spec that are valid but probably unintended, such as angles in degrees or an initial state
+in which joints are far from closed.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
 
 FAR = 0.1
-"""Share of the mechanism's size by which assembly may move the start without a warning."""
+"""Share of the mechanism's size by which assembly may change the initial positions without a warning."""
 
 DIGITS = 3
-"""Angles above one turn with at most this many decimals look like degrees; radians rarely have so few."""
+"""Angles above one turn with at most this many decimals are assumed to be degrees; radians rarely have so few
+decimals.
+"""
 
 FEWEST_PER_PERIOD = 2
 """Smallest number of steps per period that resolves an oscillation."""
@@ -84,8 +86,9 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
 
 
 def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:
-    """Return those warnings of a run that question its result: all but the warnings about intended limits of model and
-    step, and about unused parameters.
+    """Return those warnings of a run that question its result.
+
+    Excluded are warnings about intended limits of model and step, and about unused parameters.
     """
     known: tuple[str, ...] = _known(spec) if warnings else ()
     return tuple(warning for warning in warnings if warning not in known)
@@ -126,7 +129,7 @@ def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
         written = spec.written.get(path)
         used = [name for name in spec.parameters if name in names_in(written)]
         if "t" in names_in(written) or (not used and (written is not None or isinstance(angle, str))):
-            continue  # for functions of time and expressions of numbers, radians are assumed to be intended
+            continue  # functions of time and expressions of numbers are assumed to be in radians
         value = evaluate(angle, {}) if isinstance(angle, str) else float(angle)
         if abs(value) > 2.0 * math.pi and round(value, DIGITS) == value:
             origin = f" (from {listed((f'parameters.{name}' for name in used), 'and')})" if used else ""
@@ -138,7 +141,7 @@ def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
 
 
 def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
-    """Return the key path and the number or text of each option of a model whose unit is the radian."""
+    """Return the key path and the number or text of each option of a model that is an angle in radians."""
     if isinstance(value, BaseModel):
         is_length = isinstance(value, Driver) and value.coordinate != "angle"
         for name, is_angular in _fields(type(value)):
@@ -187,7 +190,7 @@ def _excitations(spec: RunSpec) -> Iterator[str]:
 
 
 def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
-    """Yield a warning for each beam with oscillations that the fixed steps of an implicit method do not resolve."""
+    """Yield a warning for each beam whose oscillations are not resolved by the fixed steps of an implicit method."""
     step, beams = spec.time.step, spec.mechanism().beams
     if not beams or step is None:
         return
@@ -205,7 +208,7 @@ def _unresolved_beams(spec: RunSpec) -> Iterator[str]:
 
 
 def step_advice(spec: RunSpec, code: str) -> str:
-    """Return a sentence that explains the failure of a step by the beams of the mechanism; empty if it does not
+    """Return a sentence that attributes the failure of a step to the beams of the mechanism; empty if it does not
     apply.
     """
     step = spec.time.step

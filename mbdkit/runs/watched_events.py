@@ -1,4 +1,4 @@
-"""Detection of the events of a spec in a run of it."""
+"""Detection of the events of a spec during a run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mbdkit.stepping.interface import Stepper
 
 
 def watch_events(spec: RunSpec, workspace: Workspace, stepper: Stepper, *, all_events: bool = True) -> Watch:
-    """Wrap a stepper to detect the events of a spec, or only those that set states."""
+    """Wrap a stepper so that it detects the events of a spec, or only those events that set states."""
     settings = spec.settings()
     events = [
         Watched(name, expression, spec.events[name].direction, spec.events[name].action, settings.get(name, {}))

@@ -1,4 +1,4 @@
-"""Rows of the index of a study, from the archives of its runs."""
+"""Rows of the index of a study, computed from the archives of its runs."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from mbdkit.studies.tasks import Outcome
 
 @dataclass(frozen=True)
 class ArchiveRows:
-    """Makes the rows of the index of a study that has an archive for each run.
+    """Creates the rows of the index of a study that stores an archive for each run.
 
     Parameters
     ----------
     measures
-        Names of the built-in measures that are taken from archives.
+        Names of the built-in measures that are computed from archives.
     defined
         Measures that the study defines.
     again
@@ -55,16 +55,16 @@ class ArchiveRows:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of numbers that are taken from archives."""
+        """Names of the numeric columns that are computed from archives."""
         return *self.measures, *(measure.name for measure in self.defined), *COUNTERS, *TIMINGS
 
     @property
     def use_plugins(self) -> bool:
-        """Whether a plugin computes one of the measures; it may have changed since the study was indexed."""
+        """Whether a plugin computes one of the measures; the plugin may have changed since the study was indexed."""
         return any(measure.item is not None for measure in self.defined)
 
     def left_out(self, distribution: str) -> Row:
-        """Return the row of a run that is left out because a distribution is not installed."""
+        """Return the row of a run that is left out because the required `distribution` is not installed."""
         reason = f"not-installed: the distribution {distribution} is not installed."
         return Row("", "left-out", reason, values=dict.fromkeys((*self.columns, *self.again), math.nan))
 
@@ -73,7 +73,8 @@ class ArchiveRows:
         return Row(run_id, outcome.status, outcome.reason, values=dict.fromkeys(self.columns, math.nan))
 
     def row(self, archive: Path, reference: Path | None, spec: RunSpec) -> Row:
-        """Return the row of a run with values computed from its archive, and from that of its reference if it has one.
+        """Return the row of a run, with values computed from its archive and, if it has a reference run, from that
+        archive too.
 
         Raises
         ------
@@ -107,10 +108,11 @@ class ArchiveRows:
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
 
     def with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
-        """Return a row with the measures of the run's second run.
+        """Return a row completed by the measures that need a second run.
 
-        They are those of the outcome `made` if this call has made the second run, otherwise those of `before`, the row
-        of the run in the previous index.
+        They are taken from the outcome `made` if this call has computed the second run, otherwise from `before`, the
+        row of the
+        run in the previous index.
         """
         if not self.again:
             return replace(row, second_run="")
@@ -124,6 +126,6 @@ class ArchiveRows:
         return replace(row, values={**row.values, **second}, second_run=note)
 
     def with_timings(self, row: Row, seconds: tuple[float, ...]) -> Row:
-        """Return a row with repeated timings [s]."""
+        """Return a row completed by repeated timings [s]."""
         values = {**row.values, **quartiles(seconds)} if self.timed else row.values
         return replace(row, values=values, repeats=seconds)

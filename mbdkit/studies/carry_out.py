@@ -39,9 +39,9 @@ _LOG = logger_of(__name__)
 
 
 class _TemporaryFolder:
-    """A folder that is deleted with this object, or at the end of the process.
+    """A folder that is deleted together with this object, or at the end of the process.
 
-    `tempfile.TemporaryDirectory` would raise a ResourceWarning, because studies are not closed.
+    `tempfile.TemporaryDirectory` would issue a ResourceWarning, because studies are not closed explicitly.
     """
 
     def __init__(self) -> None:
@@ -100,22 +100,22 @@ def study(
     executor
         A `concurrent.futures.Executor` to use instead of these processes, such as ``client.get_executor()`` of Dask, or
         an executor of submitit. Its workers must see the folder under the same path. If it breaks, as a
-        `ProcessPoolExecutor` does when a process dies, the processes of `workers` compute what is left.
+        `ProcessPoolExecutor` does when a process dies, local processes compute the remaining runs.
     shard
         Part of the study to compute; by default all of it.
     progress
-        Called with (tasks done, tasks in all, failed runs) after each task. By default, notebooks show a progress
-        bar.
+        Called with (tasks done, total number of tasks, failed runs) after each task. By default, notebooks show a
+        progress bar.
     notify
         Called with a message before an operation that takes long.
     assignments
         Assignments such as ``"time.end=5"`` that are set in the base of every run.
     overwrite
         Whether to replace an earlier study in the folder: its study.yaml, index, archives of runs and report are
-        removed once the new study has been validated. Other files are kept.
+        removed once the new study has been validated. Other files remain.
     store
-        What is stored of each run, instead of `store` of the study spec: ``files``, ``all``, ``histories``,
-        ``summary`` or ``hashes``.
+        What is stored of each run; replaces `store` of the study spec: ``files``, ``all``, ``histories``, ``summary``
+        or ``hashes``.
 
     Returns
     -------
@@ -183,15 +183,15 @@ def ensemble(
     workers
         Number of processes that compute in parallel.
     executor
-        Executor to use instead of these processes, as for `study`.
+        Executor to use instead of these processes; see `study`.
     measures
-        Measures to take, as in a study spec.
+        Measures to compute, as in a study spec.
     block
         Number of runs in a block; by default 1000, or fewer if their arrays are large.
     compress
         Whether arrays are compressed.
     progress, notify, overwrite
-        As for `study`.
+        See `study`.
 
     Returns
     -------
@@ -231,7 +231,7 @@ def ensemble(
 
 
 def _carried_out(spec: StudySpec, out: str | Path | None, engine: Engine, options: Options) -> Study:
-    """Compute what is missing of a study, in a temporary folder if there is no other, and open it."""
+    """Compute the missing runs of a study, in a temporary folder unless `out` is given, and open the study."""
     keep = None
     if out is None:
         keep = _TemporaryFolder()
@@ -268,12 +268,12 @@ def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, ke
 
 
 def _complete(base: dict[str, Any], whole: Mapping[str, Any], key: str) -> None:
-    """Add the mapping or list that contains a key to a spec, with its defaults, if the spec does not contain it."""
+    """Add the mapping or list that contains a key, with its defaults, to a spec that lacks it."""
     there: Any = base
     default: Any = whole
     for part in parse_key(key)[:-1]:
         if not isinstance(there, dict) or not isinstance(default, Mapping) or part not in default:
-            return  # refused when the value is set
+            return  # setting the value will raise the error
         if there.get(str(part)) is None:
             there[str(part)] = default[part]
         there, default = there[str(part)], default[part]

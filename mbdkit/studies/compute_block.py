@@ -1,4 +1,4 @@
-"""Computes one block of a study: a function of its folder and the number of the block, for any worker process."""
+"""Computes one block of runs of a study in any worker process, given the folder of the study and the block's number."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from mbdkit.studies.study_plan import StudyPlan
 from mbdkit.studies.tasks import mark_of
 
 MISALIGNMENT = "misalignment_max"
-"""The measure that has a column of its own in blocks."""
+"""The measure that has its own column in blocks."""
 
 PATIENCE = 10.0
 """Time to wait for another process that computes the same block, such as one whose parent was killed [s]."""
 
 
 class BlockMeasures:
-    """The measures that are taken of the runs in blocks.
+    """The measures that are computed for the runs in blocks.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class BlockMeasures:
 
     @property
     def built_in(self) -> list[str]:
-        """Names of the built-in measures to take."""
+        """Names of the built-in measures to compute."""
         wanted = tuple(MEASURES) if self.spec.built_in_measures is None else self.spec.built_in_measures
         return [name for name in wanted if name in MEASURES and not MEASURES[name].needs]
 
@@ -87,7 +87,7 @@ class BlockMeasures:
         return taken
 
     def _of_one(self, run: Run) -> dict[str, float]:
-        """Return the measures that are taken of one run at a time."""
+        """Return the measures that are computed for one run at a time."""
         taken: dict[str, float] = {}
         for measure in self.spec.defined_measures():
             taken |= with_error(measure, run, run.run_spec)
@@ -97,7 +97,7 @@ class BlockMeasures:
 
 @dataclass(frozen=True)
 class _Member:
-    """A run of a block: its point, base and values, and its spec, or the reason why it has none."""
+    """A run of a block: its point, base and values, and its spec, or the reason why it has no spec."""
 
     point: PlannedPoint
     base: str
@@ -110,8 +110,8 @@ def compute_block(
 ) -> int:
     """Compute the runs of a block and write its file.
 
-    Everything else is read from the folder, so that any process that sees it can do this. While the block is computed,
-    a file beside it contains the number of the run in progress, see `mbdkit.studies.tasks.run_at_work`.
+    Everything needed is read from the folder, so that any process with access to it can compute the block. Meanwhile, a
+    file beside the block contains the number of the run in progress; see `mbdkit.studies.tasks.run_at_work`.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def compute_block(
 
 @lru_cache(maxsize=4)
 def _measures(study: str, changed: int) -> BlockMeasures:
-    """Return the measures of a study, with its plan, once for all blocks that a process computes."""
+    """Return the measures of a study, with its plan; cached for all blocks that a process computes."""
     spec = load_study_spec(study)
     if not spec.in_blocks:
         raise SpecError("this study is not stored in blocks", file=study)
@@ -170,14 +170,15 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
         return _Member(point, base, values, Refused("left-out", reason))
     if point.number in skip:
         return _Member(point, base, values, Refused("failed", skip[point.number]))
-    mark.note(point.number)  # recorded first, because a model of a plugin may end the process
+    mark.note(point.number)  # written first, because a model of a plugin may end the process
     try:
         spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
         spec.mechanism()
     except SpecError:
         try:
-            return _Member(point, base, values, point.spec)  # for the location of the error in the study
-        except SpecError as error:  # without the file, which depends on the folder
+            # building the spec raises an error with its location in the study
+            return _Member(point, base, values, point.spec)
+        except SpecError as error:  # stored without the file name, which depends on the folder
             text = f"{error.key}: {error.message}" if error.key else error.message
             return _Member(point, base, values, Refused("failed", f"wrong-input: {text}"))
     except Exception as error:
@@ -200,7 +201,7 @@ def _results(
 
 
 def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun | Refused]]) -> list[BlockRun]:
-    """Return the data that the block stores of runs."""
+    """Return the data that the block stores for several runs."""
     finished = [
         (result, member.spec)
         for member, result in some
@@ -216,7 +217,7 @@ def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun |
 def _block_run(
     store: Store, member: _Member, result: FinishedRun | Refused, measured: dict[str, float] | Refused
 ) -> BlockRun:
-    """Return the data that the block stores of a run."""
+    """Return the data that the block stores for one run."""
     point, spec = member.point, member.spec
     if not isinstance(spec, RunSpec):
         assert isinstance(result, Refused)
@@ -239,7 +240,7 @@ def _block_run(
 
 
 class _Mark:
-    """The file that contains the number of the run in progress in a block; it is removed at the end.
+    """The file with the number of the run in progress in a block; it is removed when the block is finished.
 
     It is locked, so that two processes cannot compute the same block, for example if the worker of an executor is
     wrongly considered lost.
@@ -273,7 +274,7 @@ class _Mark:
                     message = "another process is computing this block; call again when it has ended"
                     raise ResourceError(message, file=self.block) from None
                 time.sleep(0.05)
-            except OSError:  # a file system without locks
+            except OSError:  # the file system does not support locks
                 return
             else:
                 return

@@ -1,4 +1,4 @@
-"""What runs cost at a given error, in studies with a reference."""
+"""The cost of runs at a given error, in studies with a reference."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ ERROR = "end_error"
 """Column of the error: the largest distance of a body from the reference at the end [m]."""
 
 FAVOURITES = (1e-6, 1e-3, 1e-9, 1e-12)
-"""Errors [m] of the table, the most relevant first. If none is in the range of the runs' errors, the table has the
-power of ten closest to the middle of this range.
+"""Errors [m] in the table, the most relevant first.
+
+If none is in the range of the runs' errors, the table has the power of ten closest to the middle of this range.
 """
 
 MOST = 3
-"""Number of errors of the table."""
+"""Largest number of errors in the table."""
 
 TIMED_ONCE = (
     'Each run was timed once, in parallel with other work, so that wall times are uncertain: "repeats: 5" in the study '
@@ -37,22 +38,23 @@ TIMED = "Wall times are the shortest of the repeated timings on this machine."
 
 
 def wall_time(point: StudyPoint) -> float:
-    """Return the shortest of the repeated timings of a run, or the time of its only one; nan if it is not complete."""
+    """Return the shortest of the repeated timings of a run, or its single timing [s]; nan if the run is not
+    complete.
+    """
     least = value(point, "wall_min_s")
     return value(point, "wall_s") if math.isnan(least) else least
 
 
 def is_timed(points: Iterable[StudyPoint]) -> bool:
-    """Return whether runs were timed repeatedly, one at a time."""
+    """Return whether runs were timed repeatedly, without others running at the same time."""
     return any(not math.isnan(value(point, "wall_min_s")) for point in points)
 
 
 def cost_at_error(study: Study) -> Table | None:
-    """Return the cost at some errors of each sequence of runs that differ only in their last numeric axis, the cheapest
-    sequence first.
+    """Return the cost at some errors of each sequence of runs that differ only in their last numeric axis.
 
-    None without a reference, if fewer than two sequences have two different errors, or if the errors of the runs have
-    no power of ten between them.
+    The cheapest sequence comes first. The result is None without a reference, if fewer than two sequences have two
+    different errors, or if there is no power of ten in the range of the errors.
     """
     groups = _groups(study)
     if len(groups) < 2:
@@ -84,8 +86,11 @@ def cost_at_error(study: Study) -> Table | None:
 
 
 def error_headlines(study: Study) -> list[tuple[str, str]]:
-    """Return in words the range of the errors against the reference, how many runs stay near it, and which sequences
-    of runs cost least at an error.
+    """Describe the errors against the reference in words.
+
+    The text gives their range, the number of runs that stay near the reference, and the sequences of runs that cost
+    least
+    at an error.
     """
     if not study.references:
         return []
@@ -112,8 +117,9 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
 
 
 def _groups(study: Study) -> dict[str, list[StudyPoint]]:
-    """Return sequences of complete runs that differ only in their last numeric axis, such as the step, by the names of
-    their other values, without sequences in which all errors are equal.
+    """Return sequences of complete runs that differ only in their last numeric axis, such as the step.
+
+    Keys are the labels of their other values. Sequences in which all errors are equal are left out.
     """
     found: dict[str, list[StudyPoint]] = {}
     for point in study.points:
@@ -126,7 +132,7 @@ def _groups(study: Study) -> dict[str, list[StudyPoint]]:
 
 
 def _targets(errors: list[float]) -> list[float]:
-    """Return the errors of the table [m], in the range of those of the runs."""
+    """Return the errors of the table [m], which lie in the range of the errors of the runs."""
     if not errors:
         return []
     low, high = min(errors), max(errors)

@@ -1,4 +1,4 @@
-"""Execution of a study: compute the missing runs, time them, and write the index."""
+"""Execution of a study: computes the missing runs, times them, and writes the index."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from mbdkit.studies.run_files import RunFiles
 from mbdkit.studies.run_store import RunStore
 from mbdkit.studies.study_folder import StudyFolder
 
-#: Called with (tasks done, tasks in all, failed runs). A run is one task, and so are its repeated timings.
+#: Called with (tasks done, total number of tasks, failed runs). A run is one task, and so is its set of repeated
+#: timings.
 Progress = Callable[[int, int, int], None]
 
 
@@ -30,16 +31,16 @@ class Options:
     shard
         Part of the study to compute, or None for all of it.
     progress
-        Called after each task; None: not at all.
+        Called after each task; None for no calls.
     notify
         Called with a message before an operation that takes long.
     overwrite
-        Whether to remove the study that the folder contains; not with a shard.
+        Whether to remove the study that the folder contains; not allowed with a shard.
 
     Raises
     ------
     SpecError
-        If a part of a study is to overwrite the folder that it shares with other parts.
+        If `overwrite` is set for a part of a study, which shares the folder with other parts.
     """
 
     shard: Shard | None
@@ -60,7 +61,7 @@ class Execution:
     Attributes
     ----------
     computed, failed
-        Numbers of runs that were computed, and of those that failed.
+        Number of runs that were computed, and number of these that failed.
     unfinished
         External reasons why runs were not computed.
 
@@ -98,7 +99,7 @@ class Execution:
 
     def _compute(self, engine: Engine, total: int) -> None:
         """Compute the missing results."""
-        ended = 0  # number of runs of this round and the rounds before
+        ended = 0  # number of runs in this round and the rounds before
         for some in self.store.rounds():
             ended += some.planned
             done = ended - sum(task.runs for task in some.tasks)  # dropped tasks count as done

@@ -22,7 +22,7 @@ from mbdkit.studies.pool import PROGRAM, Pool
 from mbdkit.studies.tasks import Outcome, Task, died
 
 LOOK = 1.0
-"""Interval at which it is checked whether the client of a Dask cluster is closed [s]."""
+"""Interval between checks whether the client of a Dask cluster is closed [s]."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def checked_executor(executor: Any) -> Executor | None:
 class ExecutorPool:
     """Tasks that an executor computes, with the methods of `Pool`.
 
-    Workers receive texts, numbers and paths of files, to which all of them must have access. A worker writes the
+    Workers receive texts, numbers and paths of files; all workers must have access to these files. A worker writes the
     archive or the block of its task; a task whose worker is lost is submitted once more.
 
     Parameters
@@ -113,7 +113,7 @@ class ExecutorPool:
                 yield from ((task, outcome) for batch in self._begun.values() for task in batch.tasks)
                 self._begun.clear()
                 return
-            except CancelledError:  # not by this process: Dask cancels all tasks when it loses its scheduler
+            except CancelledError:  # cancelled by Dask, which cancels all tasks when it loses its scheduler
                 outcome = Outcome("missing", "no-resources: the executor cancelled tasks; is its scheduler running?")
                 yield from ((task, outcome) for task in self._begun.pop(future).tasks)
             except ImportError as error:
@@ -135,9 +135,9 @@ class ExecutorPool:
                     yield task, self._outcome(task, answer)
 
     def _next_ended(self) -> Future[list[dict[str, Any]]]:
-        """Wait for a future that has ended; raise an error if none will.
+        """Wait for a future that has ended; raise an error if none will end.
 
-        The futures of a Dask client that has lost its scheduler, and was closed after some seconds, never end.
+        The futures of a Dask client that lost its scheduler, and was therefore closed, never end.
         """
         while True:
             try:
@@ -147,7 +147,9 @@ class ExecutorPool:
                     raise _SchedulerLostError from None
 
     def _batches(self, tasks: Sequence[Task]) -> list[list[Task]]:
-        """Return the tasks in lists that are submitted together: of one task each or, for submitit, one list a job."""
+        """Return the tasks in lists that are submitted together: lists of one task or, for submitit, one list for each
+        job.
+        """
         jobs = self.executor.jobs if isinstance(self.executor, SubmititExecutor) else len(tasks)
         size = math.ceil(len(tasks) / max(1, jobs))
         return [list(tasks[first : first + size]) for first in range(0, len(tasks), max(1, size))]
@@ -184,13 +186,13 @@ class ExecutorPool:
             yield from pool.work(left)
 
     def _outcome(self, task: Task, answer: dict[str, Any]) -> Outcome:
-        """Return the outcome reported by a worker, if this process can see its file as well."""
+        """Return the outcome reported by a worker, after checking that this process can see the file as well."""
         for note in answer.pop("notes"):
             self.local.say(note)
         outcome = Outcome.of(answer)
         if outcome.status != "complete" or not task.writes or task.path.exists():
             return outcome
-        os.listdir(task.path.parent)  # makes network file systems look again
+        os.listdir(task.path.parent)  # makes network file systems refresh their listing
         if task.path.exists():
             return outcome
         why = f"{answer['host']} has written {task.path.name}, which is not in the folder of the study here"
@@ -203,7 +205,7 @@ class ExecutorPool:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for future in self._begun:
-            future.cancel()  # has no effect on running tasks, which end by themselves
+            future.cancel()  # has no effect on running tasks, which end without help
 
 
 class _SchedulerLostError(Exception):
@@ -218,9 +220,9 @@ class _Batch:
         self._before = [_written(task.path) for task in tasks]
 
     def divided(self) -> tuple[list[Task], list[Task]]:
-        """Return the tasks that may have killed a lost worker, and the others.
+        """Return the tasks that may have killed a lost worker, and the remaining tasks.
 
-        Tasks are computed in order, so that the worker died during the first one whose file it has not written.
+        Tasks are computed in order, so the worker died during the first task whose file it has not written.
         """
         if not all(task.writes for task in self.tasks):
             return self.tasks, []
@@ -230,7 +232,7 @@ class _Batch:
 
 
 def _written(path: Path) -> int:
-    """Return when a file was written [ns]; 0 if it does not exist."""
+    """Return the time at which a file was written [ns]; 0 if it does not exist."""
     try:
         return path.stat().st_mtime_ns
     except OSError:

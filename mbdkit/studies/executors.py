@@ -1,4 +1,4 @@
-"""The executors that a command can name: Dask, and jobs by submitit as a `concurrent.futures.Executor`."""
+"""The executors that a command can select: Dask, and jobs of submitit as a `concurrent.futures.Executor`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SubmititExecutor(Executor):
     Parameters
     ----------
     begin
-        Returns the executor of submitit; called when the first job is submitted.
+        Function that returns the executor of submitit; called when the first job is submitted.
     jobs
         Largest number of jobs into which tasks are divided.
     """
@@ -51,7 +51,7 @@ class SubmititExecutor(Executor):
         self._lock = threading.Lock()
 
     def submit_all(self, function: Callable[..., Any], values: Sequence[Any], *rest: Any) -> list[Future[Any]]:
-        """Submit a job for each value, as one array of jobs; it calls ``function(value, *rest)``."""
+        """Submit jobs that call ``function(value, *rest)``, one for each value, as one array of jobs."""
         if self._executor is None:
             self._executor = self._begin()
         jobs = self._executor.map_array(function, values, *([value] * len(values) for value in rest))
@@ -64,7 +64,7 @@ class SubmititExecutor(Executor):
         return futures
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
-        """Submit one job; it calls ``function(*arguments)``."""
+        """Submit one job that calls ``function(*arguments)``."""
         if options:
             raise TypeError("jobs take no arguments by name")
         return self.submit_all(function, arguments[:1], *arguments[1:])[0]
@@ -86,13 +86,13 @@ class SubmititExecutor(Executor):
             time.sleep(INTERVAL)
 
     def _has_ended(self, future: Future[Any], job: Any) -> bool:
-        """Return whether a job has ended, and pass its result to its future if it has."""
+        """Return whether a job has ended; if so, pass its result to its future."""
         try:
             if not job.done():
                 return False
             error = job.exception()
             result = job.result() if error is None else None
-        except Exception as lost:  # such as a file of submitit that cannot be read
+        except Exception as lost:  # for example, a file of submitit cannot be read
             error = lost
         self.has_lost |= error is not None
         if future.set_running_or_notify_cancel():
@@ -167,7 +167,7 @@ def opened(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iterato
     folder
         Folder of the study.
     notify
-        Called with a message before the study waits for workers, and where the logs of lost jobs are.
+        Called with a message before the study waits for workers, and with the location of the logs of lost jobs.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
             notify(f"without --scheduler, Dask runs on this machine, with {counted(count, 'worker')}")
         place = {"scheduler_file": scheduler} if Path(scheduler).is_file() else {"address": scheduler}
         try:
-            if "address" in place:  # with a wrong address, a client prints a traceback
+            if "address" in place:  # if the address is wrong, creating a client would print a traceback
                 distributed.comm.resolve_address(scheduler)
             client = distributed.Client(**place, timeout=TIMEOUT, set_as_default=False)
         except Exception as error:  # a scheduler of another version, or another server, may answer
@@ -217,7 +217,7 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
                 f"no Dask scheduler answers at {shown(scheduler)} ({one_line(error)}); start one by `dask scheduler`"
             ) from error
         stack.enter_context(_without_logs("distributed", "tornado", "asyncio"))
-        stack.enter_context(client)  # which is closed first
+        stack.enter_context(client)  # the client is closed first
         if not client.scheduler_info()["workers"]:
             notify("the Dask cluster has no workers yet; the study waits for them (`dask worker ADDRESS`)")
         yield client.get_executor(pure=False)
@@ -225,7 +225,9 @@ def _dask(asked: Asked, notify: Callable[[str], None]) -> Iterator[Executor]:
 
 @contextlib.contextmanager
 def _without_logs(*packages: str) -> Iterator[None]:
-    """Silence the logs of packages, which print tracebacks when a scheduler is lost; the study reports the loss."""
+    """Silence the logs of packages, which print tracebacks when a scheduler is lost; the study reports the loss
+    itself.
+    """
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in packages]
     before = {name: logging.getLogger(name).level for name in names}
     for name in names:
@@ -273,7 +275,7 @@ def _submitit(asked: Asked, folder: Path, notify: Callable[[str], None]) -> Iter
 
 
 def _sbatch_options(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Return options of sbatch by name, with underscores and of the types that submitit expects."""
+    """Return options of sbatch by name, with the underscores and types that submitit expects."""
     options: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")

@@ -1,4 +1,4 @@
-"""Parts of a study, and the locks that keep calls in one folder apart: a file for each call."""
+"""Parts of a study, and the locks that keep concurrent calls in one folder apart; each call has a lock file."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ class Shard:
     Parameters
     ----------
     number, count
-        Number of the part, from 1, and number of parts. Runs are assigned to parts in turn, by their place in the list
-        of all runs.
+        Number of the part, from 1, and number of parts. The runs in the list of all runs are assigned to parts in turn.
     """
 
     number: int
@@ -51,7 +50,7 @@ class Shard:
         return cls(int(match[1]), int(match[2]))
 
     def has(self, place: int) -> bool:
-        """Return whether the run at this index, from 0, belongs to the part."""
+        """Return whether the run with this index, from 0, belongs to the part."""
         return place % self.count == self.number - 1
 
     def overlaps(self, other: Shard) -> bool:
@@ -60,11 +59,11 @@ class Shard:
 
 
 WHOLE = Shard(1, 1)
-"""All of a study."""
+"""The whole study as a single part."""
 
 
 LOCK = ".lock-"
-"""Beginning of the names of locks."""
+"""Prefix of the names of lock files."""
 
 _NAME = re.compile(re.escape(LOCK) + r"(\d{1,6})-of-(\d{1,6})")
 
@@ -80,14 +79,14 @@ class Owner:
     host
         Name of its machine.
     boot
-        Identifier of the last boot of the machine; process numbers are unique since then, together with `started`.
-        Empty if unknown.
+        Identifier of the last boot of the machine; empty if unknown. Since then, process number and `started` together
+        are unique.
     started
         Start time of the process, as reported by the system.
     since
-        Time at which it took the lock, as text.
+        Time at which the process took the lock, as text.
     token
-        Distinguishes this lock from others of the process.
+        Text that distinguishes this lock from other locks of the process.
     """
 
     host: str
@@ -99,7 +98,7 @@ class Owner:
 
     @classmethod
     def this_process(cls) -> Owner:
-        """Return the owner of locks that this process takes."""
+        """Return the owner for locks that this process takes."""
         since = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
         return cls(socket.gethostname(), _boot(), os.getpid(), _started(os.getpid()), since, secrets.token_hex(4))
 
@@ -142,7 +141,7 @@ def _started(pid: int) -> str:
             )  # the fields follow the name of the program
         except OSError:
             return ""
-        return "" if status[0] in "ZX" else status[19]  # a dead process that its parent has not waited for; see proc(5)
+        return "" if status[0] in "ZX" else status[19]  # a dead process that its parent has not waited for, see proc(5)
     process = subprocess.run(["ps", "-o", "lstart=", "-p", str(pid)], capture_output=True, text=True, check=False)
     return process.stdout.strip()
 
@@ -151,9 +150,9 @@ def _started(pid: int) -> str:
 def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "study") -> Iterator[None]:
     """Hold the lock on a part of a study, or on the folder of a design, and release it at the end of the block.
 
-    The lock of a process of this machine that has died is removed. The number of a process in another container, which
-    may share the folder and the name of the machine, means nothing here. The file of the lock is therefore itself
-    locked (`flock`) until the end of the block: as long as it is, its process is alive. There are no locks on Windows.
+    If the owner of a lock has died on this machine, the lock is removed. A process in another container may share the
+    folder and the name of the machine, but its number has no meaning here. Therefore the lock file is itself locked
+    (`flock`) until the end of the block, which shows that the process is alive. There are no locks on Windows.
 
     Parameters
     ----------
@@ -177,7 +176,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
         with _alone(mutex):
             for path in sorted(folder.glob(f"{LOCK}*")):
                 name = _NAME.fullmatch(path.name)
-                if name is None:  # of a call that was killed in this block
+                if name is None:  # left by a call that was killed in this block
                     path.unlink(missing_ok=True)
                 elif shard.overlaps(Shard(int(name[1]), int(name[2]))):
                     _remove_stale(path, command)
@@ -191,7 +190,7 @@ def locked(folder: Path, mutex: Path, shard: Shard = WHOLE, command: str = "stud
 
 
 def _write(lock: Path, owner: Owner) -> IO[str]:
-    """Create the file of a lock, and return it, open and locked where the file system has such locks."""
+    """Create a lock file and return it, open and, where the file system supports this, locked."""
     import fcntl
 
     begun, file = lock.with_name(f"{LOCK}{owner.token}"), None
@@ -212,7 +211,7 @@ def _write(lock: Path, owner: Owner) -> IO[str]:
 
 
 def _is_held(lock: Path) -> bool:
-    """Return whether a process, in any container, holds the kernel's lock on the file of a lock."""
+    """Return whether a process, in any container, holds the kernel's lock on a lock file."""
     import fcntl
 
     try:
@@ -250,7 +249,7 @@ def _remove_stale(lock: Path, command: str) -> None:
 
 @contextlib.contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Hold an exclusive lock on an open file, after waiting for others, where the file system has such locks."""
+    """Hold an exclusive lock on an open file, after waiting for others, if the file system supports locks."""
     import fcntl
 
     with path.open("rb") as handle:

@@ -1,4 +1,4 @@
-"""General verdict for studies without one of their own: extremes of misalignment, and observed orders."""
+"""General verdict for studies without a verdict function: extremes of misalignment, and observed orders."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study_point import StudyPoint
 
 _ROUNDINGS = 4.0
-"""An error below this many units of round-off of the mechanism's size is not used to determine an order."""
+"""Errors below this many units of round-off of the mechanism's size are not used to determine an order."""
 
 
 def general_verdict(study: Study) -> Verdict:
@@ -51,7 +51,7 @@ def _verdict_of_sample(study: Study) -> Verdict:
 
 
 def _extremes(points: list[StudyPoint]) -> str:
-    """Return a sentence on the smallest and largest misalignment, without a ranking of rounding errors."""
+    """Return a sentence on the smallest and largest misalignment; values at round-off level are not ranked."""
     measured = [(value(point, "misalignment_max"), point.number, point) for point in points]
     ranked = sorted(entry for entry in measured if np.isfinite(entry[0]))
     if len(ranked) < 2:

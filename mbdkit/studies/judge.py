@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def judge(study: Study) -> Verdict:
-    """Return the verdict on a study: that of the packaged study that its spec names, or else the general verdict.
+    """Return the verdict on a study.
+
+    It is that of the packaged study that the spec names or, if the spec names none, the general verdict.
 
     Parameters
     ----------

@@ -91,9 +91,9 @@ class Measure:
     units
         SI units.
     take
-        Function of a group of R runs that returns their values, (R,). The value of a run does not depend on the others.
+        Function of a group of R runs that returns their values, (R,). The value of a run does not depend on other runs.
     needs
-        What the measure needs beside the run: `REFERENCE`, or an empty string.
+        What the measure needs in addition to the run: `REFERENCE`, or an empty string.
     """
 
     units: str
@@ -118,7 +118,7 @@ def _one_by_one(take: Callable[[Run, Run | None], float]) -> Callable[[RunGroup]
 
 
 def _largest_of(values: np.ndarray) -> np.ndarray:
-    """Return the largest of the values (R, ...) of each run, (R,); 0 if there are none."""
+    """Return the largest value of each run, (R,), from values (R, ...); 0 for runs without values."""
     return np.asarray(np.max(values.reshape(len(values), -1), axis=1, initial=0.0))
 
 
@@ -169,7 +169,7 @@ def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
             return math.nan
         if (
             run.status_reason or reference.status_reason
-        ):  # an event ended one of the two runs early, so their end times differ
+        ):  # an event ended one of the two runs early, so that their end times differ
             return math.nan
         difference = offsets(run, reference, rows)[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
@@ -208,7 +208,7 @@ def _own_multipliers(group: RunGroup) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _trends_of(group: RunGroup) -> list[Trend]:
-    """Return the trend of the energy balance of each run; it is computed once for all measures that are based on it."""
+    """Return the trend of the energy balance of each run; cached for all measures that are based on it."""
     return trends(group.time, group.array("energy/balance"))
 
 
@@ -235,7 +235,7 @@ def _size(group: RunGroup) -> np.ndarray:
         return group.everywhere(math.nan)
     try:
         mechanisms = [run.run_spec.mechanism() for run in group.runs]
-    except MbdkitError:  # the plugin of its model is not installed here
+    except MbdkitError:  # the plugin of the model is not installed here
         return group.everywhere(math.nan)
     return mechanism_sizes(mechanisms, np.stack([run.array("trajectory/position")[0] for run in group.runs]))
 
@@ -329,7 +329,7 @@ def _angle_error(run: Run, reference: Run | None) -> float:
     return math.nan if run.accuracy is None else run.accuracy.angle_error_max
 
 
-#: Measures of runs whose spec has ``check: true``, in addition to those that the study asks for.
+#: Measures of runs whose spec has ``check: true``, in addition to those that the study requests.
 OF_CHECKED_RUNS: Mapping[str, Measure] = {
     "known_until": Measure("s", "time until which the estimated errors are known", _one_by_one(_known_until)),
     "reaction_error_share": Measure(
@@ -359,7 +359,7 @@ SECOND: Mapping[str, tuple[str, str]] = {
 
 
 def built_in_measures() -> Mapping[str, str]:
-    """Return the names of the built-in measures, each with what it needs beside the run."""
+    """Return the names of the built-in measures, each with what it needs in addition to the run."""
     return {name: measure.needs for name, measure in MEASURES.items()} | dict.fromkeys(SECOND, SECOND_RUN)
 
 

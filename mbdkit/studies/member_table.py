@@ -20,7 +20,7 @@ from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.spec.study_spec import StudySpec
 
 FILE = "members.h5"
-"""Name of the table in the folder of a study, see `StudySpec.members`."""
+"""Name of the table in the folder of a study; see `StudySpec.members`."""
 
 _FORMAT = "mbdkit-members"
 
@@ -53,7 +53,7 @@ def read_members(spec: StudySpec) -> dict[str, np.ndarray]:
     Raises
     ------
     SpecError
-        If the table is missing, damaged, or another one than the study names.
+        If the table is missing or damaged, or is not the one that the study names.
     """
     assert spec.members is not None
     if spec._columns is None:

@@ -1,4 +1,4 @@
-"""A folder that belongs to one study or design: its spec, its locks, and its replacement by a new one."""
+"""A folder that belongs to one study or design: its spec, its locks, and its replacement by a new study or design."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mbdkit.studies import folder_lock
 from mbdkit.studies.folder_lock import LOCK, WHOLE, Shard
 
 JOBS = ".jobs-"
-"""Beginning of the name of the folder for the files of submitted jobs."""
+"""Prefix of the name of the folder for the files of submitted jobs."""
 
 _GENERATOR = b'<meta name="generator" content="mbdkit '
 """Text that every page of mbdkit contains near its beginning."""
@@ -33,9 +33,9 @@ class OwnedFolder(ABC, Generic[Spec]):
     Attributes
     ----------
     KIND
-        ``study`` or ``design``: the command, and the name of the spec in the folder.
+        ``study`` or ``design``: name of the command, and of the spec in the folder.
     files
-        Files that are written into it, beside the spec and the report.
+        Names of the other files that are written into the folder, in addition to the spec and the report.
     """
 
     KIND: ClassVar[str]
@@ -44,11 +44,11 @@ class OwnedFolder(ABC, Generic[Spec]):
         self.path, self.files = path, files
         self.spec = path / f"{self.KIND}.yaml"
         self.report = path / "report.html"
-        self._begun = f".{self.spec.name}-"  # beginning of the name of the spec while it is written
+        self._begun = f".{self.spec.name}-"  # prefix of the temporary name of the spec while it is written
 
     @abstractmethod
     def is_same(self, spec: Spec) -> bool:
-        """Return whether the spec in the folder is this one."""
+        """Return whether the spec in the folder is equal to `spec`."""
 
     @abstractmethod
     def plain_spec(self, spec: Spec) -> dict[str, Any]:
@@ -56,7 +56,7 @@ class OwnedFolder(ABC, Generic[Spec]):
 
     @abstractmethod
     def remove_results(self) -> None:
-        """Remove the other files that a study or design writes into the folder, apart from `files`, spec and report."""
+        """Remove all results that are not listed in `files`; the spec and the report remain."""
 
     def check(self, spec: Spec, *, overwrite: bool = False) -> None:
         """Check that the folder can be used for this study or design, without changing anything.
@@ -82,7 +82,7 @@ class OwnedFolder(ABC, Generic[Spec]):
             raise SpecError(f"this is not a folder; name a folder for the {kind} with -o", file=path)
         check_writable(path, path)
         has_others = not all(entry.name.startswith((self._begun, LOCK, JOBS)) for entry in path.iterdir())
-        if self.spec.is_file():  # checked last: another call may be creating it, before any other file
+        if self.spec.is_file():  # checked last, because another call may be creating the spec before any other file
             if overwrite:
                 self._check_own()
             else:
@@ -96,7 +96,7 @@ class OwnedFolder(ABC, Generic[Spec]):
                 raise SpecError(f"this is a folder, where the {kind} writes a file; rename or remove it", file=file)
 
     def check_same(self, spec: Spec) -> None:
-        """Raise SpecError unless the spec in the folder is this one."""
+        """Raise SpecError unless the spec in the folder is equal to `spec`."""
         if not self.is_same(spec):
             raise SpecError(
                 f"this folder belongs to another {self.KIND}, or to an earlier version of this one: its "
@@ -105,7 +105,7 @@ class OwnedFolder(ABC, Generic[Spec]):
             )
 
     def _check_own(self) -> None:
-        """Raise SpecError if the spec is not that of a study or design, so that nothing beside it may be removed."""
+        """Raise SpecError if the spec is not that of a study or design; the other files must then not be removed."""
         if f"mbdkit_{self.KIND}" not in read_file(self.spec).data:
             message = f"this is not the spec of a {self.KIND}, so its folder is not overwritten"
             raise SpecError(message, file=self.spec)
@@ -113,7 +113,7 @@ class OwnedFolder(ABC, Generic[Spec]):
     def clear(self) -> None:
         """Remove the spec, the results and the report.
 
-        All other files are kept, and so is a report.html that mbdkit has not written.
+        All other files remain, including a report.html that was not written by mbdkit.
 
         Raises
         ------
@@ -138,7 +138,8 @@ class OwnedFolder(ABC, Generic[Spec]):
     def prepare(self, spec: Spec) -> None:
         """Create the folder and the spec in it, unless they exist.
 
-        Several calls may do this at the same time: the spec appears with its whole content, and before any other file.
+        Several calls may do this at the same time, because the spec appears before any other file, and with its whole
+        content.
 
         Raises
         ------
@@ -153,7 +154,8 @@ class OwnedFolder(ABC, Generic[Spec]):
                 begun = self.path / f"{self._begun}{secrets.token_hex(4)}"
                 try:
                     begun.write_text(write_yaml(self.plain_spec(spec)), encoding="utf-8")
-                    with contextlib.suppress(FileExistsError, FileNotFoundError):  # another call was faster
+                    # another call has created or removed it first
+                    with contextlib.suppress(FileExistsError, FileNotFoundError):
                         rename_new(begun, self.spec)
                 finally:
                     begun.unlink(missing_ok=True)
@@ -167,12 +169,12 @@ class OwnedFolder(ABC, Generic[Spec]):
 
     @contextlib.contextmanager
     def locked(self, shard: Shard | None = None) -> Iterator[None]:
-        """Lock the folder against other calls, and remove files left by killed ones.
+        """Lock the folder against other calls, and remove files left behind by killed calls.
 
         Parameters
         ----------
         shard
-            The part of a study that is computed; calls for parts without runs in common may work at the same time.
+            The part of a study that is computed; calls for parts without common runs may run at the same time.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Expand a study spec into its points, each with a validated run spec."""
+"""Expands a study spec into its points, each with a validated run spec."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from mbdkit.spec.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit.spec.value_sets import Value, expand, size
 from mbdkit.studies.sampled_values import rows_of, table_place, values_of
 
-#: Maximum number of runs in a study that writes a file for each.
+#: Largest number of runs in a study that writes one file per run.
 LARGEST_STUDY = 10_000
 
-#: Maximum number of values that the axes of a study set, over all runs.
+#: Largest total number of values that the axes of a study set, over all runs.
 MOST_SETTINGS = 1_000_000
 
 Label = int | float | str
@@ -59,18 +59,20 @@ class Grid:
     table: Mapping[str, np.ndarray] = field(default_factory=dict)
     table_place: Path = ()
     sample_units: Mapping[str, str] = field(default_factory=dict)
-    """SI units of variables of the sample whose distributions have units."""
+    """SI units of those variables of the sample whose distributions have units."""
 
     @cached_property
     def base_json(self) -> str:
-        """The spec of all points before the values of each are set, as JSON."""
+        """The spec that all points share, before the values of each point are set, as JSON."""
         data = {"mbdkit": 1, **copy.deepcopy(dict(self.base))}
         for override in self.overrides:
             put(data, override.path, copy.deepcopy(override.value))
         return json.dumps(plain(data), separators=(",", ":"), ensure_ascii=False)
 
     def with_units(self) -> list[Setting]:
-        """Return, for each key and each unit in which its values are written, one of these values as text with unit."""
+        """Return, for each key and each unit in which its values are written, one of these values as text with its
+        unit.
+        """
         settings: dict[tuple[str, str], Setting] = {}
         for number, axis in enumerate(self.axes):
             for key, values in axis:
@@ -92,7 +94,7 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """Number of points for each combination of the axes: rows of the table, or 1 without one."""
+        """Number of rows of the table, which are the points for each combination of the axes; 1 without a table."""
         return len(next(iter(self.table.values()))) if self.table else 1
 
     @property
@@ -101,7 +103,7 @@ class Grid:
         return tuple(len(axis[0][1]) for axis in self.axes)
 
     def point(self, index: int) -> tuple[dict[str, Label], list[Setting], str]:
-        """Return labels, settings and missing distribution of a point, counted from 0.
+        """Return labels, settings and missing distribution of the point with this index, from 0.
 
         The row of the table varies fastest, then the last axis.
         """
@@ -140,11 +142,9 @@ class Grid:
 
 
 def _choices(combination: Any, shape: tuple[int, ...]) -> list[Any]:
-    """Return the indices on the axes of a combination, given by its number; the last axis varies fastest.
+    """Return the index on each axis of a combination, or of an array of combinations, given by number.
 
-    `combination` may be an array of numbers.
-
-    `numpy.unravel_index` allows only 64 axes.
+    The last axis varies fastest. (`numpy.unravel_index` allows only 64 axes.)
     """
     places = []
     for count in reversed(shape):
@@ -181,7 +181,7 @@ def number_of_points(spec: StudySpec) -> int:
 
 
 def _check_size(spec: StudySpec) -> None:
-    """Check the number of points before any of them exists."""
+    """Check the number of points before any of them is created."""
     runs = number_of_points(spec)
     key = "sample" if spec.sample is not None else "families" if spec.families else "axes"
     if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and (spec.store == "files" or spec.needs_files)):
@@ -230,7 +230,7 @@ class PlannedPoint:
     number
         Number of the point in the study, from 1.
     axes
-        Label of its value on each axis, by dotted key.
+        Label of the point's value on each axis, by dotted key.
     study, grid, settings
         Study spec, family and settings from which the run spec is built.
     lacking
@@ -246,7 +246,7 @@ class PlannedPoint:
 
     @property
     def family(self) -> str:
-        """Name of its family; empty in a study without families."""
+        """Name of the family of the point; empty in a study without families."""
         return self.grid.name
 
     @cached_property
@@ -262,7 +262,7 @@ class PlannedPoint:
 
     @cached_property
     def reference(self) -> RunSpec | None:
-        """The spec of the reference run for its errors; None if it has no reference.
+        """The spec of the reference run against which errors are computed; None if there is none.
 
         Raises
         ------
@@ -290,16 +290,16 @@ class PlannedPoint:
 
     @cached_property
     def run_id(self) -> str:
-        """Identifier of its run; equal run specs have equal identifiers."""
+        """Identifier of the run; equal run specs have equal identifiers."""
         return self.spec.run_id()
 
     @cached_property
     def reference_id(self) -> str:
-        """Identifier of its reference run; empty if it has none."""
+        """Identifier of the reference run; empty if there is none."""
         return "" if self.reference is None else self.reference.run_id()
 
     def check(self, setting: Setting) -> None:
-        """Raise SpecError if the run spec is not valid with one more setting."""
+        """Raise SpecError if the run spec is not valid with an additional setting."""
         self._checked((*self.grid.overrides, *self.settings, setting), f"run {self.number}")
 
     def _checked(self, settings: tuple[Setting, ...], which: str) -> RunSpec:
@@ -321,7 +321,7 @@ class PlannedPoint:
         return spec
 
     def _placed(self, error: SpecError, place: Path) -> SpecError:
-        """Return an error with its file and line in the study, or in the file of its base spec."""
+        """Return an error with file and line in the study, or in the file of the base spec."""
         return self.study.placed(error.located(prefix=path_text(place)))
 
 
@@ -345,12 +345,12 @@ class PlannedPoints(Sequence[PlannedPoint]):
     spec
         The study spec with its bases resolved.
     kept
-        Whether points are cached, with their run specs, once they have been created.
+        Whether points are cached after they have been created, with their run specs.
 
     Raises
     ------
     SpecError
-        If there are too many points, or if a value has a unit that its key does not have.
+        If there are too many points, or if the unit of a value does not suit its key.
     """
 
     def __init__(self, spec: StudySpec, *, kept: bool = False):
@@ -388,7 +388,9 @@ class PlannedPoints(Sequence[PlannedPoint]):
         return PlannedPoint(place + 1, labels, self.study, grid, tuple(settings), lacking)
 
     def labels(self) -> dict[str, np.ndarray]:
-        """Return the labels of all points on each axis by dotted key, (N,); nan or None for points without the axis."""
+        """Return the labels of all points on each axis by dotted key, (N,); nan or None for points that lack the
+        axis.
+        """
         parts = [grid.labels() for grid in self.grids]
         labels = {}
         for key in dict.fromkeys(key for part in parts for key in part):

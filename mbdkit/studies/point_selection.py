@@ -1,4 +1,4 @@
-"""Selection of points of a study by their axis labels, and access to their values; nan for missing ones."""
+"""Selects points of a study by their axis labels, and returns their values; nan for missing ones."""
 
 from __future__ import annotations
 
@@ -41,11 +41,15 @@ class Points:
         return list(dict.fromkeys(point.axes[axis] for point in self.points if axis in point.axes))
 
     def value(self, column: str) -> float:
-        """Return a value of the only point; nan if its run is not complete, or if there is not exactly one point."""
+        """Return a value of a single selected point; nan if its run is not complete, or if not exactly one point is
+        selected.
+        """
         return value(self.points[0], column) if len(self.points) == 1 else math.nan
 
     def along(self, axis: str, column: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return the labels (K,) on a numeric axis, ascending, and a value of each point; nan if not complete."""
+        """Return the labels (K,) on a numeric axis, ascending, and a value of each point; nan for runs that are not
+        complete.
+        """
         pairs = sorted((float(point.axes[axis]), value(point, column)) for point in self.points)
         return np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
 

@@ -1,9 +1,9 @@
-"""A pool of worker processes; if a process dies, another one tries its task, once.
+"""A pool of worker processes. If a process dies, another process tries its task once more.
 
-`concurrent.futures.ProcessPoolExecutor` and loky lack what studies need: when a process dies, all pending tasks fail,
-and neither reports which task killed it and what it printed last (loky names the signal). The workers of both outlive a
-parent process that is killed. Those of `ProcessPoolExecutor` also import the script of the user again, and receive the
-Ctrl-C that is meant for the parent process.
+`concurrent.futures.ProcessPoolExecutor` and loky do not suffice for studies. When a process dies, all pending tasks
+fail, and neither reports which task killed the process and what the process printed last (loky names the signal). Their
+workers survive a parent process that is killed. Workers of `ProcessPoolExecutor` also import the script of the user
+again, and receive the Ctrl-C that is meant for the parent process.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 PROGRAM = "mbdkit.studies.worker"
 """Module that carries out the tasks of studies."""
 
-#: Thread counts of the linear algebra libraries: several threads do not help with small matrices, and the workers would
-#: compete for the cores.
+#: Variables for the number of threads of linear algebra libraries. Several threads do not help with small matrices, and
+#: the workers would compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
@@ -103,7 +103,7 @@ class Pool:
             yield task, outcome
 
     def _started(self) -> _Worker | None:
-        """Start another process; return None if the system refuses it, but others are running."""
+        """Start another process; return None if the system refuses it but other processes are running."""
         try:
             worker: _Worker = _Worker(self._lines, self.program)
         except OSError as error:
@@ -116,7 +116,7 @@ class Pool:
         return worker
 
     def say(self, text: str) -> None:
-        """Pass a message to the user, unless an earlier one differs from it in numbers only, as in sampled runs."""
+        """Pass a message to the user, unless it equals an earlier one except for numbers, as in sampled runs."""
         kind = _NUMBER.sub("0", text)
         if kind not in self._said:
             self._said.add(kind)
@@ -160,7 +160,8 @@ class _Worker:
 
     def _listen(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> None:
         assert self.process.stdout is not None
-        with self.process.stdout as output:  # closed here: closing it in another thread would wait for this one
+        # closed here, because closing it in another thread would wait for this thread
+        with self.process.stdout as output:
             for line in output:
                 lines.put((self, line))
         lines.put((self, ""))

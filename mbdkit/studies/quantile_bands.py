@@ -74,7 +74,7 @@ def quantiles(
     probabilities = np.atleast_1d(np.asarray(q, float))
     if probabilities.ndim != 1 or not len(probabilities) or not np.all((probabilities >= 0) & (probabilities <= 1)):
         raise MbdkitError(f"the probabilities should be numbers from 0 to 1, such as [0.05, 0.5, 0.95], not {q!r}")
-    # Runs of one sample have one distribution; those of a study without a sample are taken together.
+    # Runs of one sample have one distribution. The runs of a study without a sample are combined.
     groups = [one_group(study, where)] if study.spec.has_table else groups_where(study, where)
     places = {place for group in groups for place in group.places}
     grid = _Grid.of(study, places) if times is None else _Grid(_given(times), has_rows=False)
@@ -129,7 +129,7 @@ class _Grid:
 
     @classmethod
     def of(cls, study: SampledStudy, places: Set[int]) -> _Grid:
-        """Return the recorded times of the runs if these are the same, otherwise equally spaced ones."""
+        """Return the recorded times of the runs if all runs have the same times, otherwise equally spaced times."""
         longest = np.empty(0)
         start, end, same = np.inf, -np.inf, True
         for run, numbers, counts in study.rows_of_runs():
@@ -146,7 +146,7 @@ class _Grid:
         return cls(longest[::step], has_rows=True, step=step)
 
     def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return values of a run at the times, (K,); nan outside of the run."""
+        """Return values of a run at the times of the grid, (K,); nan outside the run."""
         if not self.has_rows:
             return np.asarray(np.interp(self.time, time, values, left=np.nan, right=np.nan))
         row = np.full(len(self.time), np.nan)
@@ -156,9 +156,10 @@ class _Grid:
 
 
 def _quantiles(values: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the quantiles of each column of values (N, K) without nan, (Q, K), interpolated linearly; and the counts.
+    """Return the quantiles of the columns of `values` (N, K), (Q, K), and the number of values in each column that are
+    not nan.
 
-    `numpy.nanquantile` takes a hundred times longer.
+    Quantiles are interpolated linearly; nan values are ignored. `numpy.nanquantile` takes a hundred times longer.
     """
     values.sort(axis=0)
     count = np.sum(~np.isnan(values), axis=0)

@@ -1,4 +1,4 @@
-"""The runs of a study that stores them in blocks of many."""
+"""The runs of a study that stores them in blocks of many runs."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from mbdkit.studies.study_plan import plan_study
 from mbdkit.studies.tasks import Outcome, Task, forget_run_at_work
 
 OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", "worst_joint", "data_sha256")
-"""Columns of texts and hashes in the index of a study in blocks."""
+"""Columns of texts and hashes in the index of a study that is stored in blocks."""
 
 SETTLED = 2.0
-"""If a file was last changed longer ago than this [s], a further change is visible in its times.
+"""If a file was last changed longer ago than this [s], its times reveal any further change.
 
 File systems record times with a resolution of 2 s or better.
 """
@@ -39,15 +39,18 @@ File systems record times with a resolution of 2 s or better.
 UNKNOWN = (0, 0, 0, 0)
 
 CHANGED = 2
-"""Index of the time of the last change in the state of a file; see `_state`."""
+"""Index of the time of the last change (ctime) in the result of `_state`."""
 
 
 class RunBlocks(RunStore[int]):
     """Blocks of many runs, which are assigned to shards (parts of the study) in turn.
 
-    A block is complete if its file is sound and no run in it failed for a reason outside the study. It is read, and its
-    hashes are computed, if its file has changed since it was indexed. The system records the time of a change (ctime)
-    of the content, the modification time or the name of a file; programs cannot set it.
+    A block is complete if its file is sound and no run in it failed for a reason outside the study. If its file has
+    changed
+    since it was indexed, the block is read again and its hashes are verified. A change is detected by the time (ctime)
+    that
+    the system records whenever the content, the modification time or the name of a file changes; programs cannot set
+    it.
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
@@ -66,7 +69,7 @@ class RunBlocks(RunStore[int]):
         if self._tasks and (reason := self._why_alone()):
             notify(f"the runs are not vectorized but computed one after another, because {reason}")
         for task in self._tasks:
-            forget_run_at_work(task.path)  # of a process that was killed in an earlier call
+            forget_run_at_work(task.path)  # left by a process that was killed in an earlier call
         return sum(task.runs for task in self._tasks)
 
     def _task(self, block: int) -> Task:
@@ -74,8 +77,8 @@ class RunBlocks(RunStore[int]):
         return Task(block, content, self.folder.block(block), len(self.plan.blocks.places(block)))
 
     def _why_alone(self) -> str:
-        """Return the reason why the sampled runs of the study, and so probably all, are not vectorized; empty if one of
-        them is.
+        """Return the reason why the sampled runs of the study, and probably all, are not vectorized; empty if any is
+        vectorized.
         """
         reasons = []
         for point in self.plan.samples:
@@ -96,7 +99,7 @@ class RunBlocks(RunStore[int]):
         return Noted(task.runs, int(outcome.values.get("failed", 0)), unfinished)
 
     def index(self) -> Index:
-        """Return the index of the blocks that are there; the runs of the others are missing."""
+        """Return the index of the blocks that exist; runs of other blocks are missing."""
         points, blocks = self.plan.points, self.plan.blocks
         count = len(points)
         texts = {name: np.full(count, "", object) for name in OF_BLOCKS}
@@ -158,7 +161,7 @@ class RunBlocks(RunStore[int]):
         )
 
     def _states(self) -> np.ndarray:
-        """Return (B, 4) the states of the valid files whose changes would be detected; zero for others."""
+        """Return (B, 4) the states of those valid files whose changes would be detected; zeros for other files."""
         states = np.zeros((self.plan.blocks.count, len(UNKNOWN)), np.int64)
         now = time.time_ns()
         for block in range(self.plan.blocks.count):
@@ -170,7 +173,7 @@ class RunBlocks(RunStore[int]):
         return states
 
     def _indexed(self, block: int) -> BlockRows | None:
-        """Return the rows of a block from the index, if its file is the one that was indexed."""
+        """Return the rows of a block from the index if its file has not changed since it was indexed."""
         if self._before is None or self._before.states is None:
             return None
         state = tuple(int(value) for value in self._before.states[block])
@@ -212,7 +215,7 @@ class BlockRows:
 
 
 def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
-    """Return the reasons for verdicts as texts, from lists of them in JSON."""
+    """Return the reasons for verdicts as texts, from lists of reasons in JSON."""
     if texts is None:
         return np.full(count, "", object)
     known = {text: " ".join(json.loads(text)) for text in dict.fromkeys(texts)}
@@ -220,13 +223,13 @@ def _joined(texts: np.ndarray | None, count: int) -> np.ndarray:
 
 
 def _ended(statuses: np.ndarray, reasons: np.ndarray) -> Outcome:
-    """Return the outcome of a block from those of its runs."""
+    """Return the outcome of a block from the outcomes of its runs."""
     runs = [Outcome(str(status), str(reason)) for status, reason in set(zip(statuses, reasons, strict=True))]
     return Outcome("complete", "") if all(run.is_final for run in runs) else MISSING
 
 
 def _state(path: Path) -> tuple[int, ...]:
-    """Return size, modification time, time of change and number of a file; zeros if it does not exist."""
+    """Return size, modification time, ctime and inode number of a file; zeros if it does not exist."""
     try:
         status = path.stat()
     except OSError:

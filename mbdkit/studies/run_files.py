@@ -1,4 +1,4 @@
-"""The runs of a study that has an archive for each."""
+"""The runs of a study that stores one archive per run."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from mbdkit.studies.tasks import Outcome, Task
 
 
 class RunFiles(RunStore[str]):
-    """An archive for each run, with the results of second runs and repeated timings in the index.
+    """Stores an archive for each run; the results of second runs and repeated timings are stored in the index.
 
-    Only calls for the whole study make second runs and timings, after the missing runs; not those for a shard. Timings
-    are made one after another in a separate process of this machine.
+    Second runs and timings are computed after the missing runs, and only by calls for the whole study, not for a shard.
+    Timings are made one after another in a separate process of this machine.
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
@@ -57,14 +57,14 @@ class RunFiles(RunStore[str]):
         return len(self._missing) + len(self._again) + len(self._repeats)
 
     def _to_run_again(self) -> list[str]:
-        """Return the runs that still need a second run; references never do."""
+        """Return the runs that still need a second run; reference runs never do."""
         if not self.spec.second_run_measures:
             return []
         wanted = dict.fromkeys(point.run_id for point in self.plan.points if not point.lacking)
         return [run_id for run_id in wanted if self._run_twice(run_id) is None]
 
     def _missing_repeats(self) -> dict[str, int]:
-        """Return the number of timings to make for each run that lacks some."""
+        """Return for each run that lacks timings the number of timings to make."""
         wanted: dict[str, int] = {}
         for point in self.plan.points:
             count = point.grid.repeats
@@ -73,7 +73,7 @@ class RunFiles(RunStore[str]):
         return wanted
 
     def rounds(self) -> Iterator[Round]:
-        """Yield the missing runs, and then the second runs and the timings of complete ones."""
+        """Yield the missing runs, then the second runs and the timings of complete runs."""
         runs = [self._task(run_id, measures=self.plan.expressions) for run_id in self._missing]
         yield Round(runs, len(runs))
         second = self.spec.second_run_measures
@@ -84,7 +84,7 @@ class RunFiles(RunStore[str]):
         yield Round(timings, len(self._repeats), one_by_one=True)
 
     def _task(self, run_id: str, **content: Any) -> Task:
-        """Return the task to compute a run: to write its archive or, without writing it, for other results."""
+        """Return the task that computes a run, with or without writing its archive."""
         spec = self.plan.runs[run_id].canonical_json()
         return Task(run_id, {"spec": spec, **content}, self.folder.archive(run_id), writes="measures" in content)
 
@@ -104,7 +104,9 @@ class RunFiles(RunStore[str]):
         return Noted(unfinished=unfinished)
 
     def index(self) -> Index:
-        """Return the index of the archives that are there; rows of unchanged ones are those of the index before."""
+        """Return the index of the archives that exist; rows of unchanged archives are copied from the previous
+        index.
+        """
         points = self.plan.points
         archives = ArchiveRows.of(self.spec, points)
         known: dict[tuple[str, str], Row] = {}
@@ -122,7 +124,7 @@ class RunFiles(RunStore[str]):
         return Index.of_rows(rows, [self._row(archives, run_id, "") for run_id in references], self.plan.defined)
 
     def _row(self, archives: ArchiveRows, run_id: str, reference_id: str) -> Row:
-        """Return the row of a run without its family and axes."""
+        """Return the row of a run, without its family and axes."""
         path, outcome = self.folder.archive(run_id), self.outcome(run_id)
         row = None if archives.use_plugins else self._measured_before(run_id, reference_id)
         if row is None and (outcome.status == "missing" or not path.exists()):
@@ -133,7 +135,7 @@ class RunFiles(RunStore[str]):
             try:
                 reference = self.folder.archive(reference_id) if is_compared else None
                 row = replace(archives.row(path, reference, self.plan.runs[run_id]), file_sha256=sha256)
-            except (SpecError, ResourceError) as error:  # damaged after it was computed
+            except (SpecError, ResourceError) as error:  # the archive was damaged after it was computed
                 row = archives.without_archive(run_id, Outcome("missing", f"error: {error}"))
         row = archives.with_second_run(row, self._second.get(run_id), self._run_twice(run_id))
         seconds = tuple(self._timings.get(run_id) or self._repeats_before(run_id))
@@ -162,13 +164,13 @@ class RunFiles(RunStore[str]):
         return self._by_run[run_id].repeats if run_id in self._by_run else ()
 
     def _run_twice(self, run_id: str) -> Row | None:
-        """Return the indexed row of a run that was run twice, if its archive is unchanged since then; else None."""
+        """Return the indexed row of a run that was computed twice, if its archive has not changed since; else None."""
         return self._by_run[run_id] if self._is_unchanged(run_id) and self._by_run[run_id].second_run else None
 
     def _measured_before(self, run_id: str, reference_id: str) -> Row | None:
-        """Return the indexed row of a run if its archive and that of its reference are unchanged; else None.
+        """Return the indexed row of a run if its archive and that of its reference have not changed; else None.
 
-        Rows of the index formats before 1.2, which have no verdict, are not used.
+        Rows of index formats before 1.2, which have no verdict, are not used.
         """
         row = self._measured.get((run_id, reference_id))
         unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)

@@ -1,8 +1,8 @@
 """Chooses method and step for a requested accuracy, from pilot runs and a model of error and work.
 
-The error of a fixed-step method of order p is C h^p, that of an adaptive method C tol^p with p near 1. C follows from
-the difference of two pilots, which are trial runs with larger steps or tolerances; p is observed if the model is
-extrapolated far. Work is the number of evaluations.
+The error of a fixed-step method of order p is modelled as C h^p, that of an adaptive method as C tol^p with p near 1. C
+follows from the difference of two pilots, which are trial runs with larger steps or tolerances. The exponent p is
+observed if the model is extrapolated far. Work is the number of evaluations.
 
 Without a given integrator, DOP853 in adaptive steps is the first candidate. On smooth mechanisms no other built-in
 method needs less than about two thirds of its work, over all accuracies from 1e-3 to 1e-9, while pilots of many methods
@@ -41,16 +41,23 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.run_spec import FIRST_EXPLICIT, FIRST_IMPLICIT
 
 MARGIN = 0.3
-"""Target of the expected error, as a share of the requested accuracy. At order 8, one third costs 15 % more work than
-the requested accuracy itself; errors of smooth motions follow the tolerance within this factor."""
+"""Target of the expected error, as a share of the requested accuracy.
+
+At order 8, the target costs 15 % more work than the requested accuracy itself. Errors of smooth motions follow the
+tolerance within this factor.
+"""
 
 SATURATED = 0.2
-"""Differences above this share of the mechanism's size do not allow predictions for smaller steps. Differences a little
-below this share are larger than the model expects, so that the choice is conservative."""
+"""Differences above this share of the mechanism's size are too large to predict errors of smaller steps.
+
+Differences a little below it are larger than the model expects, so that the choice is conservative.
+"""
 
 FOLLOWS = 0.93
-"""Expected exponent of the error of an adaptive method in its tolerance; below 1, because the prediction often spans
-several decades, and a missed accuracy costs another run."""
+"""Expected exponent p of the error of an adaptive method in its tolerance.
+
+It is below 1, because predictions often span several decades, and a missed accuracy costs another run.
+"""
 
 TIGHTEST, LOOSEST = 1e-13, 1e-3
 """Range of the tolerance: rounding errors dominate below it, and errors are not proportional to it above."""
@@ -59,7 +66,7 @@ ROUNDING = f"rounding errors dominate at tolerances below {TIGHTEST:g}"
 """Reason why no smaller tolerance is possible."""
 
 GAUSS: Mapping[str, Any] = {"name": "gauss", "stages": 6}
-"""Fixed-step method that is tried where rounding errors limit adaptive ones."""
+"""Fixed-step method that is tried if rounding errors limit adaptive methods."""
 
 TENTH = 10.0
 """Factor between the tolerances of the first two pilots."""
@@ -78,21 +85,26 @@ MANY_STEPS = 2_000
 """A limit by stability is accepted for up to this many steps, because they take only 0.1 s."""
 
 APART = 100.0
-"""Factor between the tolerances of the first two recorded pilots. Errors of single runs scatter about the tolerance by
-a factor of up to 10, so that runs with closer tolerances may differ by less than their errors; a factor of 10 would
-cost 15 % more."""
+"""Factor between the tolerances of the first two recorded pilots.
+
+Errors of single runs scatter about the tolerance by a factor of up to 10, so that runs with closer tolerances may
+differ
+by less than their errors. A factor of 10 would cost 15 % more.
+"""
 
 AIM = 0.25
 """Target of the estimated error of a recorded pilot, as a share of the requested accuracy; if it is missed, another
 pilot is needed."""
 
 MOST_ATTEMPTS = 3
-"""Largest number of runs of the chosen method, if the check does not confirm the accuracy at once."""
+"""Largest number of runs of the chosen method if checks do not confirm the accuracy."""
 
 FAR = {True: 1e5, False: 30.0}
-"""Largest ratio of errors over which the model is extrapolated from the last pilot without another pilot, for adaptive
-methods (True) and fixed steps (False). It is smaller for the latter, whose observed order may be below that of the
-method."""
+"""Largest ratio of errors over which the model is extrapolated from the last pilot.
+
+The keys are True for adaptive methods and False for fixed steps. The ratio is smaller for fixed steps, because their
+observed order may be below that of the method.
+"""
 
 
 @dataclass(frozen=True)
@@ -104,7 +116,7 @@ class Candidate:
     integrator
         Name and options.
     adaptive
-        Whether the setting, which is to be chosen, is a tolerance; otherwise it is the step [s].
+        Whether the setting to be chosen is a tolerance; otherwise it is the step [s].
     order
         Expected exponent p of the error, which is proportional to setting^p.
     """
@@ -122,10 +134,12 @@ class Candidate:
         )
 
     def applied_to(self, spec: RunSpec, setting: float, size: float) -> RunSpec:
-        """Return the spec with this method and a setting; for small mechanisms, the absolute tolerance is a share of
-        their `size` [m].
+        """Return the spec with this method and a setting.
+
+        For small mechanisms, the absolute tolerance is a share of their `size` [m].
         """
-        has_default = isinstance(spec.integrator, ControlledOptions)  # follows rtol and the size of the mechanism
+        # its default follows rtol and the size of the mechanism
+        has_default = isinstance(spec.integrator, ControlledOptions)
         if not self.adaptive:
             return spec.with_choice(dict(self.integrator), setting)
         tolerances = {"rtol": setting, "atol": None if has_default else _rounded(setting * min(1.0, size))}
@@ -157,8 +171,8 @@ class Choice:
     limited
         Reason why no smaller setting is possible; empty if one is possible.
     pilots
-        The last pilots of the same method, from which the errors of the run are estimated; if empty, companions are
-        used.
+        The last pilots of the same method, from which the errors of the run are estimated. If there are none,
+        companions are used.
     final
         The recorded pilot that is accurate enough to serve as the run; None if there is none.
     """
@@ -182,17 +196,17 @@ class Choice:
         return self.candidate.applied_to(spec, self.setting, self.size)
 
     def tightened(self, spec: RunSpec, asked: float, reached: float) -> Choice:
-        """Return the choice for another attempt.
+        """Return the choice for the next attempt, with a smaller setting.
 
         Parameters
         ----------
         spec
             The spec.
         asked, reached
-            Requested accuracy, and the accuracy estimated by the check, which is nan if it was not known to the end.
+            Requested accuracy, and the accuracy estimated by the check, which is nan if it is not known to the end.
         """
         order, least = self.candidate.order, 3.0 if self.candidate.adaptive else 1.5
-        # a recorded pilot also serves to check the next attempt; further attempts are checked by companions
+        # A recorded pilot also serves to check the next attempt; later attempts are checked by companions.
         pilots = () if self.final is None else (*self.pilots[-1:], self.final)
         factor = TENTH if pilots else 100.0 if self.candidate.adaptive else 4.0
         if math.isfinite(reached):
@@ -236,11 +250,12 @@ def choose_method(
 
 
 def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice | None:
-    """Return the choice of Gauss's method with fixed steps after rounding errors have limited the tolerance of another
-    method; None if the spec gives the method, or if rounding errors are not the limit.
+    """Return the choice of Gauss's method with fixed steps if rounding errors have limited the tolerance of another
+    method.
 
-    Fixed steps of high order are far fewer than adaptive ones at the tightest tolerance, and collect fewer rounding
-    errors.
+    None if the spec gives the method, or if rounding errors are not the limit. Fixed steps of high order are far fewer
+    than
+    adaptive steps at the tightest tolerance, and accumulate fewer rounding errors.
     """
     if spec.choose != "method" or choice.limited != ROUNDING or choice.candidate.integrator["name"] == GAUSS["name"]:
         return None
@@ -270,10 +285,11 @@ class _Search:
         return pilot
 
     def ladder(self, candidate: Candidate) -> Choice | None:
-        """Return the choice of a tolerance by recorded pilots with decreasing tolerances, until one is accurate enough;
-        None if the steps are limited by stability, or are too many to be recorded.
+        """Choose a tolerance by recorded pilots with decreasing tolerances, until one is accurate enough.
 
-        The last pilot serves as the run, and its error is estimated from the previous ones.
+        The last pilot serves as the run, and its error is estimated from the previous ones. Returns None if stability
+        limits
+        the steps, or if they are too many to be recorded.
         """
         runs: list[RecordedPilot] = []
         setting = min(max(_rounded(self.asked), APART * TIGHTEST), LOOSEST)
@@ -312,12 +328,14 @@ class _Search:
             setting = _setting(candidate, self.next_tolerance(compared, differences, error))
 
     def difference(self, other: RecordedPilot, run: RecordedPilot) -> float:
-        """Return the largest difference of two recorded pilots as a share of the size; inf if one has failed."""
+        """Return the largest difference between two recorded pilots as a share of the size; inf if one of them
+        failed.
+        """
         share = self.measure.share(other.positions(run.time) - run.positions(run.time))
         return float(np.nan_to_num(np.max(share), nan=math.inf))
 
     def is_stiff(self, runs: list[RecordedPilot]) -> bool:
-        """Return whether stability limits the steps of the last pilots, and they are more than `MANY_STEPS`."""
+        """Return whether the last pilots take more than `MANY_STEPS` steps whose size is limited by stability."""
         return runs[-1].steps > MANY_STEPS and runs[-1].steps <= STIFF * runs[-2].steps
 
     def next_tolerance(self, runs: list[RecordedPilot], differences: list[float], error: float) -> float:
@@ -339,13 +357,14 @@ class _Search:
         )
 
     def better(self, explicit: Candidate, implicit: Candidate) -> Choice:
-        """Return the better choice: the explicit method, unless stability limits its steps and the other one needs less
-        work.
+        """Return the better of two choices.
+
+        This is the explicit method, unless stability limits its steps and the implicit method needs less work.
         """
         pilots = self.two(explicit, FIRST_STEPS)
         if pilots[-1].failure != "max-steps" and pilots[-1].steps > STIFF * pilots[0].steps:
             return self.of(explicit, pilots)
-        # stopped at half the work of the explicit method; a smaller gain is not worth another pilot
+        # The implicit pilot stops at half the work of the explicit one; a smaller gain is not worth another pilot.
         budget = max(8, int(pilots[-1].work / (2 * IMPLICIT_STEP)))
         other = self.pilot(implicit, pilots[-1].setting, budget)
         name, rival = explicit.integrator["name"], implicit.integrator["name"]
@@ -363,12 +382,13 @@ class _Search:
         return [*runs, self.pilot(candidate, _setting(candidate, coarse / factor), most_steps)]
 
     def first(self, candidate: Candidate) -> tuple[float, float]:
-        """Return the first setting, and the factor to the second one."""
+        """Return the setting of the first pilot, and the factor from it to that of the second."""
         spec = self.spec
         if candidate.adaptive:
             given = candidate.integrator.get("rtol") if spec.choose == "step" else None
-            # pilots have larger tolerances than the run, so that they cost less: three decades of accuracy correspond
-            # to one of tolerance
+            # Pilots have larger tolerances than the run, so that they cost less: the tolerance decreases by one decade
+            # if the
+            # requested accuracy decreases by three.
             loose = LOOSEST * (self.asked / LOOSEST) ** (1 / 3)
             return min(max(_rounded(float(given or loose)), TENTH * TIGHTEST), LOOSEST), TENTH
         span = spec.time.final - spec.time.start
@@ -452,7 +472,7 @@ def _rounded(value: float) -> float:
 
 
 def _shorter(step: float, *, up: bool = False) -> float:
-    """Return a step with three digits, rounded down, or `up`."""
+    """Return a step rounded down to three digits, or `up`."""
     unit = 10.0 ** (math.floor(math.log10(step)) - 2)
     return float(f"{(math.ceil if up else math.floor)(step / unit * (1 + 1e-12)) * unit:.2e}")
 

@@ -1,15 +1,14 @@
 """Estimates errors of a run from coarser runs of the same method; arrays only.
 
 Runs with tolerances a > b > c have the errors C a^p, C b^p and C c^p. The differences of the first two runs from the
-last one determine C and p, for every body and every joint, and thereby the error of the last run, ``d x / (1 - x)``,
-with d the difference of the last two runs and x = (c / b)^p. With a single coarser run, p is not observed, and
-`ASSUMED` is used. Methods that control the error of each step have p near 1; `ASSUMED` is smaller, so that the estimate
-tends to be too large.
+last one determine C and p for every body and every joint. The error of the last run is then ``d x / (1 - x)``, where d
+is the difference of the last two runs and x = (c / b)^p. With a single coarser run, p is not observed, and `ASSUMED` is
+used. Methods that control the error of each step have p near 1; `ASSUMED` is smaller, so that the estimate tends to be
+too large.
 
-This is weaker evidence than that of `error_estimate`, but costs nothing, since the coarser runs were needed to choose
-the tolerance. If the last run is the most accurate one, its error is smaller than the observed differences, so that the
-estimate is too small by at most their ratio. An error that all runs share, such as a pulse between two evaluations, is
-detected in the loads themselves (`resolved_loads`).
+This evidence is weaker than that of `error_estimate`, but costs nothing, because the coarser runs were needed to choose
+the tolerance. An error that all runs share, such as a pulse between two evaluations, is detected in the loads
+themselves (`resolved_loads`).
 """
 
 from __future__ import annotations
@@ -32,20 +31,25 @@ from mbdkit.runs.accuracy.error_estimate import (
 from mbdkit.runs.recorded_states import ObservedRows
 
 LEAST, ASSUMED = 0.25, 0.8
-"""`LEAST` is the smallest observed exponent of the error in the tolerance for which differences count as decreasing.
-`ASSUMED` is used if no exponent is observed, or if the observed one is larger, as with an exceptionally inaccurate
-coarse run."""
+"""Limits of the exponent p of the error in the tolerance.
+
+Differences count as decreasing if the observed exponent is at least `LEAST`. `ASSUMED` is used if no exponent is
+observed, or if the observed one is larger, as with an exceptionally inaccurate coarse run.
+"""
 
 EXPECTED = 10.0
-"""Differences up to this many times the requested accuracy need not decrease at all times: such a difference is
-expected for a run whose tolerance is larger by a factor of 10 or more."""
+"""Differences up to this many times the requested accuracy need not decrease at all times.
+
+Such differences are expected of runs whose tolerance is larger by a factor of 10 or more.
+"""
 
 SAFETY = 4.0
-"""Factor by which all estimates are multiplied. Errors of single runs scatter about the tolerance: in 99 % of the pairs
-of runs of 21 mechanisms with tolerances from 1e-2 to 1e-13, the largest true error over a run is at most 4.1 times the
-estimate without this factor, for any ratio of the tolerances. With `ASSUMED` nearer to 1, this number would grow with
-the ratio. At single times, and for forces, true errors exceed the estimates more often, mostly at tolerances of 1e-6
-and above, by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust)."""
+"""Factor by which all estimates are multiplied, because errors of single runs scatter about the tolerance. In 99 % of
+the pairs of runs of 21 mechanisms, with tolerances from 1e-2 to 1e-13 and any ratio of them, the largest true error
+over a run is at most 4.1 times the estimate without this factor. With `ASSUMED` nearer to 1, this number would grow
+with the ratio. At single times, and for forces, true errors exceed the estimates more often, mostly at tolerances of
+1e-6 and above, by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust).
+"""
 
 
 def estimate_from_coarser(
@@ -72,7 +76,7 @@ def estimate_from_coarser(
     asked
         Requested accuracy; see `EXPECTED`.
     equal_until
-        Row up to which the runs may have taken the same first steps, so that their differences contain no information.
+        Row up to which the runs may have taken the same steps, so that their differences contain no information.
 
     Returns
     -------
@@ -87,7 +91,7 @@ def estimate_from_coarser(
 
 
 def error_share(differences: Sequence[float], tolerances: Sequence[float]) -> float:
-    """Return the estimated error of the last of two or three runs from the differences of the others from it."""
+    """Return the estimated error of the last of two or three runs, from the differences of the earlier runs from it."""
     factor, falls = _factor([np.array(x) for x in differences], tolerances)
     if falls:
         return float(differences[-1] * factor)
@@ -95,7 +99,7 @@ def error_share(differences: Sequence[float], tolerances: Sequence[float]) -> fl
 
 
 def _factor(differences: Sequence[np.ndarray], tolerances: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the estimated error as a share of the difference of the last two runs, and whether differences
+    """Return the estimated error as a share of the difference of the last two runs, and whether the differences
     decrease.
     """
     exponent = np.full(differences[-1].shape, ASSUMED)
@@ -134,7 +138,7 @@ class _Quantity:
         small = norms[-1] <= LARGEST_ERROR * size + agreed
         finite = np.isfinite(np.add.reduce(norms))
         self._seen = np.minimum.accumulate(finite & (falls | tiny | minor) & small, axis=0)
-        # one factor for all times, because that of small differences in the first steps varies randomly
+        # one factor for all times, because the factor of the small differences in the first steps is random
         last = np.maximum(np.sum(self._seen, axis=0) - 1, 0)[None]
         self._factor = np.broadcast_to(np.take_along_axis(factor, last, axis=0), factor.shape)
         self._equal_until = equal_until

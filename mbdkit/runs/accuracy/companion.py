@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
 NEVER = 2**53
-"""`Timetable.every` of a companion whose rows are evaluated within its steps."""
+"""`Timetable.every` of a companion whose rows are computed within its steps: its own steps are never recorded."""
 
 
 @dataclass(frozen=True)
@@ -41,17 +41,18 @@ class Companion:
     create
         Creates the method.
     timetable
-        Times of the companion. If `within_steps`, each row at a time of the main run is computed by a shorter step from
-        the start of the step in which it lies; otherwise, the timetable records rows at these times.
+        Times of the companion. If `within_steps`, the companion is evaluated at the times of the main run by a
+        shortened step from the start of the step in which each time lies. Otherwise, the timetable records rows at
+        these times.
     formulation, stabilization
         Formulation and stabilization of the equations.
     within_steps
         See `timetable`.
     after_stops
-        If `within_steps`: whether rows of the main run at a stop show the state after it, as dense output does, or
-        before it, as rows at ends of steps do.
+        Used if `within_steps`. If true, rows of the main run at a stop show the state after the stop, as dense output
+        does; otherwise the state before it, as rows at ends of steps do.
     treatment
-        Treatment of contacts, if it is not that of the run.
+        Treatment of contacts; None for that of the run.
     """
 
     name: str
@@ -73,7 +74,7 @@ class CompanionRows:
     rows
         The rows.
     failure
-        Why the companion stopped early, as the rest of a sentence; empty if it did not.
+        Reason why the companion stopped early, as the end of a sentence; empty if it did not stop early.
     contacts
         State of the rigid contacts at the end, with their impacts; None if there are none.
     """
@@ -102,11 +103,11 @@ def run_companion(
     times
         (T,) times of the main run [s], the first one its start.
     stopped
-        Returns the reason why the companion must stop now; empty if it need not stop.
+        Function that returns the reason why the companion must stop now; an empty text if it need not stop.
     progress
         Called with (time reached, end time) [s].
     watch
-        Wraps its stepper to set states at events, if the run has such events.
+        Function that wraps the stepper so that events set states; None if the run has no such events.
 
     Returns
     -------
@@ -127,7 +128,7 @@ def run_companion(
         failure = "its equations are singular at the start"
     except MbdkitError as error:
         failure = str(error)
-    except (Exception, SystemExit) as error:  # of a plugin
+    except (Exception, SystemExit) as error:  # exception of a plugin
         failure = f"its method raised {one_line(error)}"
     rows = ObservedRows.at(own, times, states.q, states.v, states.z)
     contacts = stepper.contact_state if isinstance(stepper, PythonStepper) else None
@@ -147,7 +148,7 @@ class _States:
         self.done = 1
 
     def take(self, stretch: Stretch) -> None:
-        """Take the recorded states at the next times of the main run; those at other times are ignored."""
+        """Store the recorded states at the next times of the main run; states at other times are ignored."""
         for row, at in enumerate(stretch.time):
             if self.done < len(self.times) and _equal(at, self.times[self.done], self.times):
                 self.q[self.done], self.v[self.done] = stretch.q[row], stretch.v[row]
@@ -156,7 +157,7 @@ class _States:
                 self.done += 1
 
     def take_within(self, stepper: Stepper) -> None:
-        """Take the states inside the last step and at its end."""
+        """Store the states at times of the main run within the last step and at its end."""
         step = stepper.last_step
         while step is not None and self.done < len(self.times):
             at = self.sides[self.done]
@@ -164,7 +165,7 @@ class _States:
                 return
             if _equal(at, step.t1, self.times):
                 state = step.between(1.0)
-            elif self.at_stop[self.done]:  # after the stop at which the step begins
+            elif self.at_stop[self.done]:  # the step begins at a stop, and the row shows the state after it
                 state = step.between(0.0)
             else:
                 state = stepper.within((at - step.t0) / (step.t1 - step.t0))
@@ -173,8 +174,9 @@ class _States:
 
 
 def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times of rows (T,), and a mask of those at a stop, which are shifted to the side of the stop whose
-    state the rows show.
+    """Return the times of rows (T,), and a mask of those at a stop.
+
+    Times at a stop are shifted to that side of the stop whose state the rows show.
     """
     table = companion.timetable
     moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
@@ -221,9 +223,9 @@ class Budget:
     Parameters
     ----------
     seconds
-        Wall time of all companions together [s]; None: not limited.
+        Limit of the wall time of all companions together [s]; None for no limit.
     interrupted
-        Whether the user has asked to stop.
+        Function that returns whether the user has asked to stop.
     """
 
     def __init__(self, seconds: float | None, interrupted: Callable[[], bool]):
@@ -239,7 +241,7 @@ class Budget:
 
 
 def until(timetable: Timetable, end: float) -> Timetable:
-    """Return a timetable that ends at `end` [s], without the stops from there on."""
+    """Return a timetable that ends at `end` [s], without the stops at or after it."""
     table = timetable
     margins = {
         stop: margin

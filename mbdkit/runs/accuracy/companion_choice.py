@@ -21,40 +21,53 @@ HALVINGS = (2, 4)
 """Factors by which the steps of a fixed-step run are divided for its companions."""
 
 OF_TIME_STEPPING = (4, 16)
-"""The same factors for time-stepping methods. Their errors are below a constant times the step, but do not decrease
-steadily with it, because impacts fall between the ends of steps."""
+"""The same factors for time-stepping methods.
+
+Their errors are bounded by a constant times the step, but do not decrease steadily with the step, because impacts fall
+between the ends of steps.
+"""
 
 EVENT_DRIVEN_GUARDS = {"dop853": 4, "dopri5": 16}
-"""Guards of runs with rigid contacts, with the factors by which their steps are smaller than that of the run."""
+"""Explicit methods that are the guards of runs with rigid contacts, and the factors by which their steps are smaller
+than those of the run.
+"""
 
 TENTHS = (10.0, 100.0)
 """Factors by which the tolerances of an adaptive run are divided for its companions."""
 
 OTHER_TENTHS = (1e3, 1e5)
-"""The same factors for companions with another method than the run: SciPy's Radau is up to 100 times more accurate than
-its tolerance."""
+"""The same factors for companions whose method is not that of the run.
+
+They are larger, because SciPy's Radau is up to 100 times more accurate than its tolerance.
+"""
 
 TIGHTEST = 1e-13
 """Smallest tolerance of a companion; below it, rounding errors dominate."""
 
 GUARD_TOLERANCE = 1e-13
-"""Tolerance of the guard DOP853. Its error must be small compared with that of the run; otherwise the estimate becomes
-too large."""
+"""Tolerance of the guard DOP853. Its error must be small compared with that of the run, or the estimate is too
+large.
+"""
 
 IMPLICIT_GUARD_TOLERANCE = 1e-11
 """Tolerance of an implicit guard; larger, because implicit methods of lower order need more steps."""
 
 GUARD_STEPS = (20_000, 40)
-"""Largest number of steps of a guard: a constant, plus a multiple of the steps of the run. Explicit guards exceed it on
-stiff problems, and the next guard is tried. A limit on wall time would make the result depend on the machine."""
+"""Largest number of steps of a guard: a constant, and a multiple of the number of steps of the run, which are added.
+
+On stiff problems explicit guards exceed it, and the next guard is tried. A limit on wall time would make the result
+depend on the machine.
+"""
 
 SINGLE_STEPS = (5_000, 10)
 """The same limit for companions that return after each step, which takes about 0.1 ms more per step."""
 
 
 LOOKS = 2_000
-"""Smallest number of steps of a guard, unless the run itself has as many fixed steps. Adaptive steps of a body at rest
-grow without limit and miss a pulse at any tolerance."""
+"""Smallest number of steps of a guard, unless the run itself has at least as many fixed steps.
+
+Adaptive steps of a body at rest grow without limit, and then miss a short pulse at any tolerance.
+"""
 
 
 @dataclass(frozen=True)
@@ -87,9 +100,9 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
     spec, method, workspace
         The run.
     times
-        (T,) times of its recorded rows [s].
+        (T,) times of the recorded rows [s].
     steps
-        Number of its steps.
+        Number of steps of the run.
     """
     within = _steps_within(spec, times)
     if not spec.claims.adaptive:
@@ -120,7 +133,7 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
 
 
 def step_factors(spec: RunSpec) -> tuple[int, int]:
-    """Return the factors by which the steps of two comparison runs with fixed steps are smaller than that of a run."""
+    """Return the factors by which the fixed steps of two comparison runs are smaller than those of the run."""
     is_time_stepping = spec.has_rigid_contacts and spec.contact.treatment == "time-stepping"
     return OF_TIME_STEPPING if is_time_stepping else HALVINGS
 
@@ -153,8 +166,8 @@ def _event_driven_guards(
 def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timetable) -> tuple[Companion, Companion]:
     """Return two companions of an adaptive run with tighter tolerances.
 
-    Dense output of SciPy's methods is less accurate than the ends of their steps, and the names of the tolerances of
-    plugins are not known. Companions of runs with either therefore use the adaptive Radau IIA method.
+    For methods of SciPy and of plugins, the companions use the adaptive Radau IIA method. Dense output of SciPy's
+    methods is less accurate than the ends of their steps, and plugins may name their tolerances differently.
     """
     options, after = spec.integrator, spec.output.interval is not None
     own = _has_tolerances(spec, method)
@@ -178,7 +191,9 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
 
 
 def _tolerances(spec: RunSpec, method: Method) -> Tolerances:
-    """Return the tolerances of an adaptive run; of a plugin's method, those of its options with the usual names."""
+    """Return the tolerances of an adaptive run; for a method of a plugin, the values of its options with the usual
+    names.
+    """
     if method.traits.tolerances is not None:
         return replace(method.traits.tolerances, max_step=None)
     rtol = getattr(spec.integrator, "rtol", None) or 1e-6
@@ -198,8 +213,8 @@ def _guards(
 
     Guards solve the index-1 equations and are projected onto the constraints, so that they also differ in drift, and
     pass singular positions on the right branch. If the method of the run is for stiff mechanisms, the last guard solves
-    the index-2 equations: index-1 accelerations of stiff beams consist of round-off, so that adaptive steps become ever
-    smaller. This guard may be of the same family as the method of the run, but has another order.
+    the index-2 equations: index-1 accelerations of stiff beams are dominated by round-off, which would make adaptive
+    steps ever smaller. This guard may be of the same family as the method of the run, but has another order.
     """
     tableau, stiff = method.traits.tableau, method.traits.suits_stiff
     name = "" if tableau is None else tableau.name
@@ -207,7 +222,8 @@ def _guards(
     dense, longest = within, (within.end - within.start) / LOOKS
     tight = Tolerances(GUARD_TOLERANCE, GUARD_TOLERANCE, longest, by_size=True)
     loose = Tolerances(IMPLICIT_GUARD_TOLERANCE, IMPLICIT_GUARD_TOLERANCE, longest, by_size=True)
-    if interval is not None and steps >= LOOKS and not within.impacts:  # rows at stops may show either side
+    # rows at stops may then show the state of either side
+    if interval is not None and steps >= LOOKS and not within.impacts:
         dense = replace(within, every=1, interval=interval, single=False, max_steps=_most(GUARD_STEPS, steps))
         tight = replace(tight, max_step=None)
     candidates: Sequence[tuple[str, str, Callable[[], Method], Timetable]] = (

@@ -1,7 +1,8 @@
 """Measures of comparison runs, from which the errors of the measures of a run are estimated.
 
-Unlike the companions of `companion_choice`, which are compared at the recorded times, these are complete runs. Each has
-integrals, extrema, events and recorded rows of its own, so that measures share no error.
+Unlike the companions of `companion_choice`, which are evaluated only at the recorded times of the run, these are
+complete runs. Each has its own integrals, extrema, events and recorded rows, so that an error in them is not common to
+all runs.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from mbdkit.runs.accuracy.companion_choice import (
 from mbdkit.spec import RunSpec
 
 Measure = Callable[[RunSpec], Sequence[float] | None]
-"""Returns the values of all expressions in a run of another spec; None if this run fails."""
+"""Function that returns the values of all expressions in a run of another spec; None if that run fails."""
 
 
 def compared_measures(
@@ -47,9 +48,9 @@ def compared_measures(
     spec, method, workspace
         The run, whose spec gives method and step.
     steps
-        Number of its steps.
+        Number of steps of the run.
     interrupted
-        Whether the user has asked to stop; the values are then nan.
+        Function that returns whether the user has asked to stop; the values are then nan.
     """
     unknown: Sequence[float] = [float("nan")] * len(expressions)
     found = [unknown if interrupted() else measure(one) or unknown for one in _finer(spec, method)]
@@ -87,9 +88,9 @@ def _finer(spec: RunSpec, method: Method) -> list[RunSpec]:
 def other_methods(
     spec: RunSpec, method: Method, workspace: Workspace, steps: int, interval: float | None = None
 ) -> list[RunSpec]:
-    """Return the specs of runs by other methods, explicit first; see `companion_choice`.
+    """Return the specs of runs with other methods, explicit ones first; see `companion_choice`.
 
-    The runs record every step or, if `interval` is given, states at this interval [s].
+    The runs record every step or, if `interval` [s] is given, the states at this interval.
     """
     if spec.has_rigid_contacts:
         assert spec.time.step is not None
@@ -132,18 +133,18 @@ def _varied(
     interval: float | None = None,
     **sections: Any,
 ) -> RunSpec:
-    """Return the spec of a comparison run, without measures, checks and gradients of its own.
+    """Return the spec of a comparison run, without measures, checks and gradients.
 
     Parameters
     ----------
     step
-        Step [s]; None: chosen by the method.
+        Step [s]; None if the method chooses it.
     factor
         Factor by which ``limits.max_steps`` of the run is multiplied.
     most_steps
-        Largest number of steps, if it is given instead of `factor`.
+        Largest number of steps; if given, it replaces the limit by `factor`.
     interval
-        Interval of the recorded states [s]; None: every step is recorded.
+        Interval of the recorded states [s]; None if every step is recorded.
     """
     limits = canonical(spec.limits) | {"max_steps": most_steps or factor * spec.limits.max_steps}
     output = canonical(spec.output) | {"every": 1 if interval is None else None, "interval": interval}

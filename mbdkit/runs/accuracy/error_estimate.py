@@ -2,17 +2,17 @@
 
 Three runs of one method with steps h, h/2 and h/4 differ by d01 and d12. If the error is C h^p, then d12 / d01 = 2^-p,
 and the error of the first run is ``|y0 - y2| / (1 - (d12 / d01)^2)`` (Richardson 1911; Hairer, Norsett and Wanner 1993,
-II.4). Nothing is assumed about p: stabilization, stiffness or dense output change it, and it differs between positions
-and reactions. It is observed, for every body and every joint. The only requirement is that the differences decrease, by
-a factor of `LARGEST_RATIO` or less. The same holds for adaptive methods, with tolerances instead of steps.
+II.4). Nothing is assumed about p, because stabilization, stiffness and dense output change it, and it differs between
+positions and reactions. Instead, p is observed for every body and every joint. The only requirement is that d12 / d01
+is at most `LARGEST_RATIO`. The same holds for adaptive methods, with tolerances instead of steps.
 
 Runs of one method may share an error, such as a pulse between two steps. A run by another method, the guard, must
-therefore agree with the most accurate one. Conversely, the step may be too long for an observed order, as in the sudden
-turns of a pendulum; it is then sufficient that the most accurate run is closer to the guard than the first one, by
-`CONFIRMED`.
+therefore agree with the most accurate one. Conversely, the step may be too long for an order to be observed, as in
+sudden turns of a pendulum. It is then sufficient that the distance of the most accurate run from the guard is at most
+`CONFIRMED` times that of the first run.
 
-Where neither holds (chaos, another branch, a step too long for the motion), the estimate is nan. All differences are
-replaced by their running maxima, because a difference passes through zero where its sign changes.
+If neither condition holds (because of chaos, another branch, or a step too long for the motion), the estimate is nan.
+All differences are replaced by their running maxima, because a difference that changes its sign passes through zero.
 """
 
 from __future__ import annotations
@@ -27,35 +27,50 @@ import numpy as np
 from mbdkit.runs.recorded_states import ObservedRows
 
 LARGEST_RATIO = 0.6
-"""Largest d12 / d01 of differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
+"""Largest ratio d12 / d01 of differences that count as decreasing: a little above 0.5, the value of a method of order
+1.
+"""
 
 CONFIRMED = 0.25
-"""An observed order is not needed if the distance of the most accurate run from the guard is at most this share of the
-distance of the first run from it. The value is that of a method of order 1."""
+"""No observed order is needed if the most accurate run is close to the guard, compared with the first run.
+
+Its distance from the guard may be at most this share of that of the first run. The value is that of a method of order
+1.
+"""
 
 ROUND_OFF = 1e-9
-"""Differences from the guard below this share of the size of a quantity are explained by its own tolerance, and not
-included in the estimate."""
+"""Differences from the guard below this share of the size of a quantity are attributed to the tolerance of the guard.
+
+They are not included in the estimate.
+"""
 
 AGREED = 1e-5
-"""Differences of all four runs below this share of the size need not decrease. The step has no influence where rounding
-errors dominate, which chaotic motions amplify from 1e-13 at the start. The largest difference is then the estimate. For
-the same reason, the guard may be less accurate than the run; the estimate then includes its difference from the run."""
+"""If the differences of all four runs are below this share of the size, they need not decrease; the largest one is then
+the estimate. Rounding errors, which chaotic motions amplify from 1e-13 at the start, do not depend on the step. For the
+same reason the guard may be less accurate than the run; the estimate then includes the difference from the guard.
+"""
 
 AT_REST = 1e-12
-"""The limits that follow from `ROUND_OFF` and `AGREED` are at least this share of the natural unit of the quantity
-(`Units`), for mechanisms that hardly move."""
+"""Lower limit of the size from which the limits by `ROUND_OFF` and `AGREED` are computed, for mechanisms that hardly
+move.
+
+It is a share of the natural unit of the quantity (`Units`).
+"""
 
 MINOR = 0.05
-"""A body or joint whose differences are below this share of those of all bodies or joints need not have an observed
-order."""
+"""No order needs to be observed for bodies or joints whose differences are below this share of those of all bodies or
+joints.
+"""
 
 LARGEST_ERROR = 0.1
-"""Errors above this share of the size of a quantity count as unknown: such errors no longer depend linearly on earlier
-errors."""
+"""Errors above this share of the size of a quantity count as unknown, because they no longer depend linearly on earlier
+errors.
+"""
 
 GUARD_RATIO = 3.0
-"""Largest difference from the guard, relative to the estimate; a larger one indicates an error that the runs share."""
+"""Largest difference from the guard, relative to the estimate. A larger one indicates an error that the runs have in
+common.
+"""
 
 
 @dataclass(frozen=True)
@@ -65,7 +80,8 @@ class Units:
     Parameters
     ----------
     length
-        Characteristic length [m]; it turns angles into lengths, and torques into forces.
+        Characteristic length [m]. Angles are multiplied by it, and torques divided, to compare them with lengths and
+        forces.
     speed
         Length over duration of the run [m/s].
     force
@@ -84,7 +100,7 @@ class Units:
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """Estimated errors of a run, nan where unknown; envelopes, which never decrease with time.
+    """Estimated errors of a run; nan where unknown. They are envelopes, which never decrease with time.
 
     Attributes
     ----------
@@ -95,11 +111,11 @@ class ErrorEstimate:
     torque
         (T, J) errors of reaction torques [N m].
     known_until
-        Time [s] until which all of these errors are known; nan if they are unknown already at the first row.
+        Time [s] until which all of these errors are known; nan if they are not even known at the first row.
     order
         Observed exponent of the error of positions in the step, or in the tolerance of an adaptive run, at the last
-        known row: log(d01 / d12) over the logarithm of the factor between the runs; nan if only rounding errors were
-        seen.
+        known row: log(d01 / d12) over the logarithm of the factor between the runs. It is nan if only rounding errors
+        were observed.
     """
 
     position: np.ndarray
@@ -125,7 +141,8 @@ def estimate_errors(
     units
         Natural units of the mechanism.
     refinement
-        Factor of the steps, or of the tolerances, from one run to the next; the base of the observed order.
+        Factor by which steps or tolerances decrease from one run to the next; base of the logarithms of the observed
+        order.
 
     Returns
     -------
@@ -140,7 +157,7 @@ def estimate_errors(
 
 
 class Estimated(Protocol):
-    """Estimates for one quantity of all U units, which are bodies or joints, with K components each."""
+    """Estimates for one quantity of U bodies or joints (units) with K components each."""
 
     @property
     def known(self) -> np.ndarray:
@@ -156,7 +173,7 @@ class Estimated(Protocol):
         ...
 
     def order(self, count: int) -> float:
-        """Return the observed order at the last of `count` known rows; nan if only rounding errors were seen."""
+        """Return the observed order at the last of `count` known rows; nan if only rounding errors were observed."""
         ...
 
 
@@ -177,8 +194,9 @@ def assemble(
     units
         Natural units of the mechanism.
     estimated
-        ``estimated(values, unit, size)`` estimates one quantity from its values (T, U, K) in every run, its natural
-        unit and its size in the run. Angles are multiplied, and torques divided, by the length of the mechanism.
+        Function ``estimated(values, unit, size)`` that estimates the errors of one quantity from its values (T, U, K)
+        in every run, its natural unit and its size in the run. Angles are multiplied by the length of the mechanism,
+        and torques divided by it.
     """
     length = units.length
     scale = np.array([1.0, 1.0, length])
@@ -204,8 +222,9 @@ def assemble(
 
 
 def size_of_motion(position: np.ndarray, length: float) -> float:
-    """Return the largest displacement of a body [m], from positions (T, B, 3); angles are multiplied by `length`, and
-    counted up to 1 rad.
+    """Return the largest displacement of a body [m], from positions (T, B, 3).
+
+    Rotations are multiplied by `length`, and count up to 1 rad.
     """
     moved = np.abs(position - position[:1])
     across = float(np.max(np.linalg.norm(moved[..., :2], axis=-1), initial=0.0))
@@ -246,7 +265,7 @@ class _Quantity:
         estimate = np.where(falls, self._factor * d02, np.where(confirmed, np.fmax(d02, d0g), spread))
         self._confirmed = confirmed
         agrees = d2g <= np.maximum(GUARD_RATIO * estimate, np.maximum(agreed, MINOR * all02))
-        #: Whether the guard is too inaccurate to confirm the estimate closely, so that its difference is included.
+        #: Whether the guard is too inaccurate to confirm the estimate, so that the difference from it is included.
         self._widened = (d2g > 0.5 * estimate) & (d2g > floor)
         finite = np.isfinite(d02) & np.isfinite(d2g)
         small = np.where(self._widened, np.fmax(estimate, d0g), estimate) <= max(LARGEST_ERROR * size, floor)
@@ -290,10 +309,10 @@ class _Quantity:
 
 
 def _largest(*arrays: np.ndarray) -> np.ndarray:
-    """Return the largest of several arrays, element by element; nan counts as smallest."""
+    """Return the elementwise maximum of several arrays; nan counts as smallest."""
     return np.asarray(np.fmax.reduce(arrays))
 
 
 def running_norms(difference: np.ndarray) -> np.ndarray:
-    """Return the running maxima over time of the norms of (T, U, K), (T, U); nan from the first nan on."""
+    """Return the running maxima over time of the norms of vectors (T, U, K), as (T, U); nan from the first nan on."""
     return np.asarray(np.maximum.accumulate(np.linalg.norm(difference, axis=-1), axis=0))

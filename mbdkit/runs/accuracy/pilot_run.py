@@ -1,7 +1,7 @@
 """Pilot runs: trial runs of a spec with candidate methods.
 
-A `PilotRun` keeps its positions at some times only. A `RecordedPilot` keeps the ends of all steps, so that it can be
-compared with another one at any time; the last recorded pilot is used as the run.
+A `PilotRun` stores positions at a few times only. A `RecordedPilot` stores the ends of all steps, so that it can be
+compared with other pilots at any time; the last recorded pilot is used as the run.
 """
 
 from __future__ import annotations
@@ -26,13 +26,16 @@ from mbdkit.stepping.interface import Advancing, Failure, Nodes, StepEvidence, S
 from mbdkit.stepping.start import start_method
 
 SAMPLES = 16
-"""Number of equal intervals between the positions of a `PilotRun` (samples); fixed steps of pilots divide them. Dense
-output takes further evaluations in every adaptive step with a sample, so that more samples are not worth their cost."""
+"""Number of equal intervals between the positions of a `PilotRun` (samples); fixed steps of pilots divide these
+intervals. More samples are not worth their cost, because dense output takes further evaluations in every adaptive step
+with a sample.
+"""
 
 IMPLICIT_WORK = 2.0
-"""Cost of an evaluation of an implicit method, including linear systems, relative to one of an explicit method. It is
-1.8 to 2.3 on mechanisms of 1 to 6 bodies. A constant is used instead of measured times, so that the same spec always
-leads to the same choice."""
+"""Cost of an evaluation of an implicit method, including linear systems, relative to one of an explicit method.
+Measured values are 1.8 to 2.3 for mechanisms with 1 to 6 bodies. A constant is used instead of measured times, so that
+the same spec always leads to the same choice.
+"""
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class PilotRun:
     Attributes
     ----------
     setting
-        Its tolerance, or its step [s].
+        Tolerance or step [s] of the pilot.
     position
         (SAMPLES + 1, B, 3) positions [m] and angles [rad]; nan at times that the pilot did not reach.
     steps
@@ -50,7 +53,7 @@ class PilotRun:
     work
         Evaluations of the right-hand side, multiplied by `IMPLICIT_WORK` for implicit methods.
     failure
-        Code of its failure; empty if it reached the end.
+        Code of the failure; empty if the pilot reached the end.
     """
 
     setting: float
@@ -100,7 +103,7 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     while not (stepper.finished or stepper.failure):
         try:
             stretch = stepper.advance()
-        except (Exception, SystemExit) as error:  # the run itself will fail and report this in the same way
+        except (Exception, SystemExit) as error:  # the run itself will fail in the same way and report this
             failure = plugin_failure(spec, error)
             break
         if not len(stretch.time):
@@ -120,18 +123,20 @@ def work_of(method: Method, evaluations: int) -> float:
 
 
 def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
-    """Return the largest difference of two pilots as a share of the mechanism's size; inf if only one has failed."""
+    """Return the largest difference between two pilots as a share of the mechanism's size; inf if only one of them
+    failed.
+    """
     share = measure.share(a.position - b.position)
     common = np.isfinite(share)
     reached = [np.flatnonzero(np.all(np.isfinite(run.position), axis=(1, 2)))[-1] for run in (a, b)]
-    # after an event that would stop the run, both may fail; if only one fails, its earlier states are wrong
+    # Both may fail at an event that would stop the run. If only one fails, its earlier states are wrong.
     if abs(reached[0] - reached[1]) > 1 or not np.any(common[1:]):
         return float("inf")
     return float(np.max(share[common]))
 
 
 MOST_VALUES = 20_000_000
-"""Largest number of positions that are kept, 320 MB with the velocities; longer runs are checked by companions."""
+"""Largest number of stored positions, 320 MB with the velocities; longer runs are checked by companions."""
 
 
 class RecordedPilot:
@@ -172,7 +177,7 @@ class RecordedPilot:
         self.timetable = replace(
             given, every=1, interval=None, single=False, max_steps=min(given.max_steps, most_steps, kept)
         )
-        #: Whether this pilot records what the run of the spec records, and can be the run.
+        #: Whether this pilot records the same rows as the spec requires, so that it can serve as the run.
         self.is_run = replace(self.timetable, max_steps=given.max_steps) == given and spec.limits.wall_time is None
         self.stepper: Advancing = start_method(method, self.workspace, self.timetable)
         begin, busy = time.perf_counter(), time.process_time()
@@ -206,11 +211,12 @@ class RecordedPilot:
 
 
 def can_be_recorded(spec: RunSpec) -> bool:
-    """Return whether a pilot of a spec can keep the ends of all its steps, between which states are interpolated.
+    """Return whether a pilot of a spec can store the ends of all its steps, between which states are interpolated.
 
-    The method has to be explicit with adaptive steps, because in stiff mechanisms, which need implicit methods,
-    accelerations are too inaccurate for interpolation; and no driver may cause impulses, which make velocities
-    discontinuous. The caller also excludes events and first-order states.
+    The method has to be explicit with adaptive steps: in stiff mechanisms, which need implicit methods, accelerations
+    are
+    too inaccurate for interpolation. No driver may cause impulses, which make velocities discontinuous. The caller also
+    excludes events and first-order states.
     """
     return (
         spec.claims.adaptive
@@ -221,7 +227,7 @@ def can_be_recorded(spec: RunSpec) -> bool:
 
 
 class Replay:
-    """Implements `Advancing` by the stretches of steps of a finished pilot, which serves as the run."""
+    """Implements `Advancing` by returning the stretches of steps of a finished pilot, which serves as the run."""
 
     def __init__(self, pilot: RecordedPilot):
         self._pilot = pilot
@@ -265,5 +271,5 @@ class Replay:
         return self._pilot.stepper.last_state()
 
     def taken_nodes(self) -> Nodes:
-        """See `Advancing.taken_nodes`; pilots keep none."""
+        """See `Advancing.taken_nodes`; pilots store none."""
         return self._pilot.stepper.taken_nodes()

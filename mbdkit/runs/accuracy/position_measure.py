@@ -1,4 +1,6 @@
-"""The measure of errors of positions: one share of the size of the mechanism for all positions and angles."""
+"""The measure of position errors: a single number, relative to the size of the mechanism, for all positions and
+angles.
+"""
 
 from __future__ import annotations
 
@@ -17,16 +19,16 @@ from mbdkit.spec import RunSpec
 class PositionMeasure:
     """Measures errors of positions.
 
-    The error of a body is that of its centre of mass or, if it is larger, the error of its angle times its `arm`. The
-    errors of the ends of a rod and of the rotation of a disc about its centre are thereby included.
+    The error of a body is that of its centre of mass or, if it is larger, the error of its angle times its `arm`. This
+    includes the errors of the ends of a rod, and of the rotation of a disc about its centre.
 
     Parameters
     ----------
     size
         Size of the mechanism at its start [m].
     arm
-        (B,) largest distance of a joint point from the centre of mass of each body [m]; `size` for bodies where that is
-        0.
+        (B,) largest distance of a joint point from the centre of mass of each body [m]; `size` for bodies whose
+        distance is 0.
     """
 
     size: float
@@ -44,7 +46,7 @@ class PositionMeasure:
         return cls(size, np.array([length or size for length in arm.values()]))
 
     def share(self, error: np.ndarray) -> np.ndarray:
-        """Return the largest error of a body as a share of the size, (T,); nan where an error is nan.
+        """Return the largest error of all bodies as a share of the size, (T,); nan where an error is nan.
 
         Parameters
         ----------

@@ -1,8 +1,8 @@
-"""Finds the time until which the steps of a run resolve its motions and loads, which are functions of time in its spec.
+"""Finds the time until which the steps of a run resolve its motions and loads, which are given functions of time.
 
-All runs of one method can pass over the same short pulse. A pulse between the evaluations of a step can be detected
-without integration: the polynomial through the values of a motion at `NODES` times of a step must reproduce it between
-them.
+All runs of one method can miss the same short pulse. A pulse between the evaluations of a step can be detected without
+integration: the polynomial through the values of a motion at `NODES` times of a step must agree with the motion between
+these times.
 """
 
 from __future__ import annotations
@@ -65,6 +65,6 @@ def _varies(motion: Motion) -> bool:
 
 
 def _values(motion: Motion, begin: np.ndarray, end: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return a motion at shares of steps (M,), for every step, (N, M)."""
+    """Return a motion at the shares `at` (M,) of every step, (N, M)."""
     times = begin[:, None] + (end - begin)[:, None] * at
     return np.asarray(jet_of(motion, times.ravel()).value).reshape(times.shape)

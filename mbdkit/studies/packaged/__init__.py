@@ -20,7 +20,7 @@ def _packaged(name: str, summary: str, *references: str) -> StudyPlugin:
 
     def verdict(
         study: Study,
-    ) -> Verdict:  # imported at the call, because verdicts need SciPy, and loading plugins should be fast
+    ) -> Verdict:  # imported at the call: verdicts need SciPy, and loading plugins should be fast
         module = importlib.import_module(f"{__name__}.{folder.name}.verdict")
         judged: Verdict = module.verdict(study)
         return judged

@@ -1,1 +1,1 @@
-"""The packaged study `contact`: the treatments of contacts on motions with closed forms."""
+"""The packaged study `contact`: compares the treatments of contacts on motions with closed-form solutions."""

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
 G = 9.81
 EXACT = 1e-9
-"""Below this value, errors of event-driven runs, penetration [m] and creep [m/s] of rigid bodies count as zero."""
+"""Errors of event-driven runs, and penetration [m] and creep [m/s] of rigid bodies, count as zero below this."""
 PER_STEP = 3.0
-"""Largest error over step of time-stepping [m/s]."""
+"""Largest accepted error of time-stepping, divided by the step [m/s]."""
 SOFT = "-compliant"
 FINEST = "event-driven, DOP853"
 
@@ -86,11 +86,11 @@ CLOSED: dict[str, tuple[Callable[[Run], np.ndarray], Callable[[np.ndarray], np.n
     "hold": (_along, _block(0.7)),
     "belt": (lambda run: run["block"].position[:, 0], belt),
 }
-"""Coordinate of a run, and its closed form, for each case."""
+"""Coordinate of a run to be compared, and its closed form, for each case."""
 FRICTION = ("incline", "hold", "belt")
 """Cases in which contacts have friction and no restitution."""
 HOUSNER = (1.0 - 1.5 / 17.0) ** 2
-"""Share of its energy that the rocking block keeps in an impact, with sin^2 alpha = 1/17 (G. W. Housner, 1963)."""
+"""Share of its energy that the rocking block retains in an impact, with sin^2 alpha = 1/17 (G. W. Housner, 1963)."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Touched:
     Attributes
     ----------
     error
-        Largest error of the position [m]; of the case `rocking` that of the ratio of energies.
+        Largest error of the position [m]; in the case `rocking`, error of the ratio of energies.
     penetration, creep
         Deepest overlap [m], and largest slip while a contact sticks [m/s].
     steps, seconds
@@ -178,7 +178,7 @@ def _error(run: Run, case: str) -> float:
     if case in CLOSED:
         coordinate, closed = CLOSED[case]
         return float(np.max(np.abs(coordinate(run) - closed(run.time))))
-    above = np.asarray(run.energy.total) - 0.4 * G  # of the block at rest; there is one impact
+    above = np.asarray(run.energy.total) - 0.4 * G  # energy above that of the block at rest; there is one impact
     return abs(float(above[-1] / above[0]) - HOUSNER)
 
 
@@ -190,7 +190,7 @@ def _overlap(run: Run) -> tuple[float, float]:
 
 
 def _worst(found: Sequence[Touched], of: Callable[[Touched], float]) -> tuple[float, str]:
-    """Return the largest value, nan if one is unknown, and the name of its run."""
+    """Return the largest value and the name of its run; nan if a value is unknown."""
     values = [of(one) for one in found]
     if not values or not all(math.isfinite(each) for each in values):
         return math.nan, "a run that is not complete"

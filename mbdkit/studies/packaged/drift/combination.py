@@ -23,14 +23,16 @@ COMBINATION = "method"
 LONG = "-long"
 """Suffix of the family of long runs, after the name of the family of short runs of the same mechanism."""
 ROUND_OFF = 1e-12
-"""Error level at which an order cannot be determined because of round-off, relative to the size of the mechanism, to
-that per second, or to the largest multiplier."""
+"""Error level below which round-off makes an order indeterminable.
+
+It is relative to the size of the mechanism, to that per second, or to the largest multiplier.
+"""
 EPSILON = 5e-16
-"""Minimum round-off floor of all errors in the same relative units, close to double precision."""
+"""Smallest round-off level of all errors in the same relative units, close to double precision."""
 CLOSE = (0.1, 0.25)
-"""Maximum differences of slopes between neighbouring steps; the stricter one is tried first."""
+"""Largest differences between slopes at neighbouring steps for which they agree; the stricter one is tried first."""
 NEIGHBOURS = math.log(2.5)
-"""Maximum logarithm of the ratio of neighbouring steps; a larger ratio means that a run between them failed."""
+"""Largest logarithm of the ratio of neighbouring steps; a larger one means that a run between them failed."""
 SPENT = 1e-12
 """Change of energy over a run that counts as round-off, relative to the largest kinetic energy."""
 
@@ -51,7 +53,7 @@ class Combination:
     position_order, velocity_order, multiplier_order
         Observed orders of the errors against the reference.
     own
-        Whether the multipliers are computed by the method; otherwise they are the index-1 multipliers at its states.
+        Whether the method computes the multipliers; otherwise they are the index-1 multipliers at its states.
     position_drift, velocity_drift
         Largest misalignment over all steps, and largest velocity misalignment in the recorded rows, of the long run,
         relative to the size of the mechanism [1, 1/s].
@@ -87,11 +89,11 @@ class Combination:
 
     @property
     def has_trend(self) -> bool | None:
-        """Whether the energy has a trend; None if that is unknown."""
+        """Whether the energy has a trend; None if unknown."""
         return None if isinstance(self.trend, str) and self.trend != "none" else self.trend != "none"
 
     def cells(self) -> tuple[Cell, ...]:
-        """Return its row of the table without mechanism and method."""
+        """Return the row of the table, without mechanism and method."""
         orders = [self.position_order, self.velocity_order, self.multiplier_order]
         known = not isinstance(self.multiplier_order, str)
         sure = abs(self.trend) / self.trend_error if not isinstance(self.trend, str) and self.trend_error else None
@@ -177,7 +179,7 @@ def _combination(mechanism: str, method: str, short: Points, long: Points) -> Co
 
 
 def state_of(points: Iterable[StudyPoint]) -> Undetermined:
-    """Return the reason why points have no values; empty if one of them is complete."""
+    """Return the reason why points have no values; empty if any of them is complete."""
     states = {point.status for point in points}
     for status, told in (("complete", ""), ("failed", "failed"), ("left-out", "not installed")):
         if status in states:
@@ -218,8 +220,9 @@ def _order(points: Points, column: str, scale: float) -> float | Undetermined:
 def _finest(steps: np.ndarray, errors: np.ndarray, floor: float, agree: float) -> float:
     """Return the order at the three finest neighbouring steps with agreeing slopes above the floor; nan if none.
 
-    `observed_order` would choose the longest window. For methods with different orders for different variables, that
-    window may lie at steps where the error of another variable dominates; the finest window is closest to the limit.
+    `observed_order` would choose the longest window. If a method has different orders for different variables, that
+    window may lie at steps where the error of another variable dominates. The finest window is closest to the limit of
+    small steps.
     """
     known = np.isfinite(errors)
     steps, errors = steps[known], errors[known]

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 NEAR, APART = 0.2, 0.3
-"""Observed and expected order agree up to the first of these differences, and disagree from the second on."""
+"""Observed and expected order agree if they differ by at most the first number, and disagree from the second one on."""
 TENFOLD = Range.around(10.0, 3.0)
 REVERSIBLE = 1e-11
-"""Largest reversibility defect, relative to the size, that round-off over about 20,000 steps explains."""
+"""Largest reversibility defect, relative to the size, that round-off over about 20,000 steps can explain."""
 NAMES = ("q", "v", "lambda")
 
 #: Orders from the literature: name of the claim, label, orders of q, v and lambda (None if not given), source.
@@ -83,7 +83,7 @@ def _notes(found: Sequence[Combination]) -> tuple[str, ...]:
 
 
 def _by(found: Sequence[Combination], method: str) -> dict[str, Combination]:
-    """Return the results for a combination by mechanism."""
+    """Return the results of one method by mechanism."""
     return {one.mechanism: one for one in found if one.method == method}
 
 
@@ -100,7 +100,7 @@ def order_meets(found: float | Undetermined, expected: float) -> Answer:
 
 
 def all_of(answers: Sequence[Answer]) -> Answer:
-    """Return whether all of several conditions hold: no, partly or open, in this order, if one is; else yes."""
+    """Return whether all conditions hold: the first of no, partly and open that is among the answers, else yes."""
     for answer in (Answer.NO, Answer.PARTLY, Answer.OPEN):
         if answer in answers:
             return answer
@@ -108,12 +108,12 @@ def all_of(answers: Sequence[Answer]) -> Answer:
 
 
 def _known(answers: Mapping[str, Answer]) -> Answer:
-    """Combine the answers of several mechanisms without the open ones; open if all are open."""
+    """Combine the answers for several mechanisms, ignoring open ones; open if all are open."""
     return together([answer for answer in answers.values() if answer is not Answer.OPEN])
 
 
 def _told_of(answers: Mapping[str, Answer]) -> str:
-    """Return text that says on how many mechanisms a claim holds."""
+    """Return text that says for how many mechanisms a claim holds."""
     holding = [name for name, answer in answers.items() if answer is Answer.YES]
     undecided = [name for name, answer in answers.items() if answer is Answer.OPEN]
     text = f"on {len(holding)} of {len(answers) - len(undecided)} mechanisms"
@@ -147,7 +147,7 @@ def _orders(
 
 
 def _pairs(found: Sequence[Combination]) -> list[tuple[Combination, Combination]]:
-    """Return pairs of the same method without and with ordinary projection."""
+    """Return pairs of results for the same method, without and with ordinary projection."""
     plain = {(one.mechanism, one.method): one for one in found}
     return [
         (plain[key], one)
@@ -182,7 +182,7 @@ def _projection_keeps_the_order(found: Sequence[Combination]) -> Claim:
 def gain(plain: Combination, projected: Combination) -> float:
     """Return the factor by which projection reduces the error of positions, as geometric mean over common steps.
 
-    Steps at which either error is at round-off level are ignored; nan if none is left.
+    Steps at which either error is at round-off level are ignored; the result is nan if none is left.
     """
     ratios = [
         math.log(plain.errors[step] / projected.errors[step])

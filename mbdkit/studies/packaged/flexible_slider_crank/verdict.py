@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 REFERENCE = ("Gauss 3", 2e-6)
 HELD = 1e-7
-"""Misalignment [m] below which joints count as held."""
+"""Joints count as closed if their misalignment [m] is below this."""
 SMALL, LARGE = 0.1, 0.2
 """Joint forces are right if their errors, relative to their root mean squares, are below the first value, and wrong if
 they are above the second."""
 EXPLICIT = 2e-6
-"""Largest step of explicit methods, from the fastest oscillation of the rod [s]."""
+"""Largest stable step of explicit methods, which is limited by the fastest oscillation of the rod [s]."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,8 @@ def _runs(study: Study) -> tuple[list[str], list[CrankRun]]:
 
 
 def _with_forces(run: Run, one: CrankRun) -> tuple[list[str], CrankRun]:
-    joints = [name for name in run.joint_names if np.any(run.joints[name].reaction_force)]  # the motor has a torque
+    # the motor has a torque, but no force
+    joints = [name for name in run.joint_names if np.any(run.joints[name].reaction_force)]
     forces = np.stack([np.asarray(run.joints[name].reaction_force) for name in joints], axis=1)
     gaps = tuple(run.joints[name].misalignment_max for name in joints)
     return joints, replace(one, misalignment=gaps, forces=forces)

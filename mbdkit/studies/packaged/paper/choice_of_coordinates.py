@@ -1,4 +1,4 @@
-"""A comparison beyond the paper: the same method in the coordinates of the bodies and in those of the joints."""
+"""A comparison beyond the paper: the same method in body coordinates and in joint coordinates."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 COORDINATES = "coordinates"
 BODIES, JOINTS = "bodies", "joints"
 ROUND_OFF = 1e-12
-"""Misalignment [m] of rods of 20 m that is round-off."""
+"""Misalignment [m] of rods of 20 m that counts as round-off."""
 FAR = 1e3
-"""If the error is more than this many times the misalignment, the misalignment says nothing about the error."""
+"""Misalignment gives no indication of the error if the error is more than this many times larger."""
 
 
 def coordinates(study: Study) -> tuple[Claim, Table]:
-    """Compare misalignment and error of RK-Gill in both coordinates."""
+    """Compare misalignment and error of RK-Gill in body coordinates and in joint coordinates."""
     rows: list[tuple[Cell, ...]] = []
     errors: dict[tuple[object, object], dict[str, float]] = {}
     drift: dict[str, list[float]] = {BODIES: [], JOINTS: []}

@@ -22,7 +22,9 @@ SPEED_UP = 10_000.0
 SYMBOLIC_BODIES = (1, 2, 3)
 SECONDS = "wall_min_s"
 STEEP = 2.0
-"""Growth with the number of bodies is steep above this exponent, which is 3 for dense matrices and 1 for chains."""
+"""Exponent of the growth with the number of bodies above which growth counts as steep; 3 for dense matrices, 1 for
+chains.
+"""
 
 
 def times(study: Study) -> tuple[Claim, Table, Figure]:
@@ -70,8 +72,9 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
 def _exponent(numbers: np.ndarray, seconds: np.ndarray) -> float:
     """Return the exponent with which time grows with the number of bodies, over the upper two thirds of the numbers.
 
-    It is the median of the slopes between all pairs (Theil-Sen estimator), which is robust against single runs that a
-    busy machine has slowed down.
+    It is the median of the slopes between all pairs (Theil-Sen estimator), which is robust against single runs that
+    were
+    slow because the machine was busy.
     """
     upper = (numbers >= np.max(numbers, initial=0.0) / 3) & np.isfinite(seconds)
     if upper.sum() < 2:

@@ -47,8 +47,8 @@ def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[
     Returns
     -------
     float, float
-        Lower and upper end of the interval; it ends at the first or last step if the values do not leave the range
-        before; nan if no value lies in the range.
+        Lower and upper end of the interval; the first or last step if the values do not leave the range before it. Both
+        are nan if no value lies in the range.
     """
     inside = np.isfinite(values) & (values >= wanted.low) & (values <= wanted.high)
     best = range(0)

@@ -37,7 +37,7 @@ FACTOR = 3.0
 PAPER_STEP = 0.1
 
 VISIBLE = 0.01
-"""A distance between two paths above this share of the length of the pendulum is visible in a figure."""
+"""Distances between two paths above this share of the length of the pendulum are visible in a figure."""
 
 
 def magnitudes(study: Study) -> tuple[Claim, Table]:
@@ -67,7 +67,7 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
 
 
 def ranking(study: Study) -> tuple[Claim, Claim, Table]:
-    """Test for every model and step whether RK-Gill is the worst method, and Gauss 3 better than Gauss 2."""
+    """Test for every model and step whether RK-Gill is the worst method, and whether Gauss 3 is better than Gauss 2."""
     groups: dict[tuple[str, float], dict[str, StudyPoint]] = {}
     for name in ("published", "joints", "knee", "steps", "precision", "one-metre"):
         for point in family(study, name):
@@ -133,7 +133,7 @@ def method_overflowed(point: StudyPoint | None) -> bool:
 
 
 def _model(point: StudyPoint) -> str:
-    """Return the name of the model of a point in the table."""
+    """Return the name of the model of a point, as used in the table."""
     if "model.n" in point.axes:
         rods = int(point.axes["model.n"])
         return f"{rods} rods of 20 m" if rods > 1 else "1 rod of 20 m"
@@ -193,7 +193,7 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
 
 
 def _apart(path: dict[str, np.ndarray]) -> float:
-    """Return the largest distance between the paths of two methods at equal rows, up to the end of a failed run."""
+    """Return the largest distance between the paths of two methods at equal times, up to the end of a failed run."""
     paths = list(path.values())
     distances = [0.0]
     for i, one in enumerate(paths):

@@ -20,7 +20,7 @@ from mbdkit.base.files import replacing
 from mbdkit.spec import RunSpec
 
 EVALUATIONS = 24
-"""Number of timed evaluations: the minimum of this many is reproducible even on a busy machine."""
+"""Number of timed evaluations. The minimum of this many is reproducible even on a busy machine."""
 FILE = "substitution.json"
 
 
@@ -62,7 +62,7 @@ def measure(spec: RunSpec, evaluations: int = EVALUATIONS) -> Substitution:
     symbols = [*system.q, *system.v]
     taken = []
     for k in range(evaluations + 1):
-        state = start + 0.1 * math.sin(k + 1)  # no zeros, for which SymPy would drop terms
+        state = start + 0.1 * math.sin(k + 1)  # no zeros, because SymPy would drop the terms that they multiply
         numbers = [*state[:, :3].ravel().tolist(), *state[:, 3:].ravel().tolist()]
         begin = time.process_time()
         values = dict(zip(symbols, numbers, strict=True)) | {system.t: 0.1 * k}

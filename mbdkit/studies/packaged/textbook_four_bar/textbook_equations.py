@@ -63,7 +63,9 @@ def start() -> np.ndarray:
 
 
 def rates(t: float, state: np.ndarray) -> np.ndarray:
-    """Return the time derivative of the state (q1, q2, q3, u1); it does not depend on the mass, as both are equal."""
+    """Return the time derivative of the state (q1, q2, q3, u1); it does not depend on the masses, because they are
+    equal.
+    """
     total = np.cumsum(state[:3])
     along = np.stack([np.cos(total), np.sin(total)]) * LENGTHS  # (2, 3), one column per link
     across = np.stack([-along[1], along[0]])

@@ -52,7 +52,9 @@ NAMES = {
 
 
 def loop_residual(run: Run) -> np.ndarray:
-    """Return the gap (T, 2) of the loop [m] as in the textbook, for links of exact length in computed directions."""
+    """Return the gap (T, 2) of the loop [m] as in the textbook, for links of exact length in the computed
+    directions.
+    """
     second, third = run["P2"].position, run["P3"].position
     links = (second, third - second, np.array([GROUND, 0.0]) - third)
     total = np.zeros_like(second)
@@ -136,7 +138,7 @@ def _repeated(book: LoopRun, fine: LoopRun, shifted: list[LoopRun]) -> Claim:
 
 
 def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]]) -> Claim:
-    """Compare the residuals at 1, 2.5 and 10 times the number of evaluations of the book's solver."""
+    """Compare the residuals at 1, 2.5 and 10 times the number of evaluations of the textbook's solver."""
     told = []
     best: dict[int, float] = {}
     for times in (1, 2.5, 10):
