@@ -1,4 +1,4 @@
-"""Functions of a relative angle, which move the center of a joint: numbers, expressions of `angle`, and tables."""
+"""Functions of a relative angle that move the center of a joint: numbers, expressions of `angle`, and tables."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ AngleFunction = Annotated[Number | str | AngleTable, BeforeValidator(_angle_func
 
 
 class Center(StrictModel):
-    """The displacement of the first body's point of a joint, as a function of ``angle_b - angle_a``."""
+    """The displacement of the point of a joint on its first body, as a function of ``angle_b - angle_a``."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("x", "y")
 
@@ -82,7 +82,7 @@ class Center(StrictModel):
 
     @property
     def functions(self) -> tuple[tuple[str, AngleFunction], ...]:
-        """Key and function of both components."""
+        """Keys and functions of both components."""
         return ("x", self.x), ("y", self.y)
 
     def at(self, angles: np.ndarray) -> np.ndarray:
@@ -95,7 +95,9 @@ class Center(StrictModel):
         return x, y
 
     def outside(self, angle: float) -> tuple[str, AngleTable] | None:
-        """Return key and table of the first component whose table does not cover a relative angle [rad]."""
+        """Return the key and the table of the first component whose table does not cover a relative angle [rad]; None
+        if all do.
+        """
         for key, function in self.functions:
             if isinstance(function, AngleTable) and not function.period:
                 first, last = function.span
@@ -105,7 +107,7 @@ class Center(StrictModel):
 
 
 def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
-    """Return a function of an angle at `angles` (F,) [rad]."""
+    """Return the values of a function of an angle at `angles` (F,) [rad]."""
     if isinstance(function, str):
         return jet_and_switches(expression_of(function).program, angles)[0].value
     if isinstance(function, AngleTable):
@@ -116,7 +118,10 @@ def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=1024)
 def expression_of(text: str) -> Expression:
-    """Return an expression of `angle`, in whose program `t` is the angle; SpecError has the position of an error."""
+    """Return an expression of `angle`, in whose program `t` is the angle.
+
+    Raises SpecError with the position of an error.
+    """
     program = tuple(AngleCompiler(text).program())
     if kinks := sorted({name for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch}):
         raise AngleExpressionError(

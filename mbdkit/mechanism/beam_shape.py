@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 QUADRATURE = 16
-"""Points of the Gauss quadrature of the arc length between two given points."""
+"""Number of points of the Gauss quadrature of the arc length between two given points."""
 
 NEWTON_STEPS = 8
-"""Number of Newton steps for the position of a node on a curve; the initial guess is accurate to a small part of a
-piece."""
+"""Number of Newton steps for the position of a node on a curve; the initial guess is close to the solution."""
 
 
 class Place(NamedTuple):
@@ -25,9 +24,10 @@ class Place(NamedTuple):
 
 
 class IntegrationPoint(NamedTuple):
-    """Values and derivatives of the shape functions of an element's nodes at an integration point, and its weight.
+    """Shape functions of the nodes of an element, and their derivatives, at an integration point; and the weight of the
+    point.
 
-    Derivatives are by the coordinate from 0 to 1 along the element, and the weights of an element add up to 1.
+    Derivatives are by the coordinate from 0 to 1 along the element. The weights of an element add up to 1.
     """
 
     shape: tuple[float, ...]
@@ -46,11 +46,17 @@ INTEGRATION = {
     2: (IntegrationPoint((0.5, 0.5), (-1.0, 1.0), 1.0),),
     3: (_quadratic(-1.0 / math.sqrt(3.0)), _quadratic(1.0 / math.sqrt(3.0))),
 }
-"""Integration points of elements by their number of nodes. Their number is one less than needed for exact integration
-of the shear energy, which prevents slender elements from being too stiff in bending (shear locking)."""
+"""Integration points of elements by their number of nodes.
+
+There is one point fewer than needed for exact integration of the shear energy, which prevents slender elements from
+being too stiff in bending (shear locking).
+"""
 
 NODE_SHARES = {2: (0.5, 0.5), 3: (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)}
-"""Share of an element's mass and load at each of its nodes, by their number: trapezoidal rule, Simpson's rule."""
+"""Shares of the mass and load of an element that are assigned to its nodes, by the number of nodes.
+
+They are those of the trapezoidal rule and of Simpson's rule.
+"""
 
 
 def straight(a: Sequence[float], b: Sequence[float], count: int) -> list[Place]:
@@ -63,8 +69,8 @@ def straight(a: Sequence[float], b: Sequence[float], count: int) -> list[Place]:
 def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], float]:
     """Return `count` points at equal arc lengths on the curve through given points, and the length of the curve [m].
 
-    The curve is a cubic spline over the length of the polygon through the points, with the condition "not-a-knot" at
-    its ends; a parabola through three points.
+    The curve is a cubic spline, with "not-a-knot" end conditions, whose parameter is the length along the polygon
+    through the points. Through three points, it is a parabola.
 
     Parameters
     ----------
@@ -99,9 +105,9 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
 def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
     """Return internal forces in the middle of the elements of a beam, and at both of its ends.
 
-    Axial and shear forces are extrapolated linearly. The moment at an end follows from that in the middle of the
-    element by equilibrium, m' = -r' x n. The moment at the clamp of a cantilever under its own weight is then that of
-    beam theory for any number of elements.
+    Axial and shear forces are extrapolated linearly. The moment at an end is computed from that in the middle of the
+    element by equilibrium, m' = -r' x n. With any number of elements, the moment at the clamp of a cantilever under its
+    own weight then agrees with beam theory.
 
     Parameters
     ----------
@@ -131,5 +137,5 @@ def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
 
 
 def places_with_ends(length: float, elements: int) -> np.ndarray:
-    """Return the arc lengths (E + 2,) [m] of `with_ends` along a beam of equal elements."""
+    """Return the arc lengths (E + 2,) [m] at which `with_ends` gives internal forces, for a beam of equal elements."""
     return length / elements * np.array([0.0, *(np.arange(elements) + 0.5), elements])

@@ -19,7 +19,9 @@ from mbdkit.mechanism.forces import PointForce
 from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point, Positive, Table, sequence
 
 SHEAR_SHARE = 1e-6
-"""Share of shear in the deflection of a cantilever with a force at its end, for a beam with ``shear: none``."""
+"""Share of the deflection of a cantilever with a force at its end that is due to shear, for a beam with ``shear:
+none``.
+"""
 
 MOST_ELEMENTS = 20_000
 """Largest number of elements of a beam."""
@@ -82,7 +84,7 @@ class Beam(StrictModel):
     to any other body. The angle of a node is that of the tangent, from a to b.
     """
 
-    # not `nu`, which may be 0: an empty value counts as absent
+    # `nu` is not in the list because it may be 0; an empty value counts as absent.
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         "type", "a", "b", "points", "E", "G", "A", "I", "density", "stiffness", "mass_per_length", "rotary_inertia",
         "load", "load_frame", "start",
@@ -218,7 +220,8 @@ class Beam(StrictModel):
 
     @cached_property
     def highest_frequency(self) -> float:
-        """Upper bound on the frequencies of the free beam with its elements [rad/s]: the highest one of a free element.
+        """Upper bound of the natural frequencies of the free beam [rad/s]: the highest natural frequency of a single
+        free element.
 
         B. M. Irons, Applications of a theorem on eigenvalues to finite element problems (1970).
         """
@@ -306,7 +309,7 @@ class Beam(StrictModel):
             ) from None
 
     def loads(self, name: str) -> dict[str, PointForce]:
-        """Return the forces on the nodes that replace the distributed load of the beam `name`, by their names."""
+        """Return the forces on the nodes that replace the distributed load of the beam `name`, by name of the force."""
         if self.load is None:
             return {}
         return {
@@ -330,7 +333,7 @@ class Beam(StrictModel):
 
 
 def beam_of(node: str) -> str:
-    """Return the name of the beam that a node belongs to, by its own name, such as ``tube.0``; otherwise, no text."""
+    """Return the name of the beam to which a node such as ``tube.0`` belongs; an empty text if it belongs to none."""
     beam, _, number = node.rpartition(".")
     return beam if number.isdecimal() else ""
 

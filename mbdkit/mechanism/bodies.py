@@ -1,8 +1,9 @@
 """Bodies, and the base classes of the elements that act on them.
 
-Each body has its own frame with its origin at the centre of mass; `points` are given in these frames, `at`, `from` and
-`to` in the global frame at the initial positions as given, before assembly. The frame of ``ground`` is the global
-frame. A relative angle is always ``angle_b - angle_a`` for ``bodies: [a, b]``. Units are SI; angles are in radians.
+Each body has its own frame, whose origin is the centre of mass. `points` are given in these frames; `at`, `from` and
+`to` are given in the global frame, with the bodies at their initial positions before assembly. The frame of ``ground``
+is the global frame. A relative angle is always ``angle_b - angle_a`` for ``bodies: [a, b]``. Units are SI; angles are
+in radians.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from mbdkit.mechanism.values import BodyPair, Motion, Number, Point, Points, Pos
 GROUND = "ground"
 
 ON_POINT_MASS = 1e-9
-"""Distance, relative to the largest coordinate, within which a global point counts as the position of a point mass."""
+"""Distance from a point mass, relative to the largest coordinate, within which a global point counts as its
+position.
+"""
 
 Attachment = tuple[str, str, tuple[float, float]]
 """Key in the spec, body name, and point in the body's frame [m]."""
@@ -86,7 +89,7 @@ class Element(StrictModel):
 
     @classmethod
     def unit_along(cls, data: Mapping[str, Any]) -> str:
-        """Return the unit, m or rad, that is meant where the description of a key has two, as in ``[N/m or N m/rad]``.
+        """Return the unit, m or rad, that applies where the description of a key lists two, as in ``[N/m or N m/rad]``.
 
         Parameters
         ----------
@@ -96,17 +99,19 @@ class Element(StrictModel):
         Returns
         -------
         str
-            Empty if the keys do not tell.
+            The unit; empty if the keys do not determine it.
         """
         return ""
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
-        """Return the element with its points in the frames of the bodies; `bodies` have the positions as given.
+        """Return the element with its points in the frames of the bodies; `bodies` are at their positions before
+        assembly.
 
         Raises
         ------
         SpecError
-            With a key path below `key`, if an element is attached to a point mass at another point than its position.
+            If an element is attached to a point mass at another point than its position. The error has a key path below
+            `key`.
         """
         return self
 
@@ -114,8 +119,8 @@ class Element(StrictModel):
 class AtPoint(Element):
     """An element at a point of one body.
 
-    The point is given either in the frame of the body or in the global frame; `placed` converts the latter, so that
-    `point` is None only before that.
+    The point is given either in the frame of the body or in the global frame. In the latter case, `point` is None until
+    `placed` converts the point.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("at",)
@@ -182,13 +187,13 @@ class Between(Element):
 class BetweenPoints(Between):
     """An element between a point of one body and a point of another.
 
-    The points are given either in the frames of the bodies or in the global frame; `placed` converts the latter, so
-    that `points` is None only before that.
+    The points are given either in the frames of the bodies or in the global frame. In the latter case, `points` is None
+    until `placed` converts them.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "at", "from_", "to")
     GLOBAL: ClassVar[tuple[str, ...]] = ()
-    """Keys of the points in the global frame: one for both bodies, or one for each."""
+    """Keys of the points in the global frame: one for a common point, or one for each body."""
 
     points: Points | None = None
     """One point in each body's own frame [m]."""
@@ -242,7 +247,7 @@ class BetweenPoints(Between):
         return ()
 
     def _once_placed(self) -> dict[str, Any]:
-        """Return the fields that change when the points in the global frame are converted."""
+        """Return the new values of the fields that change when points in the global frame are converted."""
         return {}
 
 
@@ -266,7 +271,7 @@ class At(BetweenPoints):
 class FromTo(BetweenPoints):
     """An element whose two points are apart."""
 
-    # `from` is a keyword of Python, so that a keyword argument is called `from_`
+    # `from` is a keyword of Python, so the keyword argument is called `from_`.
     model_config = ConfigDict(
         populate_by_name=True,
         serialize_by_alias=True,
@@ -288,12 +293,12 @@ class FromTo(BetweenPoints):
 
 
 def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float], key: str) -> tuple[float, float]:
-    """Return a global point in the frame of a body at its initial position, (0, 0) for a point mass.
+    """Return a global point in the frame of a body at its initial position; (0, 0) for a point mass.
 
     Raises
     ------
     SpecError
-        With the key path `key`, if the body is a point mass at another place.
+        If the body is a point mass at another position. The error has the key path `key`.
     """
     if name == GROUND:
         return point

@@ -22,7 +22,7 @@ ROUNDING = 1e-9
 """Relative tolerance for a run that extends beyond a table; the end of a run is a sum of rounded steps."""
 
 COINCIDENT = 1e-12
-"""Two points closer than this [m] coincide; for coordinates above 1 m, relative to the largest coordinate."""
+"""Two points closer than this [m] coincide; with coordinates above 1 m, the distance is relative to the largest one."""
 
 
 def check_mechanism(
@@ -32,7 +32,9 @@ def check_mechanism(
     joints: Mapping[str, Joint],
     assembly: Assembly,
 ) -> None:
-    """Raise a SpecError with the key path of the first error; `elements`, by kind and name, include the `joints`."""
+    """Raise SpecError with the key path of the first error; `elements` has all elements by kind and name, including
+    `joints`.
+    """
     parts = parts_of(beams)
     own = {kind: [name for name in named if name not in parts] for kind, named in elements.items()}
     check_names([name for name in bodies if name not in parts], beams, own)
@@ -54,7 +56,7 @@ def check_mechanism(
 
 
 def check_names(bodies: Iterable[str], beams: Collection[str], elements: Mapping[str, Iterable[str]]) -> None:
-    """Raise a SpecError if there are neither bodies nor beams, or for the first name that is not valid."""
+    """Raise SpecError if there are neither bodies nor beams, or for the first name that is not valid."""
     if not (bodies or beams):
         raise SpecError(NO_BODY, key="model.bodies")
     for kind, names in {"bodies": bodies, "beams": beams, **elements}.items():
@@ -81,7 +83,9 @@ def motions_by_key(
 def check_tables(
     joints: Mapping[str, Joint], forces: Mapping[str, Force], muscles: Mapping[str, Muscle], start: float, end: float
 ) -> None:
-    """Raise a SpecError for the first table that neither covers the times from `start` to `end` [s] nor is periodic."""
+    """Raise SpecError for the first table that is not periodic and does not cover the times from `start` to `end`
+    [s].
+    """
     for key, motion in motions_by_key(joints, forces, muscles):
         if not isinstance(motion, Table) or motion.period:
             continue
@@ -100,7 +104,7 @@ def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) ->
     Parameters
     ----------
     placed
-        Returns the body with a given name, at its position after assembly.
+        Function that returns the body with a given name, at its position after assembly.
     """
     for name, joint in joints.items():
         if not isinstance(joint, Revolute) or joint.center is None:
@@ -122,7 +126,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
     Parameters
     ----------
     placed
-        Returns the body with a given name, at its position after assembly.
+        Function that returns the body with a given name, at its position after assembly.
     """
     for name, force in forces.items():
         line = _line(force)

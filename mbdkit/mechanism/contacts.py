@@ -23,10 +23,10 @@ OPEN, STICK, SLIP = range(3)
 """Modes of a contact."""
 
 MOST_CORNERS = 16
-"""Largest number of corners of a polygon, all of which are parameters of the program of each force."""
+"""Largest number of corners of a polygon; all corners are parameters of the program of each force."""
 
 RELEASED = 1e300
-"""Rate of the indentation [m/s] at which a law without dissipation would let go: never."""
+"""Rate of the indentation [m/s] at which a law without dissipation would stop pushing; practically never reached."""
 
 
 class LineShape(StrictModel):
@@ -128,7 +128,7 @@ def _check_convex(corners: tuple[Pair, ...]) -> None:
             message = "a polygon should be convex, with its corners in counter-clockwise order and none between others"
             raise SpecError(message, key="polygon")
         turns += math.atan2(across, (bx - ax) * (cx - bx) + (by - ay) * (cy - by))
-    if turns > 7.0:  # a star turns more than once
+    if turns > 7.0:  # the edges of a star turn more than once
         raise SpecError("the edges of a polygon should not cross", key="polygon")
 
 
@@ -138,12 +138,12 @@ class Treatment(NamedTuple):
     Attributes
     ----------
     kind
-        ``compliant``, ``event-driven`` or ``time-stepping``; all but the first have rigid bodies.
+        ``compliant``, ``event-driven`` or ``time-stepping``; in the latter two, bodies are rigid.
     impact_law
         Law of impacts of rigid bodies, ``newton`` or ``poisson``.
     rest_energy
-        Kinetic energy of a rebound, as a share of the mechanism's largest one so far, below which a
-        contact stays closed.
+        A contact stays closed if the kinetic energy of its rebound is below this share of the largest kinetic energy of
+        the mechanism so far.
     """
 
     kind: str = "compliant"
@@ -199,24 +199,25 @@ class Compliance(StrictModel):
 
 
 class ContactPair(NamedTuple):
-    """One row of a contact: a line, circle, hole or polygon of the first body, and a circle or point of the second.
+    """One possible contact point (row) of a contact: a line, circle, hole or polygon of one body, and a circle or point
+    of the other.
 
     Attributes
     ----------
     name
-        Name of the row: that of the contact, with the number of the corner of a polygon.
+        Name of the row: that of the contact, followed by the number of the corner for a polygon.
     key
         Key of the contact in a spec.
     bodies
-        The two bodies, in the order in which the formulas of the `kind` have them.
+        The two bodies, in the order that the formulas of the `kind` assume.
     kind
-        Kind of geometry, see `mbdkit.symbolic.contact_definitions`; with the number of edges of a polygon.
+        Kind of geometry, see `mbdkit.symbolic.contact_definitions`, and number of edges if there is a polygon.
     numbers
-        Its numbers, in the frames of the bodies.
+        Parameters of the geometry, in the frames of the bodies.
     radius
         Radius of the circle [m], 0 for a point.
     swapped
-        Whether the bodies are in the opposite order of those of the contact.
+        Whether the order of the bodies is opposite to that in the contact.
     """
 
     name: str
@@ -318,7 +319,7 @@ class Contact(Element):
 
     @property
     def by_body(self) -> list[tuple[str, str, str, Shape]]:
-        """Key of the name and of the shape, name and shape of each body."""
+        """Keys of the name and of the shape, name and shape of each body."""
         if self.bodies is not None:
             names = [(f"bodies[{i}]", f"shapes[{i}]", name) for i, name in enumerate(self.bodies)]
         else:
@@ -339,7 +340,7 @@ class Contact(Element):
 
     @property
     def dissipation(self) -> float:
-        """Dissipation of the law: c, see `Compliance`."""
+        """Dissipation c of the force law, see `Compliance`."""
         own = self.compliance
         assert own is not None
         if own.dissipation is not None:
@@ -353,7 +354,9 @@ class Contact(Element):
         return factor / (1.5 * own.impact_speed)
 
     def law_numbers(self, radius: float) -> dict[str, float]:
-        """Return the numbers of the laws of normal force and friction by name; `radius` is that of the circle [m]."""
+        """Return the parameters of the laws of normal force and friction by name; `radius` is that of the circle
+        [m].
+        """
         own = self.compliance
         assert own is not None
         static, kinetic = self.coefficients
@@ -369,7 +372,7 @@ class Contact(Element):
         }
 
     def pairs(self, name: str, joints: Mapping[str, Joint]) -> Iterator[ContactPair]:
-        """Yield the rows of the contact; pairs of `among` that a joint connects are left out."""
+        """Yield the rows of the contact; for `among`, pairs of bodies that a joint connects are left out."""
         held = {frozenset(joint.bodies) for joint in joints.values() if not joint.is_driver}
         key = f"model.contacts.{quoted(name)}"
         for (_, _, a, first), (_, _, b, second) in combinations(self.by_body, 2):
@@ -379,8 +382,10 @@ class Contact(Element):
                 yield from _rows(f"{name}.{a}.{b}", key, (a, b), first, second)
 
     def check_joints(self, key: str, joints: Mapping[str, Joint]) -> None:
-        """Raise SpecError if a weld holds the two bodies together, or a pin two bodies that move: these overlap around
-        the pin. What is pinned to the ground may touch other parts of the ground.
+        """Raise SpecError if a weld connects the two bodies, or a pin connects two moving bodies, which overlap around
+        the pin.
+
+        Bodies that are pinned to the ground may touch other parts of the ground.
         """
         if self.bodies is None:
             return
@@ -423,7 +428,7 @@ def _check_kinds(first: Shape, second: Shape, key: str) -> None:
 
 
 def _check_hole(first: Shape, second: Shape, key: str) -> None:
-    """Raise SpecError unless one of two shapes fits into the other, which is a hole."""
+    """Raise SpecError if one of two shapes is a hole and the other does not fit into it."""
     hole, other = (first, second) if first.kind == "hole" else (second, first)
     if other.kind not in ("circle", "point"):
         raise SpecError(f"a hole holds a circle or a point, not a {other.kind}", key=key)
@@ -437,7 +442,7 @@ def _check_hole(first: Shape, second: Shape, key: str) -> None:
 
 
 def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Shape) -> Iterator[ContactPair]:
-    """Yield the rows of two shapes, of which either may be the circle."""
+    """Yield the rows of two shapes; the circle may be the first or the second."""
     order = {"line": 0, "polygon": 1, "hole": 2, "circle": 3, "point": 4}
     swapped = order[first.kind] > order[second.kind]
     if swapped:
@@ -474,7 +479,7 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
 
 
 def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
-    """Return a point and the unit normal of each edge, which points outwards."""
+    """Return a point and the unit outward normal of each edge."""
     found: list[float] = []
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
         size = math.hypot(bx - ax, by - ay)
@@ -483,11 +488,11 @@ def _edges(corners: tuple[Pair, ...]) -> tuple[float, ...]:
 
 
 def feet(pairs: Iterable[Sequence[str]]) -> list[str]:
-    """Return the names of the bodies that may touch the ground, from the two bodies of each contact."""
+    """Return the names of the bodies that may touch the ground, given the two bodies of each contact."""
     return list(dict.fromkeys(name for pair in pairs if GROUND in pair for name in pair if name != GROUND))
 
 
 def check_contacts(contacts: Mapping[str, Contact], joints: Mapping[str, Joint]) -> None:
-    """Raise SpecError for the first contact that a joint contradicts, or in which the ground touches itself."""
+    """Raise SpecError for the first contact that contradicts a joint, or that lies between two shapes of the ground."""
     for name, contact in contacts.items():
         contact.check_joints(f"model.contacts.{quoted(name)}", joints)

@@ -1,4 +1,4 @@
-"""Functions of named coordinates of a mechanism, along which points of the path of a muscle move."""
+"""Functions of named coordinates of a mechanism, along which path points of muscles move."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbdkit.expressions.program import Program, execute, with_slope
 from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
 
 _COORDINATE = "coordinate:"
-"""Beginning of the instructions that push a coordinate."""
+"""Prefix of the instructions that push a coordinate."""
 
 
 class CoordinateExpressionError(ExpressionError):
@@ -25,7 +25,7 @@ class CoordinateExpressionError(ExpressionError):
 
 
 class CoordinateCompiler(Compiler):
-    """Compiles an expression of named coordinates; which names exist is known to the mechanism only."""
+    """Compiles an expression of named coordinates; whether the names exist is checked later, with the mechanism."""
 
     wanted = "an expression of named coordinates, which consists of numbers, names of coordinates, pi"
     variable = ""
@@ -53,7 +53,7 @@ class _Points(Table):
     COLUMNS: ClassVar[str] = "[[coordinate, ...], [value, ...]]"
 
     table: Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(_columns)]
-    """Strictly increasing coordinates [rad or m] and the value at each one [m]."""
+    """Strictly increasing coordinates [rad or m] and the value at each coordinate [m]."""
     interpolation: Literal["cubic", "quintic"] = "cubic"
     """A cubic or quintic spline, with two or four continuous derivatives."""
 
@@ -90,7 +90,7 @@ CoordinateFunction = Annotated[Number | str | CoordinateTable, BeforeValidator(_
 
 
 def names_of(function: CoordinateFunction) -> list[str]:
-    """Return the names of the coordinates in a function, each of them once."""
+    """Return the names of the coordinates in a function, each once."""
     if isinstance(function, CoordinateTable):
         return [function.of]
     if not isinstance(function, str):
@@ -133,7 +133,7 @@ def value_and_slopes(
 
         return execute(program, step)
 
-    with np.errstate(all="ignore"):  # second derivatives, which are not used
+    with np.errstate(all="ignore"):  # ignores overflow in second derivatives, which are not used
         slopes = {name: along(name) for name in names_of(function)}
         if not slopes:
             return along("")[0], {}

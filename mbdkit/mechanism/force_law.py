@@ -1,9 +1,9 @@
 """Definitions of force laws: the tension of a force element as a function of length, rate and time.
 
-A law gives the scalar force ``F(s, s', t)`` along a pathway of length ``s``; a positive force pulls the two bodies
-together. It also gives ``dF/ds``, ``dF/ds'`` and, optionally, a potential ``V(s)`` with ``dV/ds = F(s, 0)``. The bodies
-supply the power ``F s'`` to the element, which stores ``V_s s'``. If the law is passive, the remainder is dissipated;
-otherwise it counts as negative work of the element.
+A law defines the scalar force ``F(s, s', t)`` along a pathway of length ``s``; a positive force pulls the two bodies
+together. It also defines ``dF/ds``, ``dF/ds'`` and, optionally, a potential ``V(s)`` with ``dV/ds = F(s, 0)``. The
+bodies supply the power ``F s'`` to the element, which stores ``dV/ds s'`` of it. If the law is passive, the remainder
+is dissipated; otherwise it counts as negative work of the element.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ARGUMENTS = ("length", "rate", "time")
 """Arguments of every law: length s [m or rad], rate s' [m/s or rad/s] and time t [s]."""
 
 Ranges = Mapping[str, tuple[float, float]]
-"""Lowest and highest value of some arguments of a law, by their names; the others may have any value."""
+"""Lowest and highest value for some arguments of a law, by name; other arguments may have any value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,19 +38,20 @@ class ExpressionLaw:
         potential. Its derivative with respect to length must equal the force at rate zero, which must not depend on
         time; this is checked.
     passive
-        Whether all power that is not stored is dissipated.
+        Whether all power that is not stored in the potential is dissipated.
     parameters
         Function from an instance of the law's options to the values of the parameters by name; by default, the
         parameters are the numeric options themselves.
     rates
-        First-order states of an element with this law: the derivative by time of each, as an expression like `force` or
-        a function that returns it, and its unit, by the name of the state. A parameter of the same name gives the
-        initial value; all expressions may contain the state by its name. A law with states has no potential, so that
-        its power counts as work, or as dissipated if it is passive.
+        First-order states of an element with this law, by name: for each, its time derivative, as an expression like
+        `force` or a function that returns it, and its unit. A parameter of the same name gives the initial value; all
+        expressions may contain the state by its name. A law with states has no potential, so its power counts as work,
+        or as dissipated if the law is passive.
     valid_range
-        Where the law holds, such as ``{"length": (0.0, 0.3), "rate": (-1.0, 1.0)}`` [SI units, radians], or a function
-        from an instance of the law's options to this; a bound may be infinite. Outside of it, the law must still give
-        finite numbers. A run that leaves the range is doubtful, or stops under ``limits.law_range: stop``.
+        Range in which the law holds, such as ``{"length": (0.0, 0.3), "rate": (-1.0, 1.0)}`` [SI units, radians], or a
+        function from an instance of the law's options to such a range; bounds may be infinite. The law must give finite
+        numbers outside the range, too. A run that leaves the range is judged doubtful, or stops if ``limits.law_range``
+        is ``stop``.
     """
 
     force: sympy.Expr | Callable[[], sympy.Expr]
@@ -76,11 +77,12 @@ class LawState:
     Parameters
     ----------
     name
-        Name of the state, and of the parameter of the law that stands for it; its value is the initial one.
+        Name of the state, and of the parameter of the law that represents it; the value of the parameter is the initial
+        value.
     rate
-        Its derivative by time, in the form of a law with the same parameters.
+        Time derivative of the state, in the form of a law with the same parameters.
     unit
-        Its unit.
+        Unit of the state.
     """
 
     name: str
@@ -95,9 +97,9 @@ class FunctionLaw:
     Parameters
     ----------
     function
-        Takes length, rate, time and an array of parameters. Returns four numbers: the force, its derivatives with
-        respect to length and to rate, and the potential (0.0 if there is none). It may call other functions only from
-        its own package.
+        Function of length, rate, time and an array of parameters, which returns four numbers: the force, its
+        derivatives with respect to length and to rate, and the potential (0.0 if there is none). It may call other
+        functions only from its own package.
     potential
         Whether the fourth number is a potential. The derivative of a potential with respect to length equals the force
         at rate zero, which must not depend on time.
@@ -107,7 +109,7 @@ class FunctionLaw:
         Function from an instance of the law's options to the array of parameters, of any length; by default, the
         parameters are the options in the order of their definition.
     valid_range
-        Where the law holds, as in `ExpressionLaw`.
+        Range in which the law holds; see `ExpressionLaw`.
     """
 
     function: Callable[..., tuple[float, float, float, float]]
@@ -128,18 +130,18 @@ class TracedLaw:
     Parameters
     ----------
     function
-        Takes length, rate, time and a mapping with the parameters by name; returns the force. It consists of operators
-        and functions of NumPy, of numbers and of ``numpy.where``.
+        Function of length, rate, time and a mapping with the parameters by name, which returns the force. It may use
+        numbers, operators, functions of NumPy and ``numpy.where``.
     parameters
         Function from an instance of the law's options to the values of the parameters by name.
     states
         First-order states of an element with this law, whose rates have the same parameters.
     has_derivatives
-        Whether its derivatives by length and rate are needed: those of a rate are not.
+        Whether derivatives by length and rate are needed; they are not for the rate of a state.
     passive
         Whether all power is dissipated.
     valid_range
-        Where the law holds, as in `ExpressionLaw`.
+        Range in which the law holds; see `ExpressionLaw`.
     """
 
     function: Callable[[Any, Any, Any, Mapping[str, Any]], Any]

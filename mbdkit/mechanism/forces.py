@@ -68,7 +68,7 @@ class SpringDamper(LinePathway):
 
     @property
     def pathway(self) -> SpringDamper:
-        """The pathway along which the force acts, which is the element itself."""
+        """The pathway along which the force acts, which is this object."""
         return self
 
     @property
@@ -95,7 +95,7 @@ class TorsionSpring(AnglePathway):
 
     @property
     def pathway(self) -> TorsionSpring:
-        """The pathway along which the force acts, which is the element itself."""
+        """The pathway along which the torque acts, which is this object."""
         return self
 
     @property
@@ -169,6 +169,6 @@ class PointForce(AtPoint):
         return AppliedLoad(kind, self.body, GROUND, self.value, self.held)
 
 
-# Each law has its own subclass of `Law` with the options as fields; SerializeAsAny includes these fields in dumps.
+# Each law has its own subclass of `Law`, whose fields are the options; SerializeAsAny includes these fields in dumps.
 Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce | SerializeAsAny[Law], Field(discriminator="type")]
 """A force element; `type` selects its class."""

@@ -15,8 +15,8 @@ from mbdkit.mechanism.values import NotNegative, Positive
 def regularised_friction(normal: Any, slip: Any, numbers: Sequence[Any], choose: Callable[[Any, Any, Any], Any]) -> Any:
     """Return Coulomb's friction force against the slip, regularised as in Simbody.
 
-    It is largest, `static` times the normal force, at the slip `transition`, and approaches `kinetic` times the normal
-    force beyond.
+    The force is largest, `static` times the normal force, at the slip `transition`. At larger slip it approaches
+    `kinetic` times the normal force.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def regularised_friction(normal: Any, slip: Any, numbers: Sequence[Any], choose:
     numbers
         `static`, `kinetic` and `transition` [m/s].
     choose
-        ``choose(x, a, b)`` is a where x > 0, else b.
+        Function ``choose(x, a, b)`` that returns a where x > 0, else b.
     """
     static, kinetic, transition = numbers
     ratio = slip**2 / transition**2

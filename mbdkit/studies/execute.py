@@ -79,7 +79,7 @@ class Execution:
         folder.check(spec, overwrite=options.overwrite)
 
     def run(self, engine: Engine) -> None:
-        """Compute the missing results and write the index; after Ctrl-C, index the results so far.
+        """Compute the missing results and write the index; after Ctrl-C, the index contains the results so far.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
-"""The runs that a study stores, in archives of one run or in blocks of many, and what is known of their files.
+"""The runs that a study stores, in archives of one run or in blocks of many, and the state of their files.
 
-Which runs exist is known from the index of an earlier call, from the files, and from the workers.
+Which runs exist is determined from the index of an earlier call, from the files, and from the answers of workers.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Key = TypeVar("Key", str, int)
 
 @dataclass(frozen=True)
 class Round:
-    """Tasks that may be computed in any order, after those of the rounds before.
+    """Tasks that may be computed in any order, after the tasks of all previous rounds.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Round:
         Number of runs that were expected in this round when the study began. There may be fewer tasks, because runs of
         earlier rounds have failed.
     one_by_one
-        Whether one process of this machine computes them, one after another.
+        Whether one process of this machine computes the tasks, one after another.
     """
 
     tasks: Sequence[Task]
@@ -45,7 +45,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Noted:
-    """What the outcome of a task means for the numbers that a study reports.
+    """The change of the numbers reported by a study that results from the outcome of a task.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class Noted:
 class RunStore(ABC, Generic[Key]):
     """The runs of a study in its folder: those that exist, those that are missing, and the index.
 
-    A file has one run (`RunFiles`, whose keys are the run ids) or is a block of many (`RunBlocks`, whose keys are the
-    numbers of the blocks). It is read unless it is unchanged since it was indexed. The constructors of both classes
-    check that the spec of the study is valid; nothing is read from the folder before `begin`.
+    A file contains one run (`RunFiles`, whose keys are the run ids) or a block of many runs (`RunBlocks`, whose keys
+    are the numbers of the blocks). A file is read only if it has changed since it was indexed. The constructors of both
+    classes check that the spec of the study is valid; nothing is read from the folder before `begin`.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class RunStore(ABC, Generic[Key]):
 
     @abstractmethod
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
-        """Find out what is missing in the folder, which is locked, and return the number of runs to compute.
+        """Determine what is missing in the locked folder, and return the number of runs to compute.
 
         Parameters
         ----------
@@ -95,7 +95,7 @@ class RunStore(ABC, Generic[Key]):
 
     @abstractmethod
     def rounds(self) -> Iterator[Round]:
-        """Yield what is to be computed; the next round depends on the outcomes of the ones before."""
+        """Yield the tasks to be computed; each round depends on the outcomes of the rounds before."""
 
     @abstractmethod
     def note(self, task: Task, outcome: Outcome) -> Noted:
@@ -103,20 +103,20 @@ class RunStore(ABC, Generic[Key]):
 
     @abstractmethod
     def index(self) -> Index:
-        """Return the index of what is in the folder now."""
+        """Return the index of the present contents of the folder."""
 
     @abstractmethod
     def indexed(self, key: Key) -> Outcome | None:
-        """Return the outcome of a file that has not changed since it was indexed; None for others."""
+        """Return the outcome stored in a file that has not changed since it was indexed; None for other files."""
 
     @abstractmethod
     def read(self, key: Key) -> Outcome:
-        """Return the outcome from a file; ``missing`` if it is damaged, or its runs have not ended.
+        """Return the outcome stored in a file; ``missing`` if the file is damaged, or its runs have not ended.
 
         Raises
         ------
         SpecError
-            If it contains other runs.
+            If the file contains other runs.
         """
 
     def index_before(self) -> Index | None:
@@ -130,8 +130,8 @@ class RunStore(ABC, Generic[Key]):
     def missing(self, keys: Iterable[Key]) -> list[Key]:
         """Return the keys of the files that are to be computed.
 
-        These files are read again for the index, because another shard, or a worker of an interrupted call, may write
-        them meanwhile.
+        These files are read again for the index, because another shard, or a worker of an interrupted call, may have
+        written them in the meantime.
 
         Raises
         ------
@@ -144,19 +144,19 @@ class RunStore(ABC, Generic[Key]):
         return missing
 
     def outcome(self, key: Key) -> Outcome:
-        """Return the outcome of a file; ``missing`` if it is not there, or has to be computed again.
+        """Return the outcome stored in a file; ``missing`` if there is no file, or if it has to be computed again.
 
         Raises
         ------
         SpecError
-            If it contains other runs.
+            If the file contains other runs.
         """
         if key not in self._outcomes:
             self._outcomes[key] = self.indexed(key) or self.read(key)
         return self._outcomes[key]
 
     def note_file(self, key: Key, outcome: Outcome) -> None:
-        """Record the outcome of a file that was computed just now."""
+        """Record the outcome of a file that has just been computed."""
         self.forget(key)
         self._outcomes[key] = outcome if outcome.status in ("complete", "failed", "missing") else MISSING
 

@@ -1,4 +1,4 @@
-"""The table of the runs of a study in formats that other programs read."""
+"""The table of the runs of a study, in formats that other programs read."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
     Raises
     ------
     SpecError
-        If the format is unknown or for data over time only, or the file exists or cannot be written.
+        If the format is unknown or suitable only for data over time, or if the file exists or cannot be written.
     ResourceError
         If the disk is full or writing is not permitted.
     MbdkitError

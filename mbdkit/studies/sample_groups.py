@@ -1,4 +1,6 @@
-"""The parts of a study that repeat its sample, or its table of members: one for each combination of the axes."""
+"""The parts of a study in which its sample, or its table of members, is repeated: one for each combination of the
+axes.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,9 @@ class SampledStudy(Protocol):
         ...
 
     def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
-        """Yield runs that join the rows of one or more runs of the study, with the numbers of the latter in the study,
-        and their numbers of rows.
+        """Yield runs that join the rows of one or more runs of the study.
+
+        With each of them come the numbers, in the study, of the runs that it joins, and their numbers of rows.
         """
         ...
 
@@ -49,11 +52,11 @@ class SampleGroup:
     Parameters
     ----------
     family
-        Name of its family; empty in a study without families.
+        Name of the family; empty in a study without families.
     axes
-        Labels on the axes by dotted key, without those of the variables; empty in a study without axes.
+        Labels on the axes by dotted key, except on those of the variables; empty in a study without axes.
     places
-        Indices of its runs among the points of the study, from 0.
+        Indices of the runs of the group among the points of the study, from 0.
     """
 
     family: str
@@ -68,7 +71,7 @@ class SampleGroup:
 
 
 def sample_groups(study: SampledStudy) -> list[SampleGroup]:
-    """Return the groups of a study in the order of its points; a study without axes has one."""
+    """Return the groups of a study in the order of its points; a study without axes has a single group."""
     groups: list[SampleGroup] = []
     start = 0
     for grid in map(study.grid, study.families):
@@ -112,7 +115,9 @@ def groups_where(study: SampledStudy, where: Mapping[str, Any] | None) -> list[S
 
 
 def one_group(study: SampledStudy, where: Mapping[str, Any] | None) -> SampleGroup:
-    """Return the only group with the given family and labels; raise MbdkitError if there is none, or several."""
+    """Return the only group with the given family and labels; raise MbdkitError if there is no such group, or
+    several.
+    """
     groups = groups_where(study, where)
     if len(groups) > 1:
         group = groups[0]
@@ -133,7 +138,7 @@ def measured(study: SampledStudy, name: str, places: range) -> np.ndarray:
     Raises
     ------
     MbdkitError
-        If there is no such column, or it has no numbers.
+        If there is no such column, or it is not numeric.
     """
     columns = study.columns()
     numbers = [key for key, column in columns.items() if key != "number" and np.asarray(column).dtype.kind in "fiu"]

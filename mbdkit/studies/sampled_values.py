@@ -15,20 +15,20 @@ from mbdkit.studies import member_table
 from mbdkit.studies.study_folder import StudyFolder
 
 _SMALLEST = 2.0**-54
-"""Smallest coordinate of a point, in place of 0, whose quantile is infinite for many distributions."""
+"""Smallest coordinate of a point; it replaces 0, whose quantile is infinite for many distributions."""
 
 
 def sampled_values(sample: Sample) -> dict[str, np.ndarray]:
     """Return the values of each variable, (N,) by dotted key, where N is the number of runs.
 
-    The runs of a member of the sample follow each other. In a Saltelli design with d variables, a member has one run
-    with a point of the matrix A, one with a point of B, and d runs with the point of A in which one coordinate is
-    replaced by that of B; in other designs, a member is one run.
+    The runs of each member of the sample are consecutive. In a Saltelli design with d variables, a member has one run
+    with a point of the matrix A, one with a point of B, and d runs with the point of A in which one coordinate is taken
+    from B. In other designs, a member is one run.
 
     Raises
     ------
     SpecError
-        If a value is not finite, with the key below the section.
+        If a value is not finite. The error has the key below the section.
     """
     d = len(sample.variables)
     if sample.design == "plain":
@@ -57,7 +57,7 @@ def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
 
     random = np.random.default_rng(sample.seed)
     match sample.method:
-        case "sobol":  # a power of 2, because SciPy warns about other numbers
+        case "sobol":  # a power of 2, because SciPy warns about other numbers of points
             points = qmc.Sobol(dimensions, seed=random).random_base2((sample.n - 1).bit_length())[: sample.n]
         case "halton":
             points = qmc.Halton(dimensions, seed=random).random(sample.n)
@@ -91,7 +91,7 @@ def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool 
 
 
 def _study_in(folder: StudyFolder) -> StudySpec | None:
-    """Return the study in a folder; None if there is no readable one, which is reported elsewhere."""
+    """Return the study in a folder; None if it cannot be read, which is reported elsewhere."""
     if not folder.spec.is_file():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Measures that are not in the archive of a run: they need a second run, or one that is reversed."""
+"""Measures that cannot be computed from the archive of a run: they need a second run, or a reversed run."""
 
 from __future__ import annotations
 
@@ -34,8 +34,7 @@ def second_run(spec: RunSpec, names: Sequence[str]) -> tuple[dict[str, float], s
     Returns
     -------
     dict, str
-        The measures by name, nan if they could not be computed, and the reason for that; an empty string if there is
-        none.
+        The measures by name, which are nan if they could not be computed; and the reason for this, or an empty string.
     """
     values: dict[str, float] = {}
     notes = []
@@ -57,7 +56,7 @@ def velocity_misalignment(spec: RunSpec) -> tuple[float, str]:
     Returns
     -------
     float, str
-        The measure, nan if the run fails, and the reason for that; an empty string if there is none.
+        The measure, which is nan if the run fails; and the reason of the failure, or an empty string.
     """
     every_step = json.loads(spec.canonical_json()) | {"output": {"every": 1, "quantities": ["joints"]}}
     try:
@@ -65,14 +64,14 @@ def velocity_misalignment(spec: RunSpec) -> tuple[float, str]:
             if run.status != "complete":
                 return math.nan, run.status_reason
             return float(np.max(run.array("joints/velocity_misalignment"), initial=0.0)), ""
-    except MbdkitError as error:  # for example, too many rows for the memory
+    except MbdkitError as error:  # for example, there are too many rows for the memory
         return math.nan, f"error: {error}"
 
 
 LOOKS = 16
 """Number of states along the run at which the mechanism is tested for reversibility."""
 SAME = 1e-9
-"""Relative tolerance for equal accelerations, and for joint positions relative to the largest coordinate."""
+"""Relative tolerance for equal accelerations. Also for joint positions, relative to the largest coordinate."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ class Reversal:
     defect
         Distance from the start position [m]: sqrt(dq^T M dq / total mass); nan if the test was not possible.
     velocity_defect
-        The same for the velocities [m/s], whose exact values are the negated velocities of the start.
+        The same measure for the velocities [m/s]; the exact final velocities are the negated velocities of the start.
     note
         Reason why the test was not possible; empty otherwise.
     """
@@ -160,7 +159,9 @@ def _timetable(spec: RunSpec) -> Timetable | None:
 
 
 def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
-    """Integrate from the start of a workspace, and return states including the last; raise _StoppedError on failure."""
+    """Integrate from the start of a workspace, and return the recorded states with the last one; raise _StoppedError on
+    failure.
+    """
     try:
         stepper = start_method(spec.integrator_plugin.create(spec.integrator), workspace, table)
         parts = []

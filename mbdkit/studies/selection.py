@@ -1,7 +1,7 @@
 """Conditions on the columns of a study, such as ``misalignment_max < 1e-6 and integrator == 'gauss'``.
 
-Conditions may come from untrusted sources: they are parsed, never evaluated as Python, and only the operations listed
-here are allowed.
+Conditions may come from untrusted sources. They are parsed, never evaluated as Python, and only the operations listed
+in this module are allowed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _QUOTED = r"\"[^\"\\\n]*\"|'[^'\\\n]*'"
 """A quoted text, without a backslash."""
 
 MOST_COMPARED = 1000
-"""Values in a list after `in`."""
+"""Largest number of values in a list after `in`."""
 
 
 def select_rows(condition: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -71,8 +71,8 @@ class _Condition(Compiler):
         return self.words.sub(lambda match: " " * len(match[0]), self.source)
 
     def tree(self) -> ast.expr:
-        """Return the syntax tree, in which columns whose names are not Python identifiers have substitutes of the same
-        length.
+        """Return the syntax tree. Columns whose names are not Python identifiers are replaced by identifiers of the
+        same length.
         """
         original = self.source
         self.source = self.words.sub(lambda match: match[1] or self.alias(match[2]), original)
@@ -82,8 +82,9 @@ class _Condition(Compiler):
             self.source = original
 
     def alias(self, name: str) -> str:
-        """Return a Python identifier for a column, of the same length if possible, so that positions in messages stay
-        correct.
+        """Return a Python identifier for a column.
+
+        It has the same length as the name if possible, so that positions in messages stay correct.
         """
         found = f"_{len(self.aliases)}".ljust(len(name), "_")
         self.aliases[found] = name

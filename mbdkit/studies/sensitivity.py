@@ -29,13 +29,14 @@ class Sensitivity:
     variables
         The d variables, as dotted keys of the run spec.
     indices
-        Their indices with confidence intervals; `first`, `total` and so on are available here, too.
+        Indices of the variables with confidence intervals. Their attributes, `first`, `total` and so on, are also
+        attributes of this object.
     confidence
         Probability of the intervals.
     members
-        Number of members of the sample that are used, because all of their runs have a value of the measure.
+        Number of members of the sample that are used: those for which all runs have a value of the measure.
     left_out
-        Number of members that are not used, because a run failed or has no value.
+        Number of members that are not used, because one of their runs failed or has no value.
     reason
         Why the indices are nan, as a sentence; empty if they are known. An index whose interval covers 0 to 1 is nan
         as well.
@@ -51,12 +52,12 @@ class Sensitivity:
 
     @property
     def first(self) -> np.ndarray:
-        """(d,) first-order indices: shares of the variance that each variable explains alone."""
+        """(d,) first-order indices: the share of the variance that each variable explains alone."""
         return self.indices.first
 
     @property
     def total(self) -> np.ndarray:
-        """(d,) total indices: shares of the variance that each variable explains alone or together with others."""
+        """(d,) total indices: the share of the variance that each variable explains alone or together with others."""
         return self.indices.total
 
     def to_frame(self) -> pandas.DataFrame:
@@ -125,11 +126,13 @@ def sensitivity(
 
 
 def _within_errors(study: SampledStudy, measure: str, places: range, values: np.ndarray) -> str:
-    """Return the reason why values (n, d + 2) contain errors only, as a sentence; empty if they contain more."""
+    """Return a sentence if the variation of values (n, d + 2) can be explained by their errors; otherwise an empty
+    text.
+    """
     if measure + ERROR not in study.columns():
         return ""
     errors = measured(study, measure + ERROR, places)
     largest, spread = float(np.max(errors[np.isfinite(errors)], initial=0.0)), float(np.ptp(values))
-    if spread >= 2.0 * largest:  # both ends may be off
+    if spread >= 2.0 * largest:  # the errors at both ends of the range may add up
         return ""
     return f"The values of {measure} differ by {spread:.3g}, within their estimated errors of up to {largest:.3g}."

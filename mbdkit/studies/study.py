@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 _NOT_SHOWN = ("family", "data_sha256", "file_sha256")
-"""Columns of texts that tables of a study have elsewhere, or not at all."""
+"""Columns of texts that the tables of a study show in another form, or not at all."""
 
 
 class Study(HtmlView):
@@ -81,7 +81,7 @@ class Study(HtmlView):
         if index.study_sha256 != self.spec.sha256() or len(index) != len(planned):
             raise SpecError("the index does not match study.yaml; run `mbdkit study` to renew it", file=self.folder)
         self._all = Points(planned, index, self._files)
-        # Points of small studies are made once, because their specs are asked for again and again.
+        # The points of small studies are created once, because their specs are read repeatedly.
         self.points: Sequence[StudyPoint] = self._all if self.spec.in_blocks else tuple(self._all)
         compared = {point.reference_id: point.planned for point in self.points} if len(index.references) else {}
         rows = [index.row(place, of_references=True) for place in range(len(index.references.get("run_id", ())))]
@@ -119,7 +119,7 @@ class Study(HtmlView):
         )
 
     def statuses(self) -> Sequence[str]:
-        """Return the status of each point."""
+        """Return the status of the run of each point."""
         return list(self._index.runs["status"])
 
     def verdicts(self) -> Sequence[str]:
@@ -152,7 +152,7 @@ class Study(HtmlView):
         return tuple(point for point in self.points if point.family == name)
 
     def _family(self, name: str | None) -> str:
-        """Return the name of a family, by default that of the only one."""
+        """Return the name of a family; None stands for the only family."""
         if name is None and len(self.families) > 1:
             raise MbdkitError(f"the study has several families; name one: {listed(self.families)}")
         chosen = next(iter(self.families)) if name is None else name
@@ -184,19 +184,20 @@ class Study(HtmlView):
         return next(grid for grid in self._planned.grids if grid.name == name)
 
     def run(self, point: StudyPoint | int) -> Run | None:
-        """Return the run of a point with the arrays that the study keeps, or None if it has no results.
+        """Return the run of a point with the arrays that the study stores, or None if it has no results.
 
         Close the run, or use it in a `with` block.
 
         Parameters
         ----------
         point
-            A point, or its place among the points, counted from 0 as in `points` and in the table of `to_frame`.
+            A point, or its index among the points, counted from 0 as in `points` and in the table of `to_frame`.
 
         Raises
         ------
         SpecError
-            If its file contains another run, that of another study included, or other data than the index says.
+            If the file contains another run (also if that belongs to another study), or other data than the index
+            states.
         """
         chosen = self._point(point)
         path = self._path(chosen)
@@ -216,7 +217,7 @@ class Study(HtmlView):
         return run
 
     def _path(self, point: StudyPoint) -> Path | None:
-        """Return the file of a run; None if it has none of its own."""
+        """Return the file of a run; None if the run has no file of its own."""
         return self._files.block(self._blocks.block_of(point.number - 1)) if self.spec.in_blocks else point.path
 
     @cached_property
@@ -234,7 +235,7 @@ class Study(HtmlView):
         Parameters
         ----------
         point
-            As for `run`.
+            See `run`.
 
         Raises
         ------
@@ -261,7 +262,9 @@ class Study(HtmlView):
         return point if isinstance(point, StudyPoint) else self.points[operator.index(point)]
 
     def _written_by(self, point: StudyPoint) -> str:
-        """Return the version of mbdkit that computed the run of a point, after checking its file; "unknown" without."""
+        """Return the version of mbdkit that computed the run of a point, after checking its file; "unknown" without a
+        file.
+        """
         path = self._path(point)
         run = self.run(point) if path is not None and path.exists() else None
         if run is None:
@@ -307,9 +310,9 @@ class Study(HtmlView):
         return {measure.name: self._index.described[measure.name] for measure in self.spec.defined_measures()}
 
     def _columns(self, places: Sequence[int] | slice) -> dict[str, np.ndarray]:
-        """Return the columns of the index at some places, without families and axes."""
+        """Return the columns of the index for the points with these indices, without families and axes."""
         texts = [name for name in TEXTS if name in self._index.runs and name not in _NOT_SHOWN]
-        # An index with a file for each run has no order of the measures.
+        # An index of a study with a file for each run does not store the order of the measures.
         numbers = self._index.described if self.spec.in_blocks else (*self.measures, *self._index.described)
         names = dict.fromkeys((*texts, *numbers, "data_sha256"))
         return {name: self._index.runs[name][places] for name in names}
@@ -348,8 +351,8 @@ class Study(HtmlView):
     ) -> Sensitivity:
         """Return the Sobol indices of a measure with respect to the variables of the sample.
 
-        They are the estimates (b) and (f) in table 2 of [1]_, as in `scipy.stats.sobol_indices`, with quantiles of the
-        bootstrap over the members as confidence intervals. Members with a run that failed are left out. An index is nan
+        The indices are the estimates (b) and (f) in table 2 of [1]_, as in `scipy.stats.sobol_indices`. Confidence
+        intervals are quantiles of a bootstrap over the members. Members with a failed run are left out. An index is nan
         if its interval covers 0 to 1, or if the values of the measure differ by less than their estimated errors.
 
         Parameters
@@ -362,7 +365,7 @@ class Study(HtmlView):
         confidence
             Probability of the intervals.
         members
-            Use only this number of members, from the first, to see how the indices converge; by default all.
+            Number of members to use, beginning with the first, to see how the indices converge; by default all.
         resamples
             Number of bootstrap samples.
 
@@ -392,13 +395,12 @@ class Study(HtmlView):
         Parameters
         ----------
         quantity
-            Expression of quantities in the recorded rows, as in those of measures: ``rod.angle``,
-            ``abs(joints.B.force)``.
+            Expression of recorded quantities, as in expressions of measures: ``rod.angle``, ``abs(joints.B.force)``.
         q
             Probabilities.
         where
-            Labels on the axes by dotted key, and the name of the family by ``family``: only runs with these. Required
-            if a sample is repeated for several of them.
+            Labels on the axes by dotted key, and the name of the family by ``family``; only runs with these labels are
+            used. Required if the sample is repeated for several labels or families.
         times
             (K,) times [s], between which rows are interpolated linearly. By default the recorded times if they are
             the same in all runs, at most 501 of them, otherwise 201 equally spaced ones.
@@ -406,7 +408,7 @@ class Study(HtmlView):
         Returns
         -------
         QuantileBands
-            Quantiles of the runs that reach each time; runs that failed count until they end.
+            Quantiles over the runs that reach each time; a failed run counts up to its end.
 
         Raises
         ------
@@ -418,9 +420,10 @@ class Study(HtmlView):
         return quantiles(self, quantity, q, where=where, times=times)
 
     def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
-        """Yield runs with all rows of one or more runs of the study, the numbers of these, and their numbers of rows.
+        """Yield runs that contain all rows of one or more runs of the study, with their numbers and their numbers of
+        rows.
 
-        A run in which the rows of several are joined has their histories, but the spec and name of the first.
+        A run in which the rows of several runs are joined has their histories, but the spec and the name of the first.
         """
         if not self.spec.in_blocks:
             for point, run in self.runs():
@@ -436,7 +439,7 @@ class Study(HtmlView):
                     yield run, numbers.tolist(), counts
 
     def _places(self, family: str) -> list[int]:
-        """Return the places of the points of a family."""
+        """Return the indices of the points of a family."""
         return np.flatnonzero(self._planned.families() == self._family(family)).tolist()
 
     def _table(self, family: str | None = None) -> dict[str, np.ndarray]:
@@ -449,7 +452,8 @@ class Study(HtmlView):
         return {name: column[places] for name, column in where.items()} | labels | self._columns(places)
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
-        """Return the grid of one family as a dataset with one dimension per axis, and `row` for those of a sample.
+        """Return the grid of one family as a dataset with one dimension per axis, and a dimension `row` for the runs of
+        a sample.
 
         Parameters
         ----------

@@ -26,21 +26,24 @@ RUNS = 1000
 """Number of runs in a block."""
 
 BYTES = 1 << 26
-"""Largest size of the arrays of a block [bytes], which is held in memory; blocks of large runs have fewer runs."""
+"""Largest size of the arrays of a block [bytes], which must fit in memory; blocks of large runs have fewer runs."""
 
 ROWS = 1000
 """Assumed number of recorded rows of a run if it depends on step-size control."""
 
 
 def with_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
-    """Return a study with the `store` that applies if it has none: that of its folder, or the one for its size."""
+    """Return a study in which `store` is set.
+
+    If the study does not set it, the value is that of the study in the folder, or the default for its size.
+    """
     if spec.store is not None:
         return spec
     if folder.spec.is_file() and not overwrite:
         try:
             there = load_study_spec(folder.spec)
         except MbdkitError:
-            return spec  # reported when the folder is checked
+            return spec  # the error is reported when the folder is checked
         return spec.stored_as(there.store) if there.stored_as(None).sha256() == spec.sha256() else spec
     return spec.stored_as("all") if is_for_blocks(spec) else spec
 
@@ -95,11 +98,11 @@ class StudyBlocks:
         return math.ceil(self.runs / self.size)
 
     def places(self, block: int) -> range:
-        """Return the indices, from 0, of the runs of a block, also numbered from 0."""
+        """Return the indices of the runs of a block; runs and blocks are numbered from 0."""
         return range(block * self.size, min(self.runs, (block + 1) * self.size))
 
     def block_of(self, place: int) -> int:
-        """Return the block of a run by its index."""
+        """Return the block that contains the run with an index."""
         return place // self.size
 
     def open(self, path: Path, study_sha256: str) -> Block:
@@ -108,9 +111,9 @@ class StudyBlocks:
         Raises
         ------
         AnotherStudyError
-            If it is a block of another study.
+            If the block belongs to another study.
         SpecError
-            If it is not a block that this version can read.
+            If the file is not a block that this version can read.
         """
         block = Block(path)
         if block.study_sha256 != study_sha256:
@@ -120,14 +123,14 @@ class StudyBlocks:
 
 
 def stored(spec: StudySpec) -> Store:
-    """Return the value of `store`: the data that the blocks of a study keep of each run."""
+    """Return the value of `store`: which data of each run the blocks of a study contain."""
     assert spec.store is not None
     assert spec.store != "files"
     return spec.store
 
 
 def _bytes(spec: RunSpec, store: Store) -> int:
-    """Return the size of the arrays of a run that are kept, estimated [bytes]."""
+    """Return the estimated size of the arrays that are stored for a run [bytes]."""
     if store in ("hashes", "summary"):
         return 0
     names = archive_names(compile_mechanism(spec.mechanism()))

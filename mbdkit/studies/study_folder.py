@@ -16,7 +16,7 @@ from mbdkit.spec.study_spec import StudySpec
 from mbdkit.studies import member_table
 from mbdkit.studies.owned_folder import OwnedFolder, contains
 
-#: Names of archives of runs (see `RunSpec.run_id`), of blocks, of their unfinished files, checkpoints and marks.
+#: Names of archives of runs (see `RunSpec.run_id`) and blocks, and of their unfinished files, checkpoints and marks.
 _ARCHIVE = re.compile(r"([0-9a-f]{16}|block-[0-9]{6,})\.h5(\.part(\.checkpoint(\.new)?)?)?|\.block-[0-9]{6,}\.at")
 
 #: Text that every chart of a report contains near its beginning, by suffix; see the metadata in plot/style.py.
@@ -58,7 +58,7 @@ class StudyFolder(OwnedFolder[StudySpec]):
         return plain
 
     def remove_results(self) -> None:
-        """Remove the archives of runs, and the charts of the report; other images are kept."""
+        """Remove the archives of runs, and the charts of the report; other images remain."""
         for path in [*self.runs.iterdir()] if self.runs.is_dir() else ():
             if _ARCHIVE.fullmatch(path.name) and not path.is_dir():
                 path.unlink()

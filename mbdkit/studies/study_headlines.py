@@ -1,4 +1,6 @@
-"""The answer of a study: mean, spread and quantiles of each measure, what explains them, and the extreme runs."""
+"""The main results of a study: mean, spread and quantiles of each measure, which variables explain them, extreme
+runs.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 MOST = 5
-"""Largest number of measures, and of samples of a study, that the headlines contain."""
+"""Largest number of measures, and of samples of a study, in the headlines."""
 
 LEAST_SHARE = 0.05
 """Smallest share of a variance that a headline mentions."""
@@ -27,9 +29,9 @@ ROUND_OFF = 1e-12
 
 
 def headlines(study: Study) -> list[tuple[str, str]]:
-    """Return the name of each measure that the study or its base defines, with sentences on its values.
+    """Return sentences on the values of each measure that the study or its base defines, by name of the measure.
 
-    Before them are the errors of runs with a reference, and their cost.
+    In studies with a reference, the first entries are the errors of the runs, and their cost.
     """
     names = [measure.name for measure in study.spec.defined_measures()][:MOST]
     of_errors = [] if study.spec.has_table else error_headlines(study)
@@ -65,7 +67,9 @@ def _told(study: Study, group: SampleGroup, name: str) -> str:
 
 
 def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) -> str:
-    """Return which variables explain the variance: by first-order Sobol indices or, without them, linearly."""
+    """Return which variables explain the variance: by first-order Sobol indices, if available, otherwise by a linear
+    model.
+    """
     sample = study.spec.sample
     where = ({"family": group.family} if group.family else {}) | dict(group.axes)
     if sample is not None and sample.design == "saltelli":
@@ -80,7 +84,7 @@ def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) 
         of = values[known]
         shares = {key: np.corrcoef(one, of)[0, 1] ** 2 for key, one in columns.items() if np.ptp(one) > 0}
         how = " (linear fit)"
-    least = max(LEAST_SHARE, 4 / len(values))  # the share that variables without an effect reach by chance
+    least = max(LEAST_SHARE, 4 / len(values))  # variables without an effect reach this share by chance
     ranked = sorted(((share, key) for key, share in shares.items() if share >= least), reverse=True)[:3]
     if not ranked:
         return ""
@@ -88,7 +92,7 @@ def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) 
 
 
 def _extremes(study: Study, group: SampleGroup, values: np.ndarray) -> str:
-    """Return the runs with the smallest and the largest value in words."""
+    """Describe the runs with the smallest and the largest value."""
     parts = []
     for word, place in (("smallest", int(np.nanargmin(values))), ("largest", int(np.nanargmax(values)))):
         point = study.points[group.places[place]]

@@ -1,8 +1,8 @@
 """The index of a study: columns with one value per run in an HDF5 file, readable as netCDF-4 and written atomically.
 
-A study with an archive for each run has an index of format 1.x, with texts as they are. That of a study in blocks has
-format 2.x: texts are coded, hashes are bytes, and columns have their names and places as attributes, because there may
-be millions of runs.
+The index of a study with an archive for each run has format 1.x, in which texts are stored directly. The index of a
+study in blocks, which may have millions of runs, has format 2.x: texts are coded, hashes are bytes, and the names and
+positions of columns are attributes.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from mbdkit.studies.planned_points import Label
 
 FORMAT = "mbdkit-study"
 FILES_VERSION, BLOCKS_VERSION = "1.4", "2.0"
-"""Versions of the format for a study with an archive for each run, and for one in blocks."""
+"""Versions of the index format: for a study with an archive for each run, and for a study in blocks."""
 
 STATUSES = ("complete", "failed", "missing", "left-out")
 
-#: Value of the attribute `role` of the column of a measure that the study defines.
+#: Value of the attribute `role` of a column with a measure that the study defines.
 DEFINED = "measure"
 
-#: Minimum, quartiles and median of the repeated timings.
+#: Columns with the minimum, quartiles and median of repeated timings, and their probabilities.
 QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
 
 TEXTS = {
@@ -58,7 +58,7 @@ TEXTS = {
     "file_sha256": "hash of the bytes of the archive",
 }
 
-#: Columns of numbers; each exists if a run of the study has a value.
+#: Numeric columns; each exists if any run of the study has a value.
 NUMBERS = (*MEASURES, *OF_CHECKED_RUNS, *SECOND, *COUNTERS, *TIMINGS, *QUARTILES)
 
 HASHES = ("run_id", "data_sha256")
@@ -66,7 +66,7 @@ HASHES = ("run_id", "data_sha256")
 
 REPEATS = "wall_repeats_s"
 
-#: All columns but those of the axes.
+#: All columns except those of the axes.
 COLUMNS = frozenset((*TEXTS, *NUMBERS, "run", "reference", "repeat", REPEATS))
 
 
@@ -79,7 +79,7 @@ class Row:
     status
         ``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed.
     status_reason
-        Reason why it is not complete: a code and a sentence.
+        Reason why the run is not complete: a code and a sentence.
     family, axes, reference_id
         Family, axis labels and reference run; empty for a reference.
     worst_joint, data_sha256
@@ -89,9 +89,9 @@ class Row:
     repeats
         Wall times of the serial timings, s.
     file_sha256
-        Hash of the bytes of its archive; empty if there is none.
+        Hash of the bytes of the archive; empty without an archive.
     second_run
-        ``complete`` if a second run for measures was made, or the reason why it has no result; empty if none was made.
+        ``complete`` if measures were computed by a second run, or the reason why this failed; empty if there was none.
     verdict, verdict_reasons
         Verdict on the run and its reasons, from the archive; empty without an archive.
     """
@@ -121,7 +121,7 @@ class Index:
     runs
         (N,) values by name, in the order of the table: families and axes, results, measures, counters, hashes.
     described
-        Unit and description of each column of numbers that is no axis.
+        Unit and description of each numeric column that is not an axis.
     references
         The same columns, without axes, for the reference runs; empty if the study has none.
     axes
@@ -129,8 +129,8 @@ class Index:
     defined
         Names of the columns of measures that the study defines.
     states
-        (B, 4) states of the files of blocks, see `mbdkit.studies.run_blocks`; zero for unknown ones. None for a study
-        with an archive for each run.
+        (B, 4) states of the files of blocks, see `mbdkit.studies.run_blocks`; zero if unknown. None for a study with an
+        archive for each run.
     study_sha256, version
         Hash of the study, and version of mbdkit that wrote the index.
     """
@@ -146,7 +146,7 @@ class Index:
 
     @classmethod
     def of_rows(cls, runs: Sequence[Row], references: Sequence[Row], defined: Mapping[str, Description]) -> Index:
-        """Return the index of runs with an archive each.
+        """Return the index of runs that have one archive each.
 
         Parameters
         ----------
@@ -162,12 +162,12 @@ class Index:
         return len(self.runs["status"])
 
     def rows(self) -> list[Row]:
-        """Return the rows of all references and runs, as `row` does."""
+        """Return the rows of all reference runs and runs; see `row`."""
         rows = [self.row(place, of_references=True) for place in range(len(self.references.get("status", ())))]
         return rows + [self.row(place) for place in range(len(self))]
 
     def row(self, place: int, *, of_references: bool = False) -> Row:
-        """Return the row of a run, or of a reference, without axis labels, which follow from the study spec."""
+        """Return the row of a run, or of a reference run, without axis labels, which follow from the study spec."""
         columns = self.references if of_references else self.runs
         texts: dict[str, Any] = {name: str(columns[name][place]) for name in TEXTS if name in columns}
         return Row(
@@ -194,7 +194,7 @@ def _columns(rows: Sequence[Row]) -> dict[str, np.ndarray]:
 
 
 def axis_column(key: str) -> str:
-    """Return the column of an axis; HDF5 would take a slash in its name for a group."""
+    """Return the name of the column of an axis; HDF5 would interpret a slash in the name of the axis as a group."""
     return key.replace("/", "|")
 
 
@@ -216,10 +216,10 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
     Raises
     ------
     SpecError
-        If the index cannot be written, as on a full disk; the previous one is unchanged then.
+        If the index cannot be written, as on a full disk. The previous index then remains unchanged.
     """
     in_blocks = index.states is not None
-    # The file is made in memory, because HDF5 crashes the interpreter if the disk is full when it closes a file.
+    # The file is created in memory, because HDF5 crashes the interpreter if the disk is full when a file is closed.
     with h5py.File(f"index-{id(index)}", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         set_text(file, "format", FORMAT)
         set_text(file, "format_version", BLOCKS_VERSION if in_blocks else FILES_VERSION)
@@ -334,7 +334,7 @@ def describe_column(name: str) -> Description:
 
 
 def read(path: Path) -> Index:
-    """Read an index of format 1.x or 2.x; one of format 1.x is returned without axis labels.
+    """Read an index of format 1.x or 2.x; an index of format 1.x is returned without axis labels.
 
     Raises
     ------

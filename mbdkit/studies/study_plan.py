@@ -1,4 +1,4 @@
-"""The plan of a study: its points, its different runs, and its measures, all checked before the first run."""
+"""The plan of a study: its points, its distinct runs, and its measures, all checked before the first run."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
 
 SAMPLES = 8
-"""Number of runs of a study in blocks whose specs are validated before the first run; the specs of all other runs are
-validated when these are computed."""
+"""Number of runs of a study in blocks whose specs are validated before the first run.
+
+The specs of all other runs are validated when the runs are computed.
+"""
 
 
 class StudyPlan:
@@ -37,15 +39,16 @@ class StudyPlan:
     points
         Points in the order of the study, including those that are left out.
     runs
-        Specs of the different runs by run id, references first; empty in blocks, where runs are not known beforehand.
+        Specs of the distinct runs by run id, references first. Empty for a study in blocks, whose specs are not built
+        beforehand.
     defined
         Units and descriptions of the measures that the study defines.
 
     Raises
     ------
     SpecError
-        If there are too many points, or if a run or a measure is invalid. In blocks, only the sampled runs are
-        validated, and the error is raised if all of them are invalid.
+        If there are too many points, or if a run or a measure is invalid. For a study in blocks, only the sampled runs
+        are validated, and the error is raised if all of them are invalid.
     """
 
     def __init__(self, spec: StudySpec):
@@ -73,7 +76,9 @@ class StudyPlan:
         return [self.points[place] for place in places]
 
     def _valid_samples(self) -> list[tuple[str, RunSpec]]:
-        """Return the specs of the samples that are valid, with names for error messages; raise SpecError if none is."""
+        """Return the valid specs of the samples, with names for error messages; raise SpecError if no sample is
+        valid.
+        """
         valid, errors = [], []
         for point in self.samples:
             if point.lacking:
@@ -88,13 +93,14 @@ class StudyPlan:
 
     @cached_property
     def expressions(self) -> tuple[str, ...]:
-        """Expressions of the measures of the study itself, and not of its bases."""
+        """Expressions of the measures that the study itself defines, without those of its bases."""
         return expressions_of(self.spec.defined_measures())
 
 
 def plan_study(spec: StudySpec) -> StudyPlan:
-    """Return the plan of a study, after validating the specs of its runs (in blocks, of some runs) and building their
-    mechanisms.
+    """Return the plan of a study, after validating the specs of its runs and building their mechanisms.
+
+    For a study in blocks, only some runs are validated.
 
     Raises
     ------
@@ -112,7 +118,7 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
     Parameters
     ----------
     runs
-        Each different run of the study with a name for error messages.
+        Each distinct run of the study with a name for error messages.
 
     Raises
     ------
@@ -155,11 +161,11 @@ def _placed(spec: StudySpec, measure: DefinedMeasure, error: SpecError) -> SpecE
 #: Longest name of a column [bytes of UTF-8]; netCDF has the same limit.
 LONGEST = 255
 
-#: Characters that HDF5 cannot store; and these with all control characters, which names must not contain.
+#: Characters that HDF5 cannot store, and all characters that names must not contain: these and control characters.
 _UNSTORED = re.compile(r"[\x00\ud800-\udfff]")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 
-#: Columns that the tables of `Study` add.
+#: Columns that only the tables of `Study` have.
 _OF_TABLES = {"number"}
 
 

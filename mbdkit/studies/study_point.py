@@ -1,6 +1,6 @@
 """A point of a study (a run with its entry in the index), the sequence of all points, and their descriptions.
 
-Descriptions are shown to readers: ``RK4, step 0.1 s``.
+A description is a text for readers, such as ``RK4, step 0.1 s``.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ class StudyPoint:
     Parameters
     ----------
     number
-        Number from 1, counted over the points of the study, or over its references for a reference.
+        Number of the point in the study, from 1; for a reference run, its number among the reference runs.
     planned
-        The planned point from which its spec is built.
+        The planned point from which the spec is built.
     path
-        Path of its archive; None if it does not exist.
+        Path of the archive; None if it does not exist.
     axes
-        Label of its value on each axis, by dotted key; empty for a reference.
+        Label of the point's value on each axis, by dotted key; empty for a reference run.
     is_reference
-        Whether it is a reference run, which is not itself a point of the study.
+        Whether this is a reference run, which is not a point of the study.
     """
 
     number: int
@@ -46,17 +46,17 @@ class StudyPoint:
 
     @property
     def family(self) -> str:
-        """Name of its family; empty in a study without families, and for a reference."""
+        """Name of the family of the point; empty in a study without families, and for a reference run."""
         return self.row.family
 
     @property
     def run_id(self) -> str:
-        """Identifier of its run."""
+        """Identifier of the run."""
         return self.row.run_id
 
     @property
     def reference_id(self) -> str:
-        """Identifier of the reference run for its errors; empty if it has none."""
+        """Identifier of the reference run against which errors are computed; empty if there is none."""
         return self.row.reference_id
 
     @property
@@ -66,7 +66,7 @@ class StudyPoint:
 
     @property
     def reason(self) -> str:
-        """Why the run is not complete, as a code and a sentence; empty if it is."""
+        """Reason why the run is not complete, as a code and a sentence; empty if it is complete."""
         return self.row.status_reason
 
     @property
@@ -86,12 +86,12 @@ class StudyPoint:
 
     @property
     def label(self) -> str:
-        """Its axis labels as one line."""
+        """The axis labels of the point as one line."""
         return point_label(self.axes)
 
     @property
     def spec(self) -> RunSpec:
-        """The spec of its run."""
+        """The spec of the run."""
         spec = self.planned.reference if self.is_reference else self.planned.spec
         assert spec is not None
         return spec
@@ -128,7 +128,7 @@ class Points(Sequence[StudyPoint]):
         return StudyPoint(planned.number, replace(row, family=planned.family), planned, path, planned.axes)
 
     def at(self, places: Sequence[int]) -> Points:
-        """Return the points at some indices of the study."""
+        """Return the points with these indices in the study."""
         return Points(self._planned, self._index, self._folder, places)
 
 
@@ -144,13 +144,15 @@ def point_words(point: StudyPoint, units: Mapping[str, str] | None = None) -> st
     Parameters
     ----------
     units
-        Units of all keys, if these are known to be those of all points; by default the spec of the point is read.
+        Units of all keys, if these are known to be the same for all points; by default the spec of the point is read.
     """
     return ", ".join(value_words(key, point, None if units is None else units[key]) for key in point.axes)
 
 
 def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
-    """Return the value of a point on an axis: a label as it is, a number with the words and the unit of the key."""
+    """Return the value of a point on an axis as text: a label unchanged, a number with the words and the unit of the
+    key.
+    """
     label = point.axes[key]
     if isinstance(label, str):
         return label
@@ -158,11 +160,11 @@ def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
 
 
 def axis_unit(key: str, points: Iterable[StudyPoint]) -> str:
-    """Return the unit of an axis; empty if it has none, or if no spec of the points is valid here."""
+    """Return the unit of an axis; empty if the axis has no unit, or if no spec of the points is valid here."""
     return key_unit(key, _valid_specs(points))
 
 
 def _valid_specs(points: Iterable[StudyPoint]) -> Iterator[RunSpec]:
     for point in points:
-        with suppress(MbdkitError):  # its plugin is not installed
+        with suppress(MbdkitError):  # the plugin of the spec is not installed
             yield point.spec

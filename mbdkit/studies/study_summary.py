@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mbdkit.studies.study_plan import StudyPlan
     from mbdkit.studies.study_point import StudyPoint
 
-#: Maximum number of failed runs that the summary lists.
+#: Largest number of failed runs that the summary lists.
 FAILURES_SHOWN = 20
 
 
@@ -55,7 +55,8 @@ def summary(study: Study) -> str:
 def plan_summary(plan: StudyPlan) -> str:
     """Return a plain text summary of a study before it runs: its runs, its axes, and the measures that it defines.
 
-    Specs of a study in blocks that are not among the samples of the plan are validated when they are computed.
+    For a study in blocks, only the specs of the samples of the plan are validated now; all others when they are
+    computed.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, st
 
 
 def _few(labels: Sequence[object]) -> str:
-    """Return the number of values on an axis and the first of them."""
+    """Return the number of values on an axis, and the first few values."""
     few = ", ".join(str(label) for label in labels[:6])
     return f"{counted(len(labels), 'value')}: {few}{', ...' * (len(labels) > 6)}"
 
@@ -126,7 +127,7 @@ def _named(point: StudyPoint) -> str:
 
 
 def outcome(study: Study) -> dict[str, Any]:
-    """Return the results of a study run as values for JSON."""
+    """Return the results of running a study as values for JSON."""
     counts, levels = Counter(study.statuses()), Counter(study.verdicts())
     return {
         "path": str(study.folder),

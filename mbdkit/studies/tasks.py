@@ -12,14 +12,14 @@ from typing import Any
 
 from mbdkit.base.command_words import command_words
 
-#: External reasons of failure: a resource that is not available, a process that died, a defect of mbdkit.
+#: External reasons of failure: a resource was not available, a process died, or mbdkit has a defect.
 PASSING = ("no-resources", "worker-died", "error")
 
 #: Reasons of failure after which a run is computed again, because a second attempt may succeed.
 TRIED_AGAIN = ("interrupted", "plugin-error", *PASSING)
 
 MOST_DEATHS = 20
-"""Largest number of processes that may die in one task; if more have died, the task is not tried again."""
+"""Largest number of processes that may die in one task; after more deaths, the task is not tried again."""
 
 
 @dataclass(frozen=True)
@@ -29,19 +29,19 @@ class Task:
     Parameters
     ----------
     key
-        What the task computes, for the caller: a run id, the number of a block, jobs of a design.
+        Identifies what the task computes: a run id, the number of a block, or jobs of a design.
     content
-        The message from which a worker can carry out the task, without `path` and `skip`, which `message` adds.
+        The message from which a worker can carry out the task, except for `path` and `skip`, which `message` adds.
     path
-        File that the task writes, or another file in the folder to which it belongs. The workers of executors must have
-        access to this folder.
+        File that the task writes, or another file in the same folder. The workers of executors must have access to this
+        folder.
     runs
         Number of runs.
     writes
-        Whether it writes the file.
+        Whether the task writes the file.
     deaths
-        Number of processes that died while they computed a run of a block, by the number of the run; the key 0 counts
-        those that died at other times or in other tasks.
+        Number of processes that died while they computed a run of a block, by number of the run. The key 0 counts
+        processes that died at other times or in other tasks.
     skip
         Reasons for which runs of a block are recorded as failed without being computed, by their number.
     """
@@ -60,8 +60,9 @@ class Task:
         return {**self.content, "path": str(self.path.absolute()), "skip": skip, "command": command_words()}
 
     def after_death(self, how: str) -> Task | None:
-        """Return the task to try after a process died in this task, as described by `how`; None if it is not tried
-        again. A run of a block in which two processes died is left out of the new task.
+        """Return the task to try after a process died in this task; None if it is not tried again.
+
+        `how` describes how the process died. A run of a block in which two processes died is left out of the new task.
         """
         run = run_at_work(self.path) or 0
         deaths = {**self.deaths, run: self.deaths.get(run, 0) + 1}
@@ -85,14 +86,16 @@ def run_at_work(block: Path) -> int | None:
 
 
 def forget_run_at_work(block: Path) -> None:
-    """Empty the file with the number of the run in progress; it is kept, because a process may hold a lock on it."""
+    """Empty the file with the number of the run in progress; it is not removed, because a process may hold a lock on
+    it.
+    """
     with contextlib.suppress(OSError):
         os.truncate(mark_of(block), 0)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a task: status of the run, its reason, wall times of repeats [s], and measures of a second run.
+    """Result of a task: status of the run with the reason, wall times of repetitions [s], and measures of a second run.
 
     `results` are plain data of tasks of other kinds, such as the points of a design.
     """
@@ -124,5 +127,5 @@ class Outcome:
 
 
 def died(how: str) -> str:
-    """Return the reason of failure of a run in which two processes died, the second one as described by `how`."""
+    """Return the reason of failure of a run in which two processes died; `how` describes the second death."""
     return f"worker-died: two processes that computed it died; the second one {how}."

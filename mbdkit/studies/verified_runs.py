@@ -1,4 +1,4 @@
-"""Checks of a run of a study against the index, when it is read from its file and when it is computed again."""
+"""Compares runs of a study with the index, when they are read from their files or computed again."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def check_stored(run: Run, point: StudyPoint, path: Path) -> None:
     Parameters
     ----------
     path
-        Its file, which may have been replaced since the study was indexed.
+        File of the run, which may have been replaced since the study was indexed.
 
     Raises
     ------
     SpecError
-        If its spec is not that of the point, or its identifier or data are not those of the index.
+        If the spec of the run is not that of the point, or if its identifier or data differ from those in the index.
     """
     which = f"the reference run {point.run_id}" if point.is_reference else f"run {point.number}"
     another = run.run_id != point.run_id
-    with suppress(MbdkitError):  # the plugin of its model is not installed here
+    with suppress(MbdkitError):  # the plugin of the model is not installed here
         another = another or run.run_spec.sha256() != point.spec.sha256()
     if another:
         message = f"this file contains another run in place of {which} of the study"
@@ -50,9 +50,9 @@ def remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str)
     Parameters
     ----------
     reference
-        Stored reference run for its errors, if it has one.
+        Stored reference run against which errors are computed, if there is one.
     why
-        Appended to messages, to explain differences.
+        Explanation of possible differences, which is appended to messages.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str)
 
 
 def _numbers(study: StudySpec, point: StudyPoint, run: Run, reference: Run | None) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in the row of a point that follow from its run, and from its reference run."""
+    """Yield the numbers in the row of a point that are computed from its run and its reference run."""
     known: Mapping[str, float] = point.values
     for name, measure in (MEASURES if run.accuracy is None else {**MEASURES, **OF_CHECKED_RUNS}).items():
         if name in known and (reference is not None or not measure.needs):

@@ -26,8 +26,10 @@ from mbdkit.base.text import shown
 from mbdkit.runs.batch import refusal
 
 Carry = Callable[[dict[str, Any], Callable[[str], None]], dict[str, Any]]
-"""A function that carries out the task of a message, and returns the answer; it passes notes for the user to its second
-argument."""
+"""Function that carries out the task described by a message, and returns the answer.
+
+Its second argument is a function that passes notes to the user.
+"""
 
 
 def main(carry: Carry | None = None) -> None:
@@ -56,7 +58,9 @@ def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
 
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Lock held while tasks are computed: threads of one process would compete for the interpreter and share its state."""
+"""Lock held while tasks are computed, because threads of one process would compete for the interpreter and share its
+state.
+"""
 
 
 def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | None = None) -> list[dict[str, Any]]:
@@ -69,12 +73,12 @@ def compute(tasks: Sequence[dict[str, Any]], of_version: str, carry: Carry | Non
     of_version
         The version of mbdkit with which the study is computed; workers with other versions refuse tasks.
     carry
-        Carries out a task; by default, one of a study.
+        Function that carries out a task; by default, a task of a study.
 
     Returns
     -------
     list
-        Answers as those of the worker process, each with the notes and the name of this machine.
+        Answers in the form of those of the worker process, each with the notes and the name of this machine.
     """
     with _ONE_AT_A_TIME, one_thread_of_linear_algebra():
         return [_answered(task, of_version, carry or _work) for task in tasks]
@@ -98,7 +102,7 @@ def _outcome(task: dict[str, Any], notify: Callable[[str], None], carry: Carry) 
         with executing(task["command"]):
             return carry(task, notify)
     except SpecError as error:
-        if error.file == task["path"]:  # the folder of the study was changed; the spec is not the cause
+        if error.file == task["path"]:  # the folder of the study was changed, so the spec is not the cause
             return {"status": "missing", "reason": f"no-resources: {error}"}
         return asdict(refusal(error))
     except (Exception, SystemExit) as error:
@@ -127,7 +131,8 @@ def _work(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any]
         for _ in range(task["repeats"] + 1):
             with simulate(spec) as run:
                 seconds.append(float(run.stats["wall_s"]))
-        return {"status": "complete", "reason": "", "seconds": seconds[1:]}  # without the warm-up run
+        # without the first run, which is for warm-up
+        return {"status": "complete", "reason": "", "seconds": seconds[1:]}
     with simulate(spec, path=Path(task["path"]), overwrite=True, measures=task["measures"]) as run:
         for warning in run.warnings:
             notify(f"warning: {warning}")

@@ -19,8 +19,9 @@ from mbdkit.runs.corners import stops_of
 from mbdkit.spec import RunSpec
 
 NODES = 8
-"""Number of times in a step at which a motion counts as evaluated: those of the stages of DOP853, without
-duplicates."""
+"""Number of times in a step at which a motion is assumed to be evaluated: the distinct times of the stages of
+DOP853.
+"""
 
 LOOKS, LOOKS_OF_STEP = 20_000, 16
 """Approximate number of samples over a run, and smallest number of samples in one step."""
