@@ -1,8 +1,8 @@
 """Columns of C3D files: markers and force plates, in the conventions of Vicon, Qualisys, Motion Analysis and others.
 
-The package ezc3d decodes bytes: integers or floating-point numbers of Intel and DEC processors, scales and offsets of
-analog channels, and calibration matrices. It refuses files of MIPS processors, whose bytes are put in the order of
-Intel before.
+The package ezc3d decodes the files: integers or floating-point numbers of Intel and DEC processors, scales and offsets
+of analog channels, and calibration matrices. It refuses files of MIPS processors; the byte order of such files is
+converted here first.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import shown
 
 UNLOADED = 10.0
-"""Force along the normal of a plate [N] below which the plate counts as unloaded, because the point of application is
-the quotient of two small numbers there."""
+"""A plate counts as unloaded if the force along its normal [N] is below this.
+
+The point of application is then the quotient of two small numbers.
+"""
 
 
 class Columns(NamedTuple):
@@ -38,7 +40,7 @@ class Columns(NamedTuple):
     unit
         Unit of the coordinates and points.
     remark
-        Why there are no force plates, as a clause; empty if nothing is missing.
+        Reason why there are no force plates, as a clause; empty if nothing is missing.
     """
 
     headings: list[str]
@@ -50,13 +52,13 @@ class Columns(NamedTuple):
 def read_c3d(path: Path, most_cells: int) -> Columns | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
-    Plates have the forces and torques that the file states, in the frame of the laboratory; they are those at the times
-    of the frames of the cameras, and zero below `UNLOADED`.
+    Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
+    the camera frames, and set to zero if the force is below `UNLOADED`.
 
     Raises
     ------
     SpecError
-        If it is not such a file, or it has no markers.
+        If the file is not a C3D file, or has no markers.
     MbdkitError
         If ezc3d is not installed.
     """
@@ -73,7 +75,7 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
             try:
                 file = ezc3d.c3d(str(readable), extract_forceplat_data=True)
             except RuntimeError as error:
-                file = ezc3d.c3d(str(readable))  # the file is sound, but not the description of its plates
+                file = ezc3d.c3d(str(readable))  # the file is valid, but the description of its plates is not
                 remark = f"its force plates cannot be read: {shown(' '.join(str(error).split()))}"
     except (OSError, RuntimeError, ValueError, IndexError, struct.error) as error:
         raise SpecError(f"this is not a C3D file that can be read: {shown(str(error))}", file=path) from None
@@ -82,7 +84,8 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
         return None
     about = file["parameters"]["POINT"]
     parts = sorted((name for name in about if re.fullmatch(r"LABELS\d*", name)), key=lambda name: (len(name), name))
-    labels = [str(label).strip() for name in parts for label in about[name]["value"]]  # 255 in each part
+    # each part of the list has up to 255 labels
+    labels = [str(label).strip() for name in parts for label in about[name]["value"]]
     if not any(labels):
         raise SpecError("this C3D file has no markers", file=path)
     labels = [*labels, *[""] * points.shape[1]][: points.shape[1]]
@@ -107,15 +110,16 @@ def read_c3d(path: Path, most_cells: int) -> Columns | None:
 
 
 def _has_negative_offsets(about: Any) -> bool:
-    """Return whether signed analog channels have negative offsets, whose sign ezc3d drops."""
+    """Return whether signed analog channels have negative offsets, whose sign ezc3d loses."""
     given = next(iter(about.get("FORMAT", {"value": ()})["value"]), "")
     offsets = [value for name in about if re.fullmatch(r"OFFSET\d*", name) for value in about[name]["value"]]
     return "UNSIGNED" not in str(given).upper() and any(value < 0 for value in offsets)
 
 
 def _of_plate(plate: Any, samples: int) -> dict[str, np.ndarray]:
-    """Return force [N], point of application and free torque [N m] of a plate, each (3, T), at the first of the
-    `samples` of each frame.
+    """Return force [N], point of application and free torque [N m] of a plate, each (3, T).
+
+    Of the `samples` in each frame, the first is used.
     """
     force, point, torque = (plate[name][:, ::samples].copy() for name in ("force", "center_of_pressure", "Tz"))
     corners = plate["corners"]
@@ -128,14 +132,14 @@ def _of_plate(plate: Any, samples: int) -> dict[str, np.ndarray]:
 
 
 _BLOCK = 512
-"""Bytes of a block."""
+"""Size of a block [bytes]."""
 _INTEL, _MIPS = 84, 86
-"""Codes of processors."""
+"""Codes of processors in the file."""
 
 
 @contextmanager
 def _readable(path: Path) -> Iterator[Path]:
-    """Yield the file or, for a file of MIPS processors, a temporary one in the order of Intel."""
+    """Yield the file or, for a file of a MIPS processor, a temporary copy in Intel byte order."""
     content = path.read_bytes()
     first = _BLOCK * (max(content[0], 1) - 1) if content else 0
     if len(content) < first + 4 or content[first + 3] != _MIPS:
@@ -148,12 +152,12 @@ def _readable(path: Path) -> Iterator[Path]:
 
 
 def _in_order_of_intel(content: bytes, first: int) -> bytes:
-    """Return a file of a MIPS processor in the order of Intel, without the events in its header.
+    """Return a file of a MIPS processor in Intel byte order, without the events in its header.
 
     Parameters
     ----------
     first
-        Place of the parameters.
+        Position of the parameters in the file.
     """
     numbers, scale, more, rate = (struct.unpack_from(f">{kind}", content, at) for kind, at in _HEADER)
     header = b"".join(struct.pack(f"<{kind}", *given) for (kind, _), given in
@@ -162,7 +166,7 @@ def _in_order_of_intel(content: bytes, first: int) -> bytes:
     found[:_BLOCK] = (content[:2] + header).ljust(_BLOCK, b"\0")
     found[first + 3] = _INTEL
     place = first + 4
-    while content[place]:  # length of the name of a group or parameter
+    while content[place]:  # length of the name of a group or parameter; 0 at the end
         group = struct.unpack_from("b", content, place + 1)[0]
         place += 2 + abs(struct.unpack_from("b", content, place)[0])
         (offset,) = struct.unpack_from(">h", content, place)
@@ -181,12 +185,13 @@ def _in_order_of_intel(content: bytes, first: int) -> bytes:
 
 
 _HEADER = (("5h", 2), ("f", 12), ("2h", 16), ("f", 20))
-"""Numbers of the header and their places: points, analog samples, frames and gap; scale; start of the data and samples;
-rate."""
+"""Numbers in the header and their positions: points, analog samples, frames and gap; scale; start of data, samples;
+rate.
+"""
 
 
 def _swapped(content: bytes, size: int) -> bytes:
-    """Return bytes with those of each number of some `size` in the other order."""
+    """Return bytes with the byte order of each number of `size` bytes reversed."""
     whole = len(content) // size * size
     numbers = np.frombuffer(content[:whole], np.uint8).reshape(-1, size)
     return numbers[:, ::-1].tobytes() + content[whole:]

@@ -1,4 +1,6 @@
-"""Criteria of the verdict on measured motions: times and columns, each for itself, and against the fitted mechanism."""
+"""Criteria of the verdict on measured motions: times and columns, each by itself, and compared with the fitted
+mechanism.
+"""
 
 from __future__ import annotations
 
@@ -13,55 +15,77 @@ from mbdkit.inverse_dynamics.measured import Measured
 from mbdkit.spec.inverse_sections import Criterion, NoSmoothing, QuinticSpline
 
 UNEVEN = 0.01
-"""Relative variation of the intervals between rows from which their times are examined."""
+"""The times of the rows are examined if the relative variation of their intervals is at least this."""
 
 EVEN, CERTAIN = 0.5, 6.0
-"""The columns are compared with the given times and with evenly spaced ones. The result is a share: 0 if the given
-times are right, 1 if the even ones are. The given times are implausible if the share exceeds the first limit, and the
-second one times the standard deviation of the share due to noise."""
+"""Limits for implausible times.
+
+The columns are compared with the given times and with evenly spaced ones. The result is a share: 0 if the given times
+are right, 1 if the evenly spaced ones are. The given times are implausible if the share exceeds both the first limit,
+and the second limit times the standard deviation of the share due to noise.
+"""
 
 CERTAIN_OF_GRID = 3.0
-"""Replaces the second limit if the given times are rounded, evenly spaced times: all are multiples of an interval of
-`GRIDS`, and deviate from a straight line by less than 3/4 of it, as uneven samples do by chance only."""
+"""Replaces the second limit if the given times are rounded, evenly spaced times.
+
+This is the case if all times are multiples of an interval of `GRIDS`, and deviate from a straight line by less than 3/4
+of the interval, which happens for uneven samples only by chance.
+"""
 
 GRIDS = tuple(10.0**-digits for digits in range(1, 7))
 """Intervals [s] of which rounded times are multiples."""
 
 SPIKE, LEAST_SPIKE = 8.0, 0.005
-"""A sample is an outlier if its deviation from its neighbours exceeds the first number times the robust standard
-deviation of all such deviations, and the second number times the range of the column. Gaussian noise exceeds 8 once in
-1e15 samples."""
+"""Limits for outliers.
+
+A sample is an outlier if its deviation from its neighbours exceeds both the first number times the robust standard
+deviation of all such deviations, and the second number times the range of the column. Gaussian noise exceeds 8 standard
+deviations once in 1e15 samples.
+"""
 
 FROZEN = 8
-"""Number of equal values in a row that a sensor with noise does not give."""
+"""Number of equal consecutive values that a noisy sensor does not produce."""
 
 ROUND_OFF = 1e-9
 """Change of a fitted quantity below which it counts as constant [m or rad]."""
 
 MOVING = 5.0
-"""A column moves during some rows if its range there is this many times the smallest change between two rows."""
+"""A column counts as moving in some rows if its range there is at least this many times the smallest change between
+rows.
+"""
 
 TURN = 1.2
-"""Change of an angle between two rows [rad] from which its turns are not certain; beyond pi they would be wrong."""
+"""Change of an angle between two rows [rad] from which the number of turns is uncertain; beyond pi it would be
+wrong.
+"""
 
 TURNS, TURNING = 4 * np.pi, 0.8
-"""An angle without a unit looks like degrees if its magnitude exceeds the first number [rad], unless its net change is
-at least the second number times its total variation, as for a crank that turns."""
+"""An angle without a unit looks like degrees if its magnitude exceeds the first number [rad].
+
+The exception are angles that turn in one direction, as of a crank: their net change is at least the second number times
+their total variation.
+"""
 
 TRAVELS = 30.0
-"""Range of a length without a unit, as a multiple of the mechanism's size, from which it looks like millimetres."""
+"""A length without a unit looks like millimetres if its range is at least this multiple of the mechanism's size."""
 
 RESIDUAL = 0.05
-"""Root mean square residual of a column from which the fit is poor: in radians, or relative to the longest link. For
-the links of a leg it is 2 cm, the limit that OpenSim recommends for markers."""
+"""Root mean square residual of a column from which the fit is poor, in radians or relative to the longest link.
+
+For the links of a leg, this is 2 cm, the limit that OpenSim recommends for markers.
+"""
 
 SUDDEN, LEAST_SUDDEN = 10.0, 0.01
-"""The fit is poor for some time if residuals exceed the first times their robust standard deviation, and the second,
-measured as `RESIDUAL`."""
+"""The fit is poor for some time if residuals exceed two limits: the first number times their robust standard deviation,
+and the second number, in the units of `RESIDUAL`.
+"""
 
 BEYOND_NOISE = 10.0
-"""Ratio of the root mean square difference of data and smoothed motion to the stated noise from which the statement is
-implausible; a low cutoff alone gives up to 5."""
+"""The stated noise is implausible if the root mean square difference of data and smoothed motion is this many times
+larger.
+
+A low cutoff alone gives ratios of up to 5.
+"""
 
 TO_DEVIATION = 1.4826
 """Ratio of the standard deviation of Gaussian noise to the median of its absolute values."""
@@ -76,7 +100,7 @@ class Doubt:
 
 
 def column_doubts(result: Inverse) -> Iterator[Doubt]:
-    """Yield the doubts about times and columns of a measured motion."""
+    """Yield doubts about the times and columns of a measured motion."""
     measured = result.fitted.measured
     length = result.problem.fitter.manifold.length
     yield from _of_times(measured)
@@ -91,7 +115,7 @@ def column_doubts(result: Inverse) -> Iterator[Doubt]:
 def _of_times(measured: Measured) -> Iterator[Doubt]:
     time, steps = measured.time, np.diff(measured.time)
     if len(time) < 6 or np.ptp(steps) <= UNEVEN * np.mean(steps) or np.max(steps) > 1.9 * np.median(steps):
-        return  # evenly spaced, or with rows left out
+        return  # evenly spaced, possibly with missing rows
     even, product, square = np.linspace(time[0], time[-1], len(time)), 0.0, 0.0
     for x in measured.values.T:
         given, smooth = _off_neighbours(time, x), _off_neighbours(even, x)
@@ -146,7 +170,9 @@ def _outliers(measured: Measured, index: int, name: str) -> Iterator[Doubt]:
 
 
 def _constants(result: Inverse) -> Iterator[Doubt]:
-    """Yield doubts about columns that stay constant while others move, unless the joints hold these quantities."""
+    """Yield doubts about columns that are constant while others move, unless the joints keep these quantities
+    constant.
+    """
     measured, fitted = result.fitted.measured, result.fitted.values
     has_more = len(measured.names) > result.problem.fitter.manifold.freedoms
     held = np.ptp(fitted, axis=0) <= ROUND_OFF * np.max(np.abs(fitted), axis=0, initial=1.0)
@@ -173,7 +199,7 @@ def _constants(result: Inverse) -> Iterator[Doubt]:
 
 
 def _longest_constant(x: np.ndarray) -> tuple[int, int]:
-    """Return the first row, and the row after the last, of the longest run of equal values."""
+    """Return the first row of the longest sequence of equal values, and the row after the sequence."""
     changes = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1, [len(x)]])
     longest = int(np.argmax(np.diff(changes)))
     return int(changes[longest]), int(changes[longest + 1])
@@ -210,7 +236,7 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
 
 
 def _fit(result: Inverse) -> Iterator[Doubt]:
-    """Yield a doubt if the mechanism fits the data poorly, at all times or for some time."""
+    """Yield a doubt if the mechanism fits the data poorly, always or for some time."""
     measured, residual = result.fitted.measured, result.fitted.residual
     size = (
         np.where(measured.quantities.is_angle, 1.0, result.problem.fitter.manifold.length) * measured.quantities.scale
@@ -239,7 +265,7 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
 
 
 def _noise(result: Inverse) -> Iterator[Doubt]:
-    """Yield a doubt if the smoothing changes a column much more than its stated noise can."""
+    """Yield a doubt if the smoothing changes a column by much more than its stated noise can explain."""
     if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline):
         return
     measured = result.fitted.measured

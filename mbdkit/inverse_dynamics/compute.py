@@ -37,16 +37,16 @@ from mbdkit.stepping.interface import Nodes
 
 @dataclass(frozen=True)
 class InverseProblem:
-    """A spec with its mechanism, data and actuators; the results are not computed yet.
+    """A spec with its mechanism, data and actuators, before any results are computed.
 
     Attributes
     ----------
     spec
         The spec.
     prepared
-        Its mechanism, assembled for the time of the motion.
+        The mechanism, assembled for the time of the motion.
     fitter
-        Fits the mechanism to data; holds its manifold.
+        Fits the mechanism to data; contains its constraint manifold.
     names
         Quantities of the mechanism by name.
     measured
@@ -54,7 +54,7 @@ class InverseProblem:
     loads
         The measured loads by name.
     actuators
-        The actuators, residual ones last.
+        The actuators, with residual ones last.
     recruiter
         Recruits the muscles; None without `recruitment`.
     """
@@ -70,7 +70,7 @@ class InverseProblem:
 
     @property
     def recorded_actuators(self) -> list[NamedActuator]:
-        """The actuators, then the reserves."""
+        """The actuators, followed by the reserves."""
         return [*self.actuators, *([] if self.recruiter is None else self.recruiter.reserves)]
 
     @classmethod
@@ -80,7 +80,7 @@ class InverseProblem:
         Raises
         ------
         SpecError
-            If the data, or names in the spec, are wrong, with the file and line, or the key.
+            If the data, or names in the spec, are wrong. The error has file and line, or the key.
         """
         names = QuantityNames(spec.mechanism())
         try:
@@ -103,7 +103,7 @@ class Fitted:
     Attributes
     ----------
     measured
-        The motion, angles continued from the turn of the first pose.
+        The measured motion; angles continue from the number of turns of the first pose.
     q
         (T, n) poses that satisfy the constraints.
     """
@@ -125,9 +125,11 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Inverse:
-    """The result of inverse dynamics in T frames; the independent coordinates are None if derivatives were given.
+    """The result of inverse dynamics in T frames.
 
-    `dynamics` are the forces without muscles; `recruited` is None without `recruitment`.
+    `dynamics` has the forces without muscles. `recruited` is None without `recruitment`, and the independent
+    coordinates are
+    None if derivatives were given.
     """
 
     problem: InverseProblem
@@ -145,7 +147,7 @@ class Inverse:
 
     @property
     def actuators(self) -> np.ndarray:
-        """(T, U, 2) values and powers of `InverseProblem.recorded_actuators`."""
+        """(T, U, 2) values and powers of the actuators in `InverseProblem.recorded_actuators`."""
         if self.recruited is None:
             return np.stack([self.dynamics.value, self.dynamics.power], axis=-1)
         one = self.recruited
@@ -180,7 +182,7 @@ class Inverse:
         return (*told, *self._laws_out_of_range())
 
     def _laws_out_of_range(self) -> tuple[str, ...]:
-        """Return warnings about force laws that the motion uses outside of their ranges."""
+        """Return warnings about force laws that the motion uses outside their ranges."""
         workspace, motion = self.problem.prepared.workspace, self.motion
         ranges = LawRanges.of(self.problem.spec.mechanism(), workspace.mechanism, workspace)
         if ranges is None:
@@ -219,7 +221,7 @@ def compute(problem: InverseProblem) -> Inverse:
     Raises
     ------
     SpecError
-        If the input is wrong, with the file and line of its key.
+        If the input is wrong. The error has file and line of the key.
     RunError
         If no pose fits the data, or the mechanism passes a singular position.
     """
@@ -248,8 +250,9 @@ def motion_of(problem: InverseProblem, fitted: Fitted) -> tuple[Independent | No
 def forces_of(
     problem: InverseProblem, fitted: Fitted, independent: Independent | None, motion: Motion, *, strict: bool = True
 ) -> Inverse:
-    """Return the result whose forces produce a motion; see `compute` for errors, and `Recruiter.recruited` for
-    `strict`.
+    """Return the result whose forces produce a motion.
+
+    See `compute` for errors, and `Recruiter.recruited` for `strict`.
     """
     loads = loads_on(motion, problem.loads, problem.fitter.bodies)
     report = problem.spec.unbalanced == "report"
@@ -301,6 +304,6 @@ def _muscles(result: Inverse) -> Muscles | None:
 
 
 def reaction_forces_without_muscles(result: Inverse) -> np.ndarray:
-    """Return the reaction forces (T, J, 2) [N] if actuators produced the motion without muscles."""
+    """Return the reaction forces (T, J, 2) [N] that would occur if actuators produced the motion without muscles."""
     without = replace(result, recruited=None)
     return recorded_states(without).reactions[:, :, :2]

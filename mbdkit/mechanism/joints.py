@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 Mark = Literal["pin", "slide", "weld", "bar", "none"]
-"""Plot symbol of a joint: a pin at its point, a guide along its axis, a weld, a bar between its points, or nothing."""
+"""Plot symbol of a joint: a pin at its point, a guide along its axis, a weld, a bar between its points, or none."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Constraint:
     motion
         Prescribed function of time; None if there is none.
     center
-        Displacement of the first body's point that depends on the relative angle; None if it does not move.
+        Displacement of the first body's point as a function of the relative angle; None if the point is fixed.
     """
 
     kind: str
@@ -97,7 +97,8 @@ class JointBase(Between):
         Parameters
         ----------
         initial_angle
-            ``angle_b - angle_a`` [rad] at the initial positions as given, for joints that hold this angle.
+            ``angle_b - angle_a`` [rad] at the initial positions before assembly; used by joints that keep this angle
+            constant.
         """
         raise NotImplementedError
 
@@ -174,7 +175,9 @@ class Revolute(PointJoint, At):
         return [Constraint(kind, 0, 2, self.flat_points, center=self.center)]
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
-        """Return the joint with its points in the frames of the bodies; `at` is the position of the displaced point."""
+        """Return the joint with its points in the frames of the bodies; `at` is the position of the point after
+        displacement.
+        """
         joint = super().placed(bodies, key)
         if self.at is None or self.center is None:
             return joint
@@ -196,7 +199,7 @@ class Revolute(PointJoint, At):
 
 
 def _not_zero(value: Any) -> Any:
-    """Reject a length of zero with a hint; the type of the field checks everything else."""
+    """Reject a length of zero with a hint; everything else is checked by the type of the field."""
     if not isinstance(value, bool) and value == 0:
         raise SpecError("a distance of 0 leaves the direction between the points undefined: use a revolute joint")
     return value
@@ -286,7 +289,7 @@ class SlidingJoint(PointJoint, At):
         return (*self.flat_points, *self.direction)
 
     def on_line(self) -> Constraint:
-        """Return the constraint that holds the point on the line, the first row of the joint."""
+        """Return the constraint that keeps the point on the line, the first row of the joint."""
         return Constraint("point_on_line", 0, 1, self.flat_points, self.direction)
 
     def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -462,5 +465,5 @@ Joint = Annotated[Revolute | Prismatic | PointOnLine | Weld | Distance | Driver,
 
 
 def joint_with_friction(joints: Mapping[str, Joint]) -> str:
-    """Return the name of the first joint with friction; empty if there is none."""
+    """Return the name of the first joint with friction; empty if no joint has friction."""
     return next((name for name, joint in joints.items() if getattr(joint, "friction", None) is not None), "")

@@ -25,7 +25,7 @@ class Law(Element):
     the installed laws.
     """
 
-    # The options of a law are fields of a subclass created by `mbdkit.spec.choices.law_element`, which is strict.
+    # The options of a law are fields of a strict subclass, created by `mbdkit.spec.choices.law_element`.
     model_config = ConfigDict(extra="ignore")
 
     type: Literal["law"] = "law"
@@ -39,7 +39,7 @@ class Law(Element):
     force_law: ClassVar[ForceLaw]
     """The force law."""
     law_id: ClassVar[str]
-    """Long name of the law."""
+    """Full name of the law."""
     law_options: ClassVar[OptionsClass]
     """Model of the law's options."""
 
@@ -82,32 +82,36 @@ class Law(Element):
 
 
 class PluginLookup(Protocol):
-    """The interface by which validation and error messages access the models that plugins add to a spec."""
+    """Interface through which validation and error messages access the models that plugins add to a spec."""
 
     def law_element(self, name: str) -> type[Law]:
-        """Return the element class of the force law with this short or long name.
+        """Return the element class of the force law with this short or full name.
 
         Raises
         ------
         SpecError
-            If there is no such law, with the key ``law``.
+            If there is no such law. The error has the key ``law``.
         """
 
     def selected_options(self, metadata: Sequence[Any], item: str | int) -> type[BaseModel] | None:
-        """Return the options of an item; None unless `metadata` is that of a field that selects an item by name."""
+        """Return the options of the item that a field selects by name; None if `metadata` belongs to another kind of
+        field.
+        """
 
     def owners_of(self, key: str, options: type[BaseModel]) -> str:
         """Return a phrase that names the other items of the same kind with an option `key`; empty if there are none."""
 
 
 def _plugin_lookup(context: Any) -> PluginLookup:
-    """Return the lookup in a pydantic validation context, a mapping; by default, that of the installed plugins."""
+    """Return the lookup in a pydantic validation context, which is a mapping; by default, that of the installed
+    plugins.
+    """
     given: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
     return given or higher_layers.installed_plugins()
 
 
 def _below(error: ValidationError, law_id: str) -> ValidationError:
-    """Return the same errors with `law_id` at the front of their locations, where pydantic puts the tag of a union."""
+    """Return the error with `law_id` at the front of all locations, where pydantic puts the tag of a union."""
     lines: list[InitErrorDetails] = []
     for details in error.errors(include_url=False):
         context = details.get("ctx", {})

@@ -42,7 +42,8 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
 
 
 def law_range(law: ForceLaw, options: Any, name: str) -> dict[str, tuple[float, float]]:
-    """Return the lowest and the highest value of each argument for which a law holds; infinite where it has no bound.
+    """Return the lowest and the highest value of each argument for which a law holds; infinite for arguments without a
+    bound.
 
     Parameters
     ----------
@@ -90,6 +91,6 @@ def _parameters(law: ForceLaw, options: Any) -> tuple[tuple[str, ...], list[floa
 
 
 def law_options(options: Any) -> list[str]:
-    """Return the names of the law's own options of an element, in the order of their definition."""
+    """Return the names of those options of an element that belong to its law, in the order of their definition."""
     own: list[str] = list(type(options).law_options.model_fields)
     return own

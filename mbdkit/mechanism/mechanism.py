@@ -70,13 +70,14 @@ class Mechanism(HtmlView):
     assembly : Assembly
         Settings for making the initial state consistent.
     coordinates : dict
-        Quantities that have a name of their own, `NamedCoordinate` by name.
+        Named coordinates, `NamedCoordinate` by name.
     states : dict
         First-order states of the mechanism itself by name.
     controllers : dict
         Sampled controllers by name.
     muscles_act : bool
-        Whether muscles are force elements, as in runs; in inverse dynamics, they share moments instead.
+        Whether muscles are force elements, as in runs. In inverse dynamics, the moments of actuators are distributed to
+        them instead.
     contact_treatment : Treatment
         How contacts act in a run.
     warnings : tuple of str
@@ -638,7 +639,8 @@ class Mechanism(HtmlView):
         tendon_length: float,
         **properties: Any,
     ) -> None:
-        """Add a muscle, which exerts a force in runs, and shares moments in inverse dynamics with `recruitment`.
+        """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the
+        moments.
 
         Parameters
         ----------
@@ -693,7 +695,8 @@ class Mechanism(HtmlView):
             ``{"point": (x, y)}``, ``{"circle": {"center": (x, y), "radius": r}}`` or ``{"polygon": [(x, y), ...]}``.
             With `among`, a mapping from the body to its shape.
         among
-            Instead of `a` and `b`: bodies that touch each other, all pairs but those that a joint connects.
+            Instead of `a` and `b`: bodies that may touch each other. All pairs are included except those that a joint
+            connects.
         restitution
             Normal velocity after an impact over that before it, from 0 to 1.
         friction
@@ -754,7 +757,7 @@ class Mechanism(HtmlView):
         name
             Name of the state; expressions contain it as ``states.NAME``.
         rate
-            Its derivative by time, an expression of t, of kinematic quantities of bodies, joints and markers, of
+            Time derivative of the state: an expression of t, of kinematic quantities of bodies, joints and markers, of
             lengths, rates and values of springs, and of states.
         initial, unit
             Value at the start, and its unit.
@@ -777,15 +780,15 @@ class Mechanism(HtmlView):
         states: Mapping[str, Mapping[str, float | str]] | None = None,
         delay: float = 0.0,
     ) -> None:
-        """Add a sampled controller, whose outputs are held between samples.
+        """Add a sampled controller, whose outputs are constant between samples.
 
         Parameters
         ----------
         name
             Name of the controller; expressions contain its outputs and states as ``controllers.NAME.OUTPUT``.
         period, delay
-            Time between two samples, and from a sample to the outputs that follow from it [s]. The first sample is at
-            the start of the run; until its outputs apply, they are 0.
+            Time between two samples, and time from a sample until its outputs apply [s]. The first sample is at the
+            start of the run; outputs are 0 until those of the first sample apply.
         outputs
             Expressions of the state at a sample, by name.
         states
@@ -809,7 +812,7 @@ class Mechanism(HtmlView):
         Parameters
         ----------
         bodies
-            Names of the bodies to hold; they replace those of an earlier call.
+            Names of the bodies that assembly does not move; they replace those of an earlier call.
         tolerance
             Largest constraint residual of a consistent initial state [m, rad].
         """
@@ -845,7 +848,9 @@ class Mechanism(HtmlView):
         ]
 
     def state_names(self) -> list[str]:
-        """Return the names of all first-order states, those of force elements and muscles as ``element.state``."""
+        """Return the names of all first-order states; those of force elements and muscles are named
+        ``element.state``.
+        """
         of_elements = [
             f"{name}.{state.name}"
             for name, force in self.forces.items()
@@ -856,11 +861,11 @@ class Mechanism(HtmlView):
         return [*of_elements, *of_muscles, *self.states]
 
     def held_names(self) -> list[str]:
-        """Return the names of all outputs and states of controllers, as ``controller.output``."""
+        """Return the names ``controller.output`` of all outputs and states of controllers."""
         return [f"{name}.{value}" for name, one in self.controllers.items() for value in (*one.outputs, *one.states)]
 
     def contact_names(self) -> list[str]:
-        """Return the names of all contacts, those of polygons with the number of each corner, ``contact.corner``."""
+        """Return the names of all contacts; a polygon has one for each corner, ``contact.corner``."""
         return [pair.name for name, one in self.contacts.items() for pair in one.pairs(name, self.joints)]
 
     def feet(self) -> list[str]:
@@ -889,7 +894,7 @@ class Mechanism(HtmlView):
         Raises
         ------
         SpecError
-            With the key path of the first error.
+            For the first error; it contains the key path.
         """
         check_mechanism(self.bodies, self.beams, self.elements, self.joints, self.assembly)
         check_contacts(self.contacts, self.joints)
@@ -948,14 +953,15 @@ class Mechanism(HtmlView):
         Raises
         ------
         SpecError
-            With the key path of the first table that does not cover them.
+            For the first table that does not cover these times; it contains the key path.
         """
         check_tables(self.joints, self.forces, self.muscles, start, end)
 
     # ---- to and from a spec --------------------------------------------------------------------------------------
 
     def to_spec(self) -> dict[str, Any]:
-        """Return the mechanism as the `model` mapping of a spec: plain data of the model `mechanism`, no defaults.
+        """Return the mechanism as the `model` mapping of a spec: plain data of the model `mechanism`, without default
+        values.
 
         Examples
         --------
@@ -998,12 +1004,12 @@ class Mechanism(HtmlView):
             ``muscles``, ``contacts``, ``coordinates``, ``states``, ``controllers`` and ``assembly``; ``name`` is
             optional and must be ``mechanism``.
         parameters
-            Named numbers, or expressions of each other, which the numbers in `spec` may be expressions of.
+            Named parameters: numbers, or expressions of other parameters. Numbers in `spec` may be expressions of them.
 
         Raises
         ------
         SpecError
-            With the key path of the first error.
+            For the first error; it contains the key path.
 
         Examples
         --------
@@ -1023,7 +1029,7 @@ class Mechanism(HtmlView):
 
     @classmethod
     def from_data(cls, data: MechanismData, *, name: str = "mechanism") -> Mechanism:
-        """Return the mechanism described by validated `data`, after checks across its elements."""
+        """Return the mechanism described by validated `data`, after checks that involve several of its elements."""
         mechanism = cls(data.gravity, name=name)
         check_names(data.bodies, data.beams, {kind: getattr(data, kind) for kind in ELEMENTS})
         mechanism.bodies = dict(data.bodies)
@@ -1055,7 +1061,7 @@ class Mechanism(HtmlView):
         Raises
         ------
         SpecError
-            With the key path of the first error, or of a force that has no symbolic form.
+            For the first error, or for a force that has no symbolic form. The error contains the key path.
         """
         system: SymbolicSystem = higher_layers.symbolic_system(self, numbers=numbers)
         return system
@@ -1096,7 +1102,7 @@ def _make(cls: type[AnyElement], key: str, /, **values: Any) -> AnyElement:
         return cls.model_validate(values)
     except ValidationError:
         opened = _opened(values)
-    try:  # numbers with units, such as "2 N/mm"
+    try:  # the rejected values may be numbers with units, such as "2 N/mm"
         made, _ = with_expressions(lambda data: cls.model_validate(_closed(data)), opened, cls, {}, prefix=key)
     except SpecError as error:
         raise error if error.key.startswith(key) else error.located(prefix=key) from None
@@ -1104,11 +1110,11 @@ def _make(cls: type[AnyElement], key: str, /, **values: Any) -> AnyElement:
 
 
 class _Tuple(list[Any]):
-    """A tuple whose items can be replaced."""
+    """A mutable copy of a tuple."""
 
 
 def _opened(value: Any) -> Any:
-    """Return data whose items can be replaced."""
+    """Return data in which tuples are replaced by mutable copies."""
     if isinstance(value, Mapping):
         return {name: _opened(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -1117,7 +1123,7 @@ def _opened(value: Any) -> Any:
 
 
 def _closed(value: Any) -> Any:
-    """Return what `_opened` was called with, up to replaced items."""
+    """Return the data with which `_opened` was called, with the items replaced since then."""
     if isinstance(value, dict):
         return {name: _closed(item) for name, item in value.items()}
     if isinstance(value, list):
@@ -1133,7 +1139,7 @@ def _point(value: Any, key: str) -> tuple[float, float]:
 
 
 def _with_type(element: Element) -> dict[str, Any]:
-    """Return an element as plain data, with its type if there are several of its kind."""
+    """Return an element as plain data, with its type if the kind of element has several types."""
     return {"type": element.type, **_plain(element)} if hasattr(element, "type") else _plain(element)
 
 

@@ -43,7 +43,7 @@ class NamedCoordinate(StrictModel):
 
 
 def _named(value: Any) -> Any:
-    """Convert the name of a quantity alone to a mapping."""
+    """Convert a coordinate that is given only by the name of its quantity to a mapping."""
     return {"of": value} if isinstance(value, str) else value
 
 

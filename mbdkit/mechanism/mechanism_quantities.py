@@ -1,4 +1,5 @@
-"""Quantities of a mechanism that are linear in its coordinates or follow a point: values, Jacobians, curvature.
+"""Quantities of a mechanism that are linear in its coordinates or follow a point: values, Jacobians, second
+derivatives.
 
 Observed quantities, independent coordinates and actuators are all such quantities h(q). Arrays of states are (T, n)
 with n = 3 B coordinates x, y, angle of the bodies, without ground.
@@ -14,14 +15,14 @@ from typing import Literal
 import numpy as np
 
 GROUND = -1
-"""Number of the ground among the bodies."""
+"""Index that stands for the ground in place of the index of a body."""
 
 AXES = ("x", "y", "angle")
 
 
 @dataclass(frozen=True)
 class Point:
-    """A point of a body, in its frame [m]."""
+    """A point of a body, in the frame of the body [m]."""
 
     body: int
     x: float
@@ -50,7 +51,9 @@ class Point:
         out[:, place + 2] += x * fy - y * fx
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the acceleration (x, y) of the point where the accelerations of the coordinates are zero."""
+        """Return the acceleration (x, y) that the point has if the accelerations of the coordinates are zero, each
+        (T,).
+        """
         x, y = self.arm(q)
         square = 0.0 if self.body == GROUND else v[:, 3 * self.body + 2] ** 2
         return -square * x, -square * y
@@ -63,7 +66,7 @@ class Quantity(ABC):
 
     @property
     def scale(self) -> float:
-        """Magnitude of the change of the quantity per change of the underlying angle or length."""
+        """Change of the quantity per change of the angle or length on which it is based, as a magnitude."""
         return 1.0
 
     @abstractmethod
@@ -75,7 +78,7 @@ class Quantity(ABC):
         """Add the gradient of h to `out` (T, n)."""
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the second time derivative of h (T,) where the accelerations of the coordinates are zero."""
+        """Return the second time derivative that h has if the accelerations of the coordinates are zero, (T,)."""
         return np.zeros(len(q))
 
 
@@ -96,7 +99,7 @@ class Coordinate(Quantity):
         return q[:, 3 * self.body + self.axis]
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add 1 at the index of the coordinate."""
+        """Add 1 in the column of the coordinate."""
         out[:, 3 * self.body + self.axis] += 1.0
 
 
@@ -138,13 +141,13 @@ class MarkerCoordinate(Quantity):
         self.point.add_force(q, one * (self.axis == 0), one * (self.axis == 1), out)
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the centripetal acceleration along the axis."""
+        """Return the centripetal acceleration along the axis, (T,)."""
         return self.point.curvature(q, v)[self.axis]
 
 
 @dataclass(frozen=True)
 class Travel(Quantity):
-    """Distance of the second body's point from the first body's point along a direction that is fixed in the first."""
+    """Distance of the second body's point from the first body's point along a direction fixed to the first body."""
 
     first: Point
     second: Point
@@ -165,7 +168,7 @@ class Travel(Quantity):
         return travel
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the gradient: that of unit forces at the points, and that due to the rotation of the direction."""
+        """Add the gradient, which has the terms of unit forces at the points and of the rotation of the direction."""
         (ex, ey), (ux, uy) = self._along(q), self._between(q)
         self.second.add_force(q, ex, ey, out)
         self.first.add_force(q, -ex, -ey, out)
@@ -173,7 +176,7 @@ class Travel(Quantity):
             out[:, 3 * self.first.body + 2] += ex * uy - ey * ux
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the second derivative where accelerations of the coordinates are zero."""
+        """Return the second time derivative of the travel if the accelerations of the coordinates are zero, (T,)."""
         (ex, ey), (ux, uy) = self._along(q), self._between(q)
         spin = np.zeros(len(q)) if self.first.body == GROUND else v[:, 3 * self.first.body + 2]
         (ax, ay), (bx, by) = (_point_velocity(point, q, v) for point in (self.first, self.second))
@@ -185,7 +188,7 @@ class Travel(Quantity):
 
 @dataclass(frozen=True)
 class Shortening(Quantity):
-    """The negative distance of two points: its generalized force is a tension that pulls them together."""
+    """The negative distance between two points; its generalized force is a tension that pulls the points together."""
 
     first: Point
     second: Point
@@ -211,7 +214,7 @@ class Shortening(Quantity):
 
 @dataclass(frozen=True)
 class Affine(Quantity):
-    """A quantity with another sign and zero: ``factor * of + offset``."""
+    """A quantity with a different sign, scale and zero: ``factor * of + offset``."""
 
     of: Quantity
     factor: float
@@ -239,7 +242,7 @@ class Affine(Quantity):
         out += self.factor * own
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the second derivative where accelerations of the coordinates are zero."""
+        """Return the second time derivative if the accelerations of the coordinates are zero, (T,)."""
         return self.factor * self.of.curvature(q, v)
 
 
@@ -278,7 +281,7 @@ class Quantities:
         return len(self.quantities)
 
     def only(self, places: Sequence[int]) -> Quantities:
-        """Return the quantities at some indices."""
+        """Return the quantities with the given indices."""
         return Quantities([self.quantities[place] for place in places])
 
     def values(self, q: np.ndarray) -> np.ndarray:
@@ -296,7 +299,9 @@ class Quantities:
         return out
 
     def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the second time derivatives (T, K) where the accelerations of the coordinates are zero."""
+        """Return the second time derivatives (T, K) that the quantities have if the accelerations of the coordinates
+        are zero.
+        """
         out = np.empty((len(q), len(self)))
         for index, quantity in enumerate(self.quantities):
             out[:, index] = quantity.curvature(q, v)

@@ -1,14 +1,14 @@
 """Knots and corners of motions and loads: the times at which their value or a derivative is discontinuous.
 
-*Knots* are the points of a table: the third derivative of a cubic spline is discontinuous there, the fifth of a quintic
-one, the rate of a linear table. The knots of a periodic table repeat. *Corners* are the times at which ``abs``, ``min``
-or ``max`` switch between their operands, and the discontinuities of ``atan2``.
+*Knots* are the points of a table, at which the third derivative of a cubic spline, the fifth derivative of a quintic
+spline, or the rate of a linear table is discontinuous. The knots of a periodic table repeat. *Corners* are the times at
+which ``abs``, ``min`` or ``max`` switch between their operands, and the discontinuities of ``atan2``.
 
 The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of nested
-functions. Changes of sign between two samples are located by bisection; if the rate indicates an extremum towards zero
-between two samples of equal sign, the extremum is located first. Two changes of sign are therefore missed only if they
-lie between two samples with more than one extremum between them. Discontinuities of other functions, such as the poles
-of ``tan``, are not detected.
+functions. Changes of sign between two samples are located by bisection. If two samples have equal signs, but the rates
+at them indicate an extremum towards zero in between, the extremum is located first. Two changes of sign are therefore
+missed only if there is more than one extremum between the two samples. Discontinuities of other functions, such as the
+poles of ``tan``, are not detected.
 """
 
 from __future__ import annotations
@@ -26,28 +26,32 @@ from mbdkit.expressions.program import Program
 from mbdkit.mechanism.values import Motion, Table, curve_of
 
 SAMPLES = 10_000
-"""Number of samples over the span of a run; of long expressions, fewer."""
+"""Number of samples over the span of a run; fewer for long expressions."""
 
 MOST_OPERATIONS = 50_000_000
-"""Largest number of operations of one sampling."""
+"""Largest number of operations that one sampling of an argument may take."""
 
 BISECTIONS = 80
-"""More than enough to bisect any interval to adjacent numbers."""
+"""Number of bisections; sufficient to reduce any interval to adjacent floating-point numbers."""
 
 JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
-"""Differences below this share of the larger side, or of the largest value over the run, count as rounding errors, not
-as discontinuities."""
+"""Differences that count as rounding errors rather than discontinuities.
+
+The first is relative to the larger of the two sides, the second to the largest value over the run.
+"""
 
 MOST_KNOTS = 100_000
-"""Largest number of knots of a periodic table that are examined; the others repeat them."""
+"""Largest number of knots of a periodic table that are examined; further ones repeat them."""
 
 WIDEST_MARGIN = 1e-10
-"""Largest rounding error of the time of a corner that is part of its margin, as a share of the span."""
+"""Largest rounding error of the time of a corner that is included in its margin, as a share of the span."""
 
 
 MOST_CACHED = 64
-"""Largest number of motions whose corners are cached; they are needed three times per run. Those of a table of 10 000
-points take 6 MB and 0.06 s."""
+"""Largest number of motions whose corners are cached; they are needed three times per run.
+
+The corners of a table with 10 000 points take 6 MB and 0.06 s.
+"""
 
 
 @dataclass(frozen=True)
@@ -59,13 +63,13 @@ class Corner:
     time
         The time [s].
     margin
-        Distance from the corner [s] beyond which rounding errors cannot lead to the wrong side of it.
+        Uncertainty of `time` due to rounding [s]. A time that is farther away is certainly on its side of the corner.
     is_knot
-        Whether it is a point of a table.
+        Whether the corner is a point of a table.
     before, after
         Value, rate and acceleration on both sides.
     jumps
-        Which of these three differ.
+        Which of these three are discontinuous.
     """
 
     time: float
@@ -118,16 +122,16 @@ def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES)
     if not switches:
         return ()
     roots = _switching_times(program, start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))))
-    # Noise is larger at a corner where several derivatives agree: both sides are equal within the noise.
+    # The noise is larger at a corner where several derivatives agree, because both sides are equal within the noise.
     found = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
     corners = _described(motion, found, start, end, is_knot=False)
-    # not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere
+    # Not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere.
     wraps = any(operation.jumps for operation in switches)
     return tuple(corner for corner in corners if not wraps or not corner.is_smooth)
 
 
 def overshoot(table: Table) -> float:
-    """Return the overshoot of the curve of a table over the range of its values, as a share of this range."""
+    """Return by how much the curve of a table exceeds the range of its values, as a share of this range."""
     values = np.array(table.table[1])
     low, high = values.min(), values.max()
     if not _has_curve(table) or low == high:
@@ -161,7 +165,7 @@ def _has_curve(table: Table) -> bool:
 def _described(
     motion: Motion, found: Iterable[tuple[float, float]], start: float, end: float, *, is_knot: bool
 ) -> tuple[Corner, ...]:
-    """Return the corners at (time, margin), with the motion on both sides."""
+    """Return the corners at the given times with margins, each with the motion on both sides."""
     places = sorted(found)
     if not places:
         return ()
@@ -170,7 +174,7 @@ def _described(
     with np.errstate(all="ignore"):
         over = np.abs(jet_of(motion, np.linspace(start, end, 201)).derivatives)
         largest = np.max(np.where(np.isfinite(over), over, 0.0), axis=0)
-        difference = after - before  # part of the difference is explained by the next derivative
+        difference = after - before  # the next derivative explains a part of the difference
         difference[:, :2] -= margins[:, None] * (before + after)[:, 1:]
         floor = JUMP * np.maximum(np.abs(before), np.abs(after)) + JUMP_OF_LARGEST * largest
         jumps = ~(np.abs(difference) <= floor)
@@ -178,13 +182,13 @@ def _described(
     columns = (x.tolist() for x in (times, margins, before, after, jumps))
     for time, margin, left, right, differs in zip(*columns, strict=True):
         if corners and time - corners[-1].time <= margin + corners[-1].margin:
-            continue  # the same corner, of two functions
+            continue  # the same corner, found for another function
         corners.append(Corner(time, margin, is_knot, tuple(left), tuple(right), tuple(differs)))
     return tuple(corners)
 
 
 def _switching_times(program: Program, start: float, end: float, samples: int) -> list[tuple[float, float]]:
-    """Return the times at which a function of a program switches between its operands, and the rounding error of each
+    """Return the times at which a function of a program switches between its operands, with their rounding errors
     [s].
     """
     times = np.linspace(start, end, samples + 1)
@@ -216,7 +220,7 @@ def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: 
     zeros, others = sign == 0.0, np.flatnonzero(sign != 0.0)
     left, right = others[:-1], others[1:]
     opposite = sign[left] != sign[right]
-    # an argument that is zero over several samples switches at the corners of nested functions
+    # An argument that is zero over several samples switches at the corners of nested functions.
     isolated = right - left <= 2
     brackets = [(times[left[opposite & isolated]], times[right[opposite & isolated]])]
     adjacent = right - left == 1
@@ -238,7 +242,7 @@ def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: 
     found = {}
     for k, root in enumerate(roots):
         if k < len(low) and not abs(at.value[k]) <= ends[k]:
-            continue  # a pole
+            continue  # a pole, not a change of sign
         found[float(root)] = float(noise[k]) if np.isfinite(noise[k]) else 0.0
     return found
 

@@ -23,10 +23,10 @@ from mbdkit.mechanism.state_values import Value, of_state, of_time
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
 
 MOST_CIRCLES = 4
-"""Largest number of circles between two points of a path; the patterns of touched circles are enumerated."""
+"""Largest number of circles between two points of a path; all patterns of touched circles are enumerated."""
 
 TOO_STEEP = math.radians(80)
-"""Pennation angles from here on are refused: the force along the tendon almost vanishes."""
+"""Pennation angles from this value on are refused, because the force along the tendon would almost vanish."""
 
 
 def _point(value: Any) -> Any:
@@ -106,7 +106,7 @@ class PathItem(StrictModel):
 
     @property
     def offset(self) -> float:
-        """Offset z of the point [m]; 0 for circles, which are cylinders."""
+        """Offset z of the point [m]; 0 for circles, which represent cylinders."""
         if self.point is None or len(self.point) < 3:
             return 0.0
         return float(value_and_slopes(self.point[2], {}, 1)[0][0])
@@ -218,7 +218,7 @@ class Muscle(Element):
 
     @property
     def thickness(self) -> float:
-        """Thickness perpendicular to the tendon, which stays constant [m]."""
+        """Thickness perpendicular to the tendon, which is constant [m]."""
         return self.optimal_length * math.sin(self.pennation)
 
     @property
@@ -265,12 +265,12 @@ class Muscle(Element):
 
 
 def check_moving_points(muscles: Mapping[str, Muscle], coordinates: Collection[str], prefix: str = "") -> None:
-    """Raise a SpecError for the first moving point that is a function of something else than named coordinates.
+    """Raise SpecError for the first moving point that is a function of anything else than named coordinates.
 
     Parameters
     ----------
     prefix
-        Beginning of its key.
+        Beginning of the key of the error.
     """
     for name, muscle in muscles.items():
         for index, item in enumerate(muscle.path):

@@ -11,12 +11,12 @@ from mbdkit.base.units import PLAIN, Unit
 
 
 def unit_of_expression(text: str, units: Mapping[str, Unit]) -> Unit | None:
-    """Return the unit of an expression; None if it has a parameter without unit, or only numbers.
+    """Return the unit of an expression; None if it contains a parameter without unit, or no parameter.
 
     Parameters
     ----------
     units
-        Units of those parameters that have one.
+        Units of the parameters that have one, by name.
 
     Raises
     ------
@@ -25,7 +25,7 @@ def unit_of_expression(text: str, units: Mapping[str, Unit]) -> Unit | None:
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError):  # reported when it is compiled
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # reported when the expression is compiled
         return None
     if isinstance(tree, ast.Name):
         return units.get(tree.id)
@@ -44,7 +44,7 @@ def _unit(node: ast.expr, units: Mapping[str, Unit]) -> Unit | None:
     if isinstance(node, ast.UnaryOp):
         return _unit(node.operand, units)
     if not isinstance(node, ast.BinOp):
-        return None  # functions, whose results are rarely used as lengths or forces
+        return None  # units are not derived for functions, whose results are rarely lengths or forces
     left, right = _unit(node.left, units), _unit(node.right, units)
     if isinstance(node.op, ast.Add | ast.Sub):
         return _of_sum(node, left, right, units)
@@ -59,7 +59,7 @@ def _unit(node: ast.expr, units: Mapping[str, Unit]) -> Unit | None:
 
 
 def _of_sum(node: ast.BinOp, left: Unit | None, right: Unit | None, units: Mapping[str, Unit]) -> Unit | None:
-    """Return the unit of a sum or difference; numbers without parameters take the unit of the other term."""
+    """Return the unit of a sum or difference; a term without parameters takes the unit of the other term."""
     if not _has_units(node.left, units):
         return right
     if not _has_units(node.right, units):

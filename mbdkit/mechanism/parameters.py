@@ -2,9 +2,9 @@
 
 An expression consists of numbers, names of parameters, ``pi``, ``+ - * / **``, parentheses and the functions of
 motions; ``degrees(45)`` is an angle in radians. A number with a unit, ``2 N/mm``, is replaced by its value in SI units
-if the unit fits that in the description of the key. Only validation determines where a model requires a number: it is
-repeated with the values of the expressions that it rejected as text. In functions of time, the names of parameters are
-replaced by their values.
+if the unit agrees with the one in the description of the key. Where a model requires a number is determined by
+validation: it rejects expressions as text, and is repeated with their values. In functions of time, the names of
+parameters are replaced by their values.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 _NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
 _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[.\[])")
-"""A name that is no part of a quantity; quoted names are matched as well, and left as they are."""
+"""A name that is not part of a quantity. Quoted names match as well, and are not changed."""
 
 
 def parameter_values(given: Any) -> ParameterValues:
@@ -86,8 +86,8 @@ def parameter_values(given: Any) -> ParameterValues:
     Raises
     ------
     SpecError
-        With the key path, ``parameters.NAME``, of a wrong name, an expression that is not valid or not finite, or a
-        parameter that depends on itself.
+        If a name is wrong, an expression is not valid or not finite, or a parameter depends on itself. The error has
+        the key path ``parameters.NAME``.
     """
     if given is None:
         return ParameterValues()
@@ -111,12 +111,12 @@ def parameter_values(given: Any) -> ParameterValues:
 
 
 def without_units(parameters: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Return named parameters with numbers in SI units in place of numbers with a unit, of any kind.
+    """Return named parameters in which numbers with a unit are replaced by numbers in SI units.
 
     Raises
     ------
     SpecError
-        With the key path of a unit that is not known.
+        If a unit is not known. The error has the key path.
     """
     return dict(parameters) | {name: quantity[0] for name, quantity in _quantities(parameters).items()}
 
@@ -140,19 +140,19 @@ def evaluate(text: str, values: Values, known: list[str] | None = None) -> float
     Parameters
     ----------
     known
-        Names for hints on a misspelled name; by default those in `values`.
+        Names suggested for a misspelled name; by default those in `values`.
 
     Raises
     ------
     SpecError
-        With the position in the text of the first error.
+        For the first error; it contains the position in the text.
     """
     (_, value), *_ = _NumberCompiler(text, values, known).program()
     return value
 
 
 def names_in(text: Any) -> set[str]:
-    """Return the names in an expression; none if it is not text."""
+    """Return the names in an expression; none if the value is not text."""
     return set(_NAME.findall(text)) if isinstance(text, str) else set()
 
 
@@ -171,7 +171,7 @@ def with_expressions(
     Parameters
     ----------
     validate
-        Validates the data and returns the result.
+        Function that validates the data and returns the result.
     data
         The data; expressions are replaced by their values in place.
     root
@@ -181,7 +181,7 @@ def with_expressions(
     section
         Key path of the part that may contain expressions.
     prefix
-        Key path of the data in a spec; empty if it is a whole spec.
+        Key path of the data in a spec; empty if the data are a whole spec.
     plugins
         Lookup of the models that plugins add; by default, of the installed plugins.
 
@@ -190,12 +190,12 @@ def with_expressions(
     Validated
         The result of `validate`.
     Written
-        The expressions that were replaced; numbers with units, of any section, are not among them.
+        The expressions that were replaced, without numbers with units.
 
     Raises
     ------
     SpecError
-        With the key path of the first error.
+        For the first error; it contains the key path.
     """
     lookup: PluginLookup = plugins or higher_layers.installed_plugins()
     written: Written = {}
@@ -219,7 +219,7 @@ def with_expressions(
 
 
 def insert(data: Any, written: Written) -> Any:
-    """Return plain data with the expressions in place of their values, at the key paths that it has."""
+    """Return plain data with the expressions in place of their values, at those key paths that exist in the data."""
     for path, text in written.items():
         try:
             holder = _at(data, path[:-1])
@@ -240,7 +240,7 @@ class _NumberCompiler(Compiler):
         super().__init__(text, parameters)
 
     def compile(self, node: ast.expr, nesting: int) -> Code:
-        """Return the program of a node; the time is no operand."""
+        """Return the program of a node, in which time is not an operand."""
         if isinstance(node, ast.Name) and node.id == "t":
             self.refuse("only motions and loads depend on the time t, this is a number", node)
         return super().compile(node, nesting)
@@ -268,12 +268,12 @@ def _check(name: Any, value: Any) -> None:
 
 
 def _in_order_of_use(uses: Mapping[str, set[str]]) -> Iterator[str]:
-    """Return the names so that each one comes after those that it uses; raise SpecError for a cycle."""
+    """Return the names in an order in which each follows the names that it uses; raise SpecError for a cycle."""
     sorter = graphlib.TopologicalSorter({name: sorted(used) for name, used in uses.items()})
     try:
         sorter.prepare()
     except graphlib.CycleError as error:
-        cycle: list[str] = error.args[1][::-1]  # each one uses the next
+        cycle: list[str] = error.args[1][::-1]  # each name uses the next one
         message = f"depends on itself: {' -> '.join(cycle)}"
         raise SpecError(message, key=f"parameters.{cycle[0]}") from None
     while sorter.is_active():
@@ -285,8 +285,9 @@ def _in_order_of_use(uses: Mapping[str, set[str]]) -> Iterator[str]:
 def _replacements(
     error: ValidationError, data: Any, root: Any, plugins: PluginLookup, values: Values
 ) -> Iterator[tuple[Path, str | float, Kind]]:
-    """Return the key path of each text that was refused, what it should be, and the text of the expression or the
-    value of the number with a unit.
+    """Yield the key path of each rejected text, its replacement, and the expected kind of value.
+
+    The replacement is the expression, or the value of a number with a unit.
     """
     known = {"t", "pi", *values}
     for details in error.errors(include_url=False):
@@ -294,9 +295,9 @@ def _replacements(
         if not (
             isinstance(inner, TextForNumberError | ExpressionError) or details["type"] in ("float_type", "int_type")
         ):
-            continue  # checked before the path is searched, which is slow for many thousands of errors
+            continue  # checked before the path is searched, which would be slow for many thousands of errors
         path, _ = walk(details["loc"], root, plugins)
-        if isinstance(inner, TextForNumberError):  # raised for the first number of a list
+        if isinstance(inner, TextForNumberError):  # raised for the first number in a list
             path = value_path(path, parse_path(inner.key))
             if read_quantity(text := _at(data, path), known):
                 message = f"should be a number without a unit, since tables are in SI units, not '{text}'"
@@ -306,15 +307,16 @@ def _replacements(
                     _check_unit(text, values, (*details["loc"], i), (*path[:-1], i), data, root, plugins)
                     yield (*path[:-1], i), text, "number"
             continue
-        if isinstance(inner, CoordinateExpressionError):  # raised for the whole model, which knows its coordinates
+        # raised for the whole model, because only the model knows its coordinates
+        if isinstance(inner, CoordinateExpressionError):
             path = value_path(path, parse_path(inner.key))
-            text = _at(data, path)  # a number with a unit is refused before, as no expression
+            text = _at(data, path)  # a number with a unit is rejected earlier, because it is not an expression
             if names_in(text) & values.keys():
                 yield path, text, "function of coordinates"
             continue
         text = details["input"]
         if _at(data, path) != text:
-            continue  # the place of a number in a union is not known
+            continue  # the location of a number within a union is not known
         try:
             if quantity := read_quantity(text, known):
                 yield path, _in_si(*quantity, details, data, root, plugins), "quantity"
@@ -331,7 +333,7 @@ def _replacements(
 
 
 def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any, plugins: PluginLookup) -> float:
-    """Return the value of a number with a unit; raise SpecError if it is not the unit of the key."""
+    """Return the value of a number with a unit; raise SpecError if the unit is not that of the key."""
     if details["type"] == "int_type":
         raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
     if not abs(value) <= sys.float_info.max:
@@ -344,8 +346,8 @@ def _in_si(value: float, unit: Unit, details: ErrorDetails, data: Any, root: Any
 
 
 def _units_of(location: Path, data: Any, root: Any, plugins: PluginLookup) -> tuple[str, ...] | None:
-    """Return the units of the number at a location, by the description of its key; None if the key is not known."""
-    for length in range(len(location), 0, -1):  # the numbers of lists and mappings have the unit of their field
+    """Return the units of the number at a location, from the description of its key; None if the key is not known."""
+    for length in range(len(location), 0, -1):  # numbers in lists and mappings have the unit of their field
         path, owner = walk(location[:length], root, plugins)
         if owner is not None and (name := _field(owner, path[-1])):
             break
@@ -364,7 +366,7 @@ def _units_of(location: Path, data: Any, root: Any, plugins: PluginLookup) -> tu
 def _check_unit(
     text: str, values: Values, location: Path, path: Path, data: Any, root: Any, plugins: PluginLookup
 ) -> None:
-    """Raise SpecError for an expression whose parameters have units that do not fit its place."""
+    """Raise SpecError for an expression whose unit does not suit its key."""
     known = values.units if isinstance(values, ParameterValues) else {}
     try:
         unit = unit_of_expression(text, known) if known else None
@@ -373,7 +375,7 @@ def _check_unit(
     units = None if unit is None else _units_of(location, data, root, plugins)
     if unit is None or units is None:
         return
-    alone = text.strip() in known  # in products and quotients, angles are numbers
+    alone = text.strip() in known  # in products and quotients, angles count as pure numbers
     fits = unit.fits if alone else unit.is_like
     if not any(fits(read_unit(one) if one != "1" else PLAIN) for one in units or ("1",)):
         takes = f"in {listed(units, 'or')}" if units else "without a unit"
@@ -387,8 +389,9 @@ def _field(owner: type[BaseModel], key: str | int) -> str:
 
 
 def _is_expression(text: Any, values: Values) -> bool:
-    """Return whether a value is intended as an expression: it has an operator or the name of a value, and is not a
-    quoted number.
+    """Return whether a text is intended as an expression: it contains an operator or the name of a value.
+
+    Quoted numbers are not expressions.
     """
     if not isinstance(text, str) or _NUMBER.fullmatch(text):
         return False
@@ -396,7 +399,9 @@ def _is_expression(text: Any, values: Values) -> bool:
 
 
 def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | str:
-    """Return the value of an expression, or a function of time or an angle with the values of the parameters in it."""
+    """Return the value of an expression; for a function of time or of an angle, the text with values in place of
+    parameters.
+    """
     try:
         if kind not in _COMPILERS:
             value = evaluate(text, values)

@@ -14,7 +14,7 @@ from mbdkit.mechanism.values import Number, Points
 
 
 class Segment(NamedTuple):
-    """A part of a pathway, between two bodies; the length of the pathway is the sum over its segments.
+    """A segment of a pathway between two bodies; the length of the pathway is the sum of the lengths of its segments.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class LinePathway(FromTo):
     length_unit: ClassVar[str] = "m"
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the parts of the pathway in a mechanism with these joints."""
+        """Return the segments of the pathway in a mechanism with these joints."""
         return (Segment("two_points", self.bodies, (*self.ends[0], *self.ends[1])),)
 
 
@@ -53,7 +53,7 @@ class AnglePathway(Between):
     length_unit: ClassVar[str] = "rad"
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the parts of the pathway in a mechanism with these joints."""
+        """Return the segments of the pathway in a mechanism with these joints."""
         return (Segment("relative_angle", self.bodies),)
 
     def angles(self) -> list[tuple[str, str]]:
@@ -105,7 +105,7 @@ class Coordinate(Between):
         return (0.0, 0.0) if self.points is None else self.points[1]
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the parts of the pathway in a mechanism with these joints."""
+        """Return the segments of the pathway in a mechanism with these joints."""
         return (Segment(f"coordinate_{self.coordinate}", self.bodies, (0.0, 0.0, *self.point)),)
 
     def attachments(self) -> list[Attachment]:
@@ -132,7 +132,7 @@ class JointAngles(Element):
     the pulleys. Forces of the pulleys on their axles are not part of the reactions of the joints.
     """
 
-    # `angles` is a method of every element, so that the attribute has another name
+    # `angles` is a method of every element, so the attribute has another name.
     model_config = ConfigDict(serialize_by_alias=True)
 
     type: Literal["joint-angles"]
@@ -144,7 +144,7 @@ class JointAngles(Element):
     length_unit: ClassVar[str] = "m"
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the parts of the pathway in a mechanism with these joints, one for each joint."""
+        """Return the segments of the pathway in a mechanism with these joints, one for each joint."""
         return tuple(
             Segment("pulley", joints[name].bodies, constants=(radius, 0.0 if index else self.length))
             for index, (name, radius) in enumerate(self.radii.items())

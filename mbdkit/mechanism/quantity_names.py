@@ -39,7 +39,7 @@ class QuantityNames:
         self._number = {name: number for number, name in enumerate(mechanism.bodies)}
 
     def body(self, name: str, key: str, *, may_be_ground: bool = False) -> int:
-        """Return the number of a body, `GROUND` for the ground; raise SpecError if no body has this name."""
+        """Return the index of a body, `GROUND` for the ground; raise SpecError if there is no body with this name."""
         if may_be_ground and name == self.mechanism.ground:
             return GROUND
         if name not in self._number:
@@ -53,7 +53,7 @@ class QuantityNames:
         Raises
         ------
         SpecError
-            If there is no such joint, or its coordinate is held by the joint itself.
+            If there is no such joint, or if the joint itself keeps its coordinate constant.
         """
         joints = self.mechanism.joints
         if name not in joints:
@@ -71,7 +71,7 @@ class QuantityNames:
         return GROUND if body == self.mechanism.ground else self._number[body]
 
     def find(self, name: str, key: str) -> Quantity:
-        """Return the quantity of a name such as ``knee.angle``, or of the name of a coordinate.
+        """Return the quantity with a name such as ``knee.angle``, or with the name of a coordinate.
 
         Raises
         ------
@@ -107,15 +107,15 @@ class QuantityNames:
 
     @property
     def examples(self) -> str:
-        """Names that observed quantities may have, for messages."""
+        """Names that observed quantities may have, as examples in messages."""
         return listed([*list(self.mechanism.coordinates)[:_NAMES_SHOWN], "JOINT.angle", "BODY.x"], "or")
 
     def element(self, name: str) -> str:
-        """Return the element of a quantity that exists, such as ``R.Knee`` of ``joints.R.Knee.angle``."""
+        """Return the element of an existing quantity, such as ``R.Knee`` for ``joints.R.Knee.angle``."""
         return next(element for _, element in self._matches(name))
 
     def _matches(self, name: str) -> dict[tuple[str, str], Quantity]:
-        """Return the quantities that a name may mean, by kind and name of the element."""
+        """Return the quantities that a name can denote, by kind and name of the element."""
         element, _, axis = name.rpartition(".")
         kind, _, rest = element.partition(".")
         found: dict[tuple[str, str], Quantity] = {}
@@ -127,7 +127,7 @@ class QuantityNames:
         return found
 
     def _quantity(self, kind: str, element: str, axis: str) -> Quantity | None:
-        """Return a quantity of an element; None if the element does not exist or does not have it."""
+        """Return a quantity of an element; None if the element does not exist or does not have this quantity."""
         match kind:
             case "bodies" if element in self._number and axis in AXES:
                 return Coordinate(self._number[element], AXES.index(axis))
@@ -144,7 +144,9 @@ class QuantityNames:
         return len(self._matches(name)) == 1
 
     def candidates(self) -> dict[str, Quantity]:
-        """Return quantities that may be independent coordinates: named ones, then those of joints, then of bodies."""
+        """Return quantities that may serve as independent coordinates: named ones, then those of joints, then those of
+        bodies.
+        """
         found: dict[str, Quantity] = {name: self.coordinate(name) for name in self.mechanism.coordinates}
         for name, joint in self.mechanism.joints.items():
             found[f"{name}.angle"] = self._coordinate(joint)

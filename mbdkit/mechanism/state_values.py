@@ -23,7 +23,9 @@ class StateExpressionError(ExpressionError):
 
 
 class StateSyntax(Compiler):
-    """Checks the syntax of an expression of the state; its quantities are checked when the mechanism is complete."""
+    """Checks the syntax of an expression of the state; its quantities are checked later, with the complete
+    mechanism.
+    """
 
     wanted = "an expression of the state, which consists of numbers, t, pi, quantities such as bodies.NAME.angle"
     error = StateExpressionError

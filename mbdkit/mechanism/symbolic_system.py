@@ -149,7 +149,9 @@ class SymbolicSystem:
 def _solved(
     mass_matrix: np.ndarray, constraint_jacobian: np.ndarray, gamma: np.ndarray, forces: np.ndarray, **_: Any
 ) -> dict[str, np.ndarray]:
-    """Return accelerations and multipliers, solved with coordinates scaled to an identity mass matrix."""
+    """Return accelerations and multipliers, computed with coordinates scaled such that the mass matrix is the
+    identity.
+    """
     n, m = len(forces), len(gamma)
     root = np.sqrt(np.diag(mass_matrix))
     jacobian = constraint_jacobian / root

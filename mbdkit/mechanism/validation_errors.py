@@ -59,9 +59,9 @@ ELEMENTS = {
     "rod": ("bodies", ""),
     "point": ("markers", ""),
 }
-"""Section of a mechanism and type of element for words that users may write as keys, in the singular."""
+"""For words that users may write as keys, in the singular: the section of a mechanism, and the type of element."""
 EXPLAINED = 12
-"""Largest number of problems explained in a message; the others are counted."""
+"""Largest number of problems that a message explains; further ones are only counted."""
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 
@@ -82,7 +82,7 @@ def spec_error(
     root
         The model or type that was validated.
     prefix
-        Key path of the validated value in a spec; empty if it is a whole spec.
+        Key path of the validated value in a spec; empty if the value is a whole spec.
     plugins
         Lookup of the models that plugins add; by default, of the installed plugins.
     written
@@ -98,14 +98,14 @@ def spec_error(
     for details in error.errors(include_url=False):
         path, owner = walk(details["loc"], root, lookup)
         problems.setdefault(_place(details, path), []).append((details, path, owner))
-    # An error inside a value is more specific than the error that no member of a union accepts the value.
+    # An error inside a value is more specific than the error that no type of a union accepts the value.
     above = {path[:length] for path in problems for length in range(len(path))}
     # Unknown keys come first, because a mistyped key explains why another key is missing.
     paths = sorted((path for path in problems if path not in above), key=lambda path: not _is_unknown(*problems[path]))
     sentences = []
     for path in paths[
         :EXPLAINED
-    ]:  # limited, because each explanation takes time and there may be thousands of problems
+    ]:  # limited, because each explanation takes time, and there may be thousands of problems
         value = f" (the value of '{written[path]}')" if written and path in written else ""
         told = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
         sentences.append((path_text((*parse_path(prefix), *path)), _either(list(told))))
@@ -118,7 +118,7 @@ def spec_error(
 
 
 def _place(details: ErrorDetails, path: Path) -> Path:
-    """Return the key path that a problem is reported at."""
+    """Return the key path at which a problem is reported."""
     inner = details.get("ctx", {}).get("error")
     if isinstance(inner, SpecError):
         return value_path(path, parse_path(inner.key))
@@ -136,7 +136,7 @@ def _is_unknown(first: tuple[ErrorDetails, Path, type[BaseModel] | None], *other
 
 
 def _as_law(tag: str, plugins: PluginLookup) -> str:
-    """Return how to write a force element whose type is given as the name of a law; empty if there is no such law."""
+    """Return how to write a force element whose type was given as the name of a law; empty if there is no such law."""
     try:
         plugins.law_element(tag)
     except SpecError:
@@ -182,7 +182,9 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
 
 
 def value_path(path: Path, key: Path) -> Path:
-    """Return the path of an error raised inside a validator; its key may be relative to `path` or to the whole spec."""
+    """Return the path of an error raised inside a validator; the key of the error may be relative to `path` or
+    absolute.
+    """
     return key if path and key[: len(path)] == path else path + key
 
 
@@ -228,7 +230,7 @@ def _hint(kind: str, given: Any) -> str:
 
 
 def _either(sentences: list[str]) -> str:
-    """Join the messages of the members of a union into one: "should be a or b, not c"."""
+    """Join the messages of the alternatives of a union into one: "should be a or b, not c"."""
     parts = [re.fullmatch(r"should be (.*?)(, not .*)", sentence, re.S) for sentence in sentences]
     if len(parts) < 2 or not all(parts):
         return " or ".join(sentences)
@@ -292,7 +294,9 @@ def walk(location: Sequence[str | int], root: Any, plugins: PluginLookup) -> tup
 
 
 def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[Any, ...]) -> Any:
-    """Return the member of a union that pydantic's label denotes: by tag, by class name, or by the keys below it."""
+    """Return the alternative of a union that pydantic's label denotes: by tag, by class name, or by the keys below
+    it.
+    """
     tag = next(
         (extra.discriminator for extra in metadata if isinstance(extra, FieldInfo) and extra.discriminator), None
     )
@@ -304,5 +308,5 @@ def _member(members: list[Any], label: str | int, below: Path, metadata: tuple[A
         elif (name := getattr(member, "__name__", None)) == label:
             return member
         elif isinstance(label, str) and label.startswith("function-") and label.endswith(f", {name}]"):
-            return member  # a model with a validator of its own
+            return member  # a model with its own validator
     return next((member for member in members if below and get_args(member)), None)

@@ -21,7 +21,7 @@ class TextForNumberError(SpecError):
 
 
 def _shown(value: Any) -> str:
-    """Return a value as text for an error message, cut to at most 60 characters."""
+    """Return a value as text for an error message, shortened to at most 60 characters."""
     text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -58,7 +58,10 @@ def motion(value: Any) -> Any:
 
 
 def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
-    """Accept finite numbers and tables of a kind, and convert mappings to tables; `wanted` is part of the message."""
+    """Accept finite numbers and tables of the class `kind`, and convert mappings to tables.
+
+    `wanted` describes the expected value in error messages.
+    """
     if isinstance(value, Mapping):
         choices = {key: get_args(kind.model_fields[key].annotation) for key in ("interpolation", "ends")}
         if "table" not in value or not {*value} <= {"table", *choices}:
@@ -127,7 +130,7 @@ def columns_of(value: Any, key: str = "", *, at: str = "times", of: str = "value
 
 
 def _consistent(table: Table) -> Table:
-    """Return a table unchanged; raise SpecError if its options do not fit its points or each other."""
+    """Return a table unchanged; raise SpecError if its options contradict its points or each other."""
     times, values = table.table
     if table.interpolation == "linear" and table.ends in ("natural", "clamped"):
         raise SpecError(
@@ -148,7 +151,7 @@ def _consistent(table: Table) -> Table:
     return table
 
 
-# `StrictModel` sets allow_inf_nan too; it is repeated here because these types are also validated outside of models.
+# `StrictModel` also sets allow_inf_nan. It is repeated here because these types are validated outside models, too.
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -204,29 +207,31 @@ QUINTIC_ENDS = {
     "natural": ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)]),
     "clamped": ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)]),
 }
-"""Derivatives of a quintic spline that vanish at its two ends; SciPy has names for the other conditions."""
+"""Derivatives that vanish at the two ends of a quintic spline, by the name of the condition; SciPy has the other
+conditions.
+"""
 
 
 @lru_cache(maxsize=64)
 def curve_of(table: Table) -> Any:
-    """Return the curve of a table, as ``scipy.interpolate.PPoly``; it is extrapolated by its outer pieces, or
-    periodically.
+    """Return the curve of a table as ``scipy.interpolate.PPoly``.
 
-    Raises ValueError or LinAlgError if it cannot be computed in double precision.
+    It is extrapolated by its outer pieces, or periodically. Raises ValueError or LinAlgError if the curve cannot be
+    computed in double precision.
     """
     from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
 
     times, values = (np.array(column) for column in table.table)
     beyond: Any = "periodic" if table.ends == "periodic" else True
     if beyond == "periodic":
-        values[-1] = values[0]  # equal up to rounding errors, as checked by `Table`
+        values[-1] = values[0]  # equal up to rounding errors, which `Table` has checked
     if table.interpolation == "linear":
         return PPoly(np.array([np.diff(values) / np.diff(times), values[:-1]]), times, extrapolate=beyond)
     if table.interpolation == "cubic":
         return CubicSpline(times, values, bc_type=table.ends, extrapolate=beyond)
     spline = make_interp_spline(times, values, k=5, bc_type=QUINTIC_ENDS.get(table.ends, table.ends))
     curve = PPoly.from_spline(spline)
-    # without the five pieces at either end that are empty, or beyond the period
+    # The five pieces at each end are empty, or lie outside the period.
     return PPoly(curve.c[:, 5:-5], curve.x[5:-5], extrapolate=beyond)
 
 
