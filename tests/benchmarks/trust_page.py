@@ -31,20 +31,20 @@ OUTLINE = """\
 
 <!-- Written by `python -m tests.benchmarks.trust_page mbdkit/guide/trust.md`; do not edit. -->
 
-The verdict on a run, the estimates of its errors, their limits, and errors that were measured.
+The verdict on a run, how errors are estimated, what the estimates do not cover, and a comparison with true errors.
 
-Every run has a verdict. The verdict is given at the top of the summary, in `run.verdict` and `run.verdict_reasons`,
-with `--json`, in the archive, in reports and in the table of a study.
+Every run has a verdict. It is shown at the top of the summary and in reports. `run.verdict`, `run.verdict_reasons`,
+`--json`, the archive and the table of a study contain it too.
 
 | verdict | meaning |
 |---|---|
 | `good` | the errors were estimated (`--check` or `--accuracy`) for all recorded times, and no value exceeds a limit |
-| `unknown` | nothing suspicious was seen, but no error was estimated: the best verdict without a check |
-| `doubtful` | a value exceeds its first limit, or the errors are known for a part of the run only |
+| `unknown` | no value exceeds a limit, but the errors were not estimated; this is the best verdict without a check |
+| `doubtful` | a value exceeds its first limit, or the errors are known only for a part of the run |
 | `bad` | a value exceeds its second limit, or the run stopped early |
 
-A run without a check is never `good`: even if its joints hold and its energy balances, its motion can be wrong, like
-that of a chaotic double pendulum after a few seconds.
+A run without a check is never `good`. Its motion can be wrong even if its joints stay closed and its energy balance is
+good; an example is a chaotic double pendulum after a few seconds.
 
 ## Criteria
 
@@ -52,74 +52,79 @@ that of a chaotic double pendulum after a few seconds.
 |---|---|---|
 {criteria}
 
-Energy errors below {rounding:g} units of round-off of the largest energy count as zero. A run is also `bad` if it turns
-sharply in a singular position: by an angle of at least {angle:g} rad and of at least {ratio:g} times the path there,
-measured in lengths of the mechanism's longest link. The run has then probably left its *branch*, the family of
-positions that can be reached continuously from the start, and continues on another one that meets it there. If joints
-that are redundant and consistent at the start become inconsistent, the run has certainly left its branch; it stops with
-the reason `branch-left`. A run that stops before its end is `bad`. Warnings that question the result make it
-`doubtful`.
+Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that stops before
+its end is `bad`. Warnings that question the result make a run `doubtful`.
+
+The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
+position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion
+changes sharply in a singular position, because it has then probably left its branch. The change counts as sharp if its
+angle is at least {angle:g} rad, and at least {ratio:g} times the length of the path there divided by the longest link.
+If joints that are redundant and consistent at the start become inconsistent, the run has certainly left its branch. It
+then stops with the reason `branch-left`.
 
 ## What you can ask for
 
-- **`mbdkit run SPEC --check`** (`check: true`) also runs *comparison runs*: the same method with half and a quarter of
-  the step, or with tighter tolerances, and another method. The differences of these runs give an estimated error for
-  every recorded position, velocity, reaction force and reaction torque. Where the differences do not decrease, the
-  estimate is nan, and `run.accuracy.known_until` is the last recorded time before that. The summary says `largest force
-  in J1 24.5250 N, known to 1.1e-06 N`, plots draw bands, and the group `accuracy` of the archive holds the estimates.
-  The error of a largest force also covers a peak between recorded rows, estimated by parabolas and a spline through the
-  rows: record more rows, or use a measure such as `max(abs(joints.J1.force))`, to make it smaller. A check takes about
-  ten times as long as the run, and at least a second. In 504 runs of 21 mechanisms with known motions (6 methods, 4
-  steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their
-  estimates (`python -m tests.benchmarks.error_bars`).
-- **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) chooses method and step from short trial runs (*pilots*), so
-  that positions are accurate to this fraction of the mechanism's size over the whole run, and confirms the accuracy by
-  a check. Errors of angles are multiplied by the distance of the farthest joint point of the body. If the spec gives an
-  integrator, only its step or tolerance is chosen; `integrator` and `time.step` may be left out. The summary says what
-  was chosen and why, and the archive stores it, so that `rerun` repeats the run bit for bit. If no attempt reaches the
-  accuracy, the best one is returned, with a verdict that says so. On ten mechanisms with known motions, 1e-3, 1e-6 and
-  1e-9 were reached in all 30 runs (`python -m tests.benchmarks.asked_accuracy`; [performance](performance.md) has the
-  cost). Forces are less accurate than positions; their estimates are in `run.accuracy` as well. With explicit adaptive
-  methods, the last pilot is kept as the run, and its errors are estimated from the pilots before it. These estimates
-  cost nothing more, and are coarser than those of comparison runs: usually several times too large, sometimes too
-  small. In 147 runs of 21 mechanisms with known motions, asked for 1e-2 to 1e-6, true errors exceed these estimates at
-  some time in 13 runs (positions in 9 runs, forces in 7): in 11 of them by a factor below 2.5, in two by 8 and 12. Ten
-  of these runs were asked for 3e-4 or more. Where errors of forces matter, add `--check`, which estimates them by
-  comparison runs.
-- **`limits`** stop a run: `limits.misalignment` (default 1) as a share of the mechanism's size, and of 1 rad for
-  angles; `limits.energy_jump` (off by default), the change of the energy balance in one step as a share of the largest
-  kinetic energy so far; `limits.law_range: stop`, where a force law leaves the range in which it holds;
-  `limits.max_steps` and `limits.wall_time`.
+- **`mbdkit run SPEC --check`** (`check: true`) estimates the errors by *comparison runs*: runs by the same method with
+  half and a quarter of the step, or with tighter tolerances, and a run by another method. The differences between these
+  runs give an estimated error for every recorded position, velocity, reaction force and reaction torque. If the
+  differences do not decrease from some time on, the estimates are nan from there on, and `run.accuracy.known_until` is
+  the last recorded time before. The summary prints, for example, `largest force in J1 24.5250 N, known to 1.1e-06 N`.
+  Plots draw the errors as bands, and the group `accuracy` of the archive contains them. A peak of a force may lie
+  between two recorded rows; the error of the largest force includes an estimate of the missing part of the peak. To
+  reduce this error, record more rows, or use a measure such as `max(abs(joints.J1.force))`. A check takes about ten
+  times as long as the run, and at least a second. In 504 runs of 21 mechanisms with known motions (6 methods, 4 steps
+  or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to 1.08 times their estimates
+  (`python -m tests.benchmarks.error_bars`).
+- **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) requests that all positions over the whole run are accurate
+  to this fraction of the mechanism's size. mbdkit chooses the method and the step from short trial runs (*pilots*), and
+  confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance of
+  the farthest joint point of the body. `integrator` and `time.step` may be omitted; if the spec gives an integrator,
+  only its step or tolerance is chosen. The summary says what was chosen and why. The archive stores the choice, so that
+  `rerun` repeats the run bit for bit. If no attempt reaches the accuracy, the best attempt is returned, and its verdict
+  says so. On ten mechanisms with known motions, 1e-3, 1e-6 and 1e-9 were reached in all 30 runs
+  (`python -m tests.benchmarks.asked_accuracy`; [performance](performance.md) has the cost). The request does not apply
+  to forces, which are less accurate than positions; `run.accuracy` contains estimates of their errors as well. With
+  explicit adaptive methods, the last pilot is kept as the run, and its errors are estimated from the pilots before it.
+  These estimates take no additional time, but they are less accurate than those of comparison runs: usually several
+  times too large, sometimes too small. They were tested with 147 runs of 21 mechanisms with known motions, for
+  accuracies of 1e-2 to 1e-6. In 13 of these runs (9 for positions, 7 for forces), the true error exceeds the estimate
+  at some time: in 11 runs by a factor below 2.5, in two by factors of 8 and 12. Ten of the 13 runs had an accuracy of
+  3e-4 or coarser. If the errors of forces matter, add `--check`, which estimates them by comparison runs.
+- **`limits`** stop a run. `limits.misalignment` (default 1) limits the misalignment of joints as a share of the
+  mechanism's size, or of 1 rad for angles. `limits.energy_jump` (off by default) limits the change of the energy
+  balance in one step, as a share of the largest kinetic energy so far. `limits.law_range: stop` stops the run when a
+  force law leaves the range in which it is valid. `limits.max_steps` and `limits.wall_time` limit steps and time.
 - **`stabilization: projection`** returns positions and velocities to the constraints after every step. Misalignments
-  are then of the order of round-off, and adaptive methods stay on their branch in singular positions. Projection does
-  not make the motion more accurate by itself.
+  are then at the level of rounding errors, and adaptive methods stay on their branch in singular positions. Projection
+  alone does not make the motion more accurate.
 
 ## What is not promised
 
-- **Chaos.** If small differences grow exponentially, there is a time after which no method and no step gives the right
-  states: rounding errors alone make the comparison runs diverge. `known_until` is this time. `--accuracy` then gives
-  the verdict `doubtful`.
+- **Chaos.** If small differences grow exponentially, no method and no step gives the right states after a certain time,
+  because rounding errors alone make the comparison runs diverge. `known_until` is this time. With `--accuracy`, such a
+  run has the verdict `doubtful`.
 - **Short pulses of loads.** Steps end at the points of tables, and wherever an expression of time or one of its
-  derivatives is discontinuous. A short smooth pulse inside a long adaptive step can be missed; `max_step` prevents
-  this. A check takes at least {looks} steps over the run, so a shorter pulse can escape it as well.
-- **Impacts.** A driver with a discontinuous velocity is refused, unless `impacts: allow` is set, which applies an
-  impulse.
-- **Singular positions.** Where several motions are possible, the equations do not determine which one is right. A sharp
-  turn is reported; a smooth change of branch may remain unnoticed.
+  derivatives is discontinuous. An adaptive method can miss a smooth pulse that is shorter than its step; `max_step`
+  prevents this. The comparison runs of a check take at least {looks} steps, and can miss a pulse that is shorter than
+  these steps.
+- **Impacts of drivers.** A driver with a discontinuous velocity is refused unless `impacts: allow` is set; the driver
+  then applies an impulse.
+- **Singular positions.** If several motions are possible in a singular position, the equations do not determine which
+  one is right. A sharp change of direction is reported; a smooth change of branch may remain unnoticed.
 - **Redundant joints.** Their reactions are not unique. The reactions of least norm are recorded.
 - **The model.** All estimates concern the numerical solution of the equations of the model, not the model itself.
 
-An estimate is not a bound. On the mechanisms below, with six methods and four steps each, the true error is within 1/5
-and 3 times the estimate in at least 95 % of all known values, and never above ten times:
+An estimate is not a bound. On the mechanisms below, with six methods and four steps each, the true error is between 1/5
+and 3 times the estimate for at least 95 % of all values with a known error, and never above ten times the estimate.
 `python -m tests.benchmarks.error_bars` prints this comparison.
 
 ## Measured errors
 
-Every line of the table is a run with `check: true` of a mechanism whose motion is known independently (from a closed
-form, or from minimal coordinates integrated with a tolerance of 1e-13). Each error is the largest one up to the time
-until which errors are known: positions as a share of the mechanism's size, joint forces as a share of the largest force
-in that joint. Where the estimates are 0 or rounding errors, they cannot be tested, because the known motion is no more
-accurate itself. `-` means that the error is unknown.
+Every row of the table is a run with `check: true`. The true motion of the mechanism is known independently: from a
+closed form, or from equations in minimal coordinates that are integrated with a tolerance of 1e-13. The errors are the
+largest errors up to the time in the column "known until". Errors of positions are shares of the mechanism's size,
+errors of joint forces are shares of the largest force in the joint. Estimates of 0, or at the level of rounding errors,
+cannot be tested, because the reference motion has rounding errors too. `-` means that the error is unknown.
 
 | mechanism | method | position: true | estimate | force: true | estimate | known until | verdict |
 |---|---|---|---|---|---|---|---|
