@@ -1,4 +1,4 @@
-"""Repetition of a design with other settings of the runs, such as a coarse step."""
+"""Repetition of a design optimisation with other settings of the runs, such as a coarse step."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Comparison:
     name
         Name of the settings in `compare` of the design spec.
     believed
-        The point, with goals and measures computed with these settings; None if there is none.
+        The point, with goals and measures computed with these settings; None if no point was found.
     actual
         The same point, with goals and measures computed with the settings of the design.
     is_feasible
-        Whether it satisfies all limits with the settings of the design.
+        Whether the point satisfies all limits with the settings of the design.
     reason
         Reason why there is no point, or why it violates limits even with these settings; empty otherwise.
     own_start, own_best
@@ -48,7 +48,9 @@ class Comparison:
     own_best: DesignPoint | None = None
 
     def confirmation(self) -> str:
-        """Return the goal at the start and at the best point of the design with these settings, as a sentence."""
+        """Return a sentence that compares the goals at the start and at the best point of the design, computed with
+        these settings.
+        """
         if self.own_start is None or self.own_best is None:
             return ""
         (goal,) = self.own_best.goals
@@ -75,16 +77,16 @@ class Comparison:
 
 
 def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
-    """Return an evaluator of a design with the other settings of this name."""
+    """Return an evaluator of a design with the settings of this name in `compare`."""
     return Evaluator(evaluator.spec, evaluator.run, compared=name)
 
 
 def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -> Comparison:
-    """Search for the best point of a design with the other settings of this name, and compute `best`, the best point of
-    the design itself, with these settings.
+    """Search for the best point of a design with the settings of this name; also compute the design's best point with
+    them.
 
-    The search begins at `best`: if both settings are accurate, the other point is near it. If a run fails there with
-    these settings, the search begins at the start of the design.
+    The search begins at `best`: if both settings are accurate, the other point is near it. If a run with these settings
+    fails there, the search begins at the start of the design.
     """
     other = compared_with(evaluator, name)
     stages.begin(f"comparison with {name}", other)
@@ -109,7 +111,7 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
 
 
 def comparison_table(best: DesignPoint, compared: Sequence[Comparison]) -> str:
-    """Return a table of the best points with several settings as text for a terminal."""
+    """Return a table of the best points found with several settings, as text for a terminal."""
     (goal,) = best.goals
     rows = [("BEST POINT WITH", *best.variables, f"{goal.upper()} IT HAS THERE", "IN FACT", "")]
     rows.append(

@@ -19,7 +19,7 @@ from mbdkit.studies.executor_pool import Engine
 from mbdkit.studies.tasks import PASSING, Task
 
 PATIENCE = 5.0
-"""Computing time in this process after which worker processes are started [s]; starting one takes about two seconds."""
+"""Computing time in this process [s] after which worker processes are started; starting one takes about two seconds."""
 
 
 class Computer:
@@ -31,11 +31,11 @@ class Computer:
         The design.
     engine
         Worker processes, or an executor. Worker processes of this machine are used only after jobs in this process have
-        taken `PATIENCE` seconds in all.
+        taken `PATIENCE` seconds in total.
     notify
         Called once with each distinct message of the workers.
     place
-        A file in a folder to which the workers of executors have access.
+        Path of a file in a folder to which the workers of executors have access.
     """
 
     def __init__(self, spec: DesignSpec, engine: Engine, notify: Callable[[str], None], place: Path):
@@ -51,9 +51,9 @@ class Computer:
         Raises
         ------
         ResourceError
-            If a resource is lacking, such as disk space, or the system refuses all processes.
+            If a resource such as disk space is lacking, or the system refuses to start processes.
         RunError
-            If a worker fails for a reason that does not lie in a run.
+            If a worker fails for a reason other than a failed run.
         """
         waiting = [piece for name in self._spec.specs for piece in self._pieces(name, jobs)]
         while waiting and not self._uses_workers:
@@ -75,7 +75,7 @@ class Computer:
         own = [job for job in jobs if job.scenario == scenario]
         if isinstance(self._spec.specs[scenario], InverseSpec):
             size = 1
-        elif self._engine.executor is not None:  # for an unknown number of processes
+        elif self._engine.executor is not None:  # the number of processes of an executor is unknown
             size = WIDTH
         else:
             size = min(CHUNK, math.ceil(len(own) * len(self._spec.specs) / self._engine.workers))
@@ -91,7 +91,8 @@ class Computer:
                 is_death = outcome.reason.startswith("worker-died")
                 if outcome.status == "complete":
                     yield from zip(task.key, map(outcome_of, outcome.results), strict=True)
-                elif is_death and len(task.key) > 1:  # one by one, to find the job that kills processes
+                # jobs are computed one by one to find the one that kills processes
+                elif is_death and len(task.key) > 1:
                     again += [self._task((job,)) for job in task.key]
                 elif is_death:
                     count = len(self._spec.goals) + len(self._spec.subject_to)

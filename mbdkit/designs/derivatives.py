@@ -26,8 +26,8 @@ STEP = 1e-4
 def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
     """Return the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,).
 
-    They are exact unless a scenario has no gradients, which `Evaluator.why_differences` then explains, or a run fails
-    at this point.
+    The derivatives are exact unless a scenario has no gradients (see `Evaluator.why_differences`), or a run fails at
+    this point.
     """
     if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
         return differences(evaluator, x)
@@ -41,7 +41,7 @@ def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
 
 
 def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
-    """Return derivatives (S, K, n) by central differences, or one-sided ones at a bound."""
+    """Return derivatives (S, K, n) by central differences, or by one-sided differences at a bound."""
     low, high = np.maximum(x - STEP, 0.0), np.minimum(x + STEP, 1.0)
     sides = [np.where(np.eye(len(x), dtype=bool), side, x) for side in (low, high)]
     values = evaluator.values(np.concatenate(sides))
@@ -52,7 +52,7 @@ def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
 def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
     """Return a sentence for each goal or limit whose exact derivatives at a point disagree with differences of runs.
 
-    They often disagree if a one-sided law begins to act exactly at a frame of a measured motion.
+    The two often disagree if a one-sided force law begins to act exactly at a frame of a measured motion.
     """
     if evaluator.why_differences:
         return ()
@@ -76,7 +76,7 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
     Raises
     ------
     MbdkitError
-        If a scenario has none.
+        If a scenario has no gradients.
     """
     settings, found = evaluator.settings(x), []
     for scenario in evaluator.scenarios:
@@ -93,7 +93,7 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
 
 
 def derivatives_sentence(evaluator: Evaluator) -> str:
-    """Return how the derivatives were computed, as a sentence; empty if none were needed."""
+    """Return a sentence that says how the derivatives were computed; empty if none were needed."""
     if evaluator.why_differences:
         return f"Derivatives are differences of runs: {evaluator.why_differences}."
     return f"Derivatives are exact, computed at {counted(evaluator.gradients, 'point')}." if evaluator.gradients else ""

@@ -41,18 +41,18 @@ class Design:
     is_feasible
         Whether the best point satisfies all limits.
     runs, failures
-        Number of runs, and of those that failed.
+        Number of runs, and number of failed runs.
     searches
         Number of searches that ended within 0.1 % of the best goal, and number of all searches.
     message
-        Why the best search ended.
+        Reason why the best search ended.
     derivatives
         How the derivatives of goals and limits were computed, as a sentence; empty if none were needed.
     unconfirmed
         Goals and limits whose exact derivatives at the best point disagree with differences of runs, as sentences.
     undetermined
-        Simultaneous changes of variables, by name, that do not affect the goal at the best point, because only a
-        combination of these variables is determined; empty for a Pareto front.
+        Simultaneous changes of variables, by name, that do not affect the goal at the best point; only a combination of
+        these variables is determined. Empty for a Pareto front.
     compared
         Results of the design with other settings of the runs (`compare` of its spec); empty until they are computed.
     """
@@ -95,8 +95,9 @@ class Design:
 
     @classmethod
     def from_dict(cls, spec: DesignSpec, data: Mapping[str, Any]) -> Design:
-        """Return the design from the result of `to_dict`; raise ValueError, KeyError or TypeError if the data are not
-        valid.
+        """Return the design from the result of `to_dict`.
+
+        Raises ValueError, KeyError or TypeError if the data are not valid.
         """
         trust = data["trust"]
         return cls(
@@ -154,7 +155,7 @@ class Design:
 
     @property
     def counted_runs(self) -> str:
-        """Number of runs, and of those that failed, in words."""
+        """Number of runs, and number of failed runs, in words."""
         return counted(self.runs, "run") + (f" ({self.failures} failed)" if self.failures else "")
 
     @property
@@ -217,17 +218,18 @@ def with_comparisons(evaluator: Evaluator, design: Design, stages: Stages) -> De
     Parameters
     ----------
     evaluator
-        An evaluator that has evaluated nothing yet, so that the number of runs does not depend on interruptions.
+        A new evaluator, so that the number of runs does not depend on interruptions.
     """
     best = evaluator.point(design.best.variables)
-    evaluator.outcomes(np.array([evaluator.first, best]))  # kept from the optimisation, so not computed again
+    # stored by the optimisation, and therefore not computed again
+    evaluator.outcomes(np.array([evaluator.first, best]))
     evaluator.runs, evaluator.failures = design.runs, design.failures
     compared = tuple(compare(evaluator, name, best, stages) for name in design.spec.compare)
     return replace(design, runs=evaluator.runs, failures=evaluator.failures, compared=compared)
 
 
 def _knee(evaluator: Evaluator, front: list[Search]) -> Search:
-    """Return the point that is closest to the smallest goals, each relative to its range on the front."""
+    """Return the point that is closest to the smallest values of all goals, each relative to its range on the front."""
     goals = np.array([evaluator.totals(one.end) for one in front])
     range_ = np.ptp(goals, axis=0)
     away = np.linalg.norm((goals - goals.min(axis=0)) / np.where(range_ > 0, range_, 1.0), axis=1)

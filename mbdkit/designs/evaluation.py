@@ -41,7 +41,7 @@ class Outcome:
     values
         Goals and limits in their order; nan if the run failed.
     verdict, reason
-        Verdict on the run, or ``failed``; and the reason why the run failed, or is doubtful or bad.
+        Verdict on the run, or ``failed``, and the reason why the run failed or is judged doubtful or bad.
     errors
         Estimated errors of the values; nan where unknown, empty without a check.
     """
@@ -79,7 +79,7 @@ class Job:
 
 
 Source = Callable[[Sequence[Job]], list[Outcome]]
-"""Returns the outcome of each job, computed or stored."""
+"""Function that returns the outcome of each job, computed or stored."""
 
 
 class ScenarioRuns:
@@ -103,7 +103,7 @@ class ScenarioRuns:
         Raises
         ------
         SpecError
-            If it is not valid.
+            If the spec is not valid.
         """
         if isinstance(self.spec, RunSpec):
             spec = self._varied.spec(settings)
@@ -112,7 +112,7 @@ class ScenarioRuns:
         return varied_inverse(self.spec, settings)
 
     def outcomes(self, points: Sequence[Settings]) -> list[Outcome]:
-        """Return the outcomes of the scenario at some points; forward runs are vectorized where possible."""
+        """Return the outcomes of the scenario at some points; forward runs are vectorized if possible."""
         found: list[Outcome | None] = [None] * len(points)
         runs: dict[int, RunSpec] = {}
         for place, settings in enumerate(points):
@@ -142,7 +142,7 @@ class ScenarioRuns:
         return [one for one in found if one is not None]
 
     def sampled(self, settings: Settings) -> SampledMeasures | None:
-        """Return goals and limits with their samples, for inverse dynamics; None if their errors are unknown."""
+        """Return goals and limits with samples for inverse dynamics; None if their errors are unknown."""
         spec = self.at(settings)
         if isinstance(spec, RunSpec):
             return None
@@ -156,7 +156,7 @@ class ScenarioRuns:
 
     @property
     def _cheaper(self) -> Settings:
-        """Settings that omit the error bars of inverse dynamics during a search, because they take ten times as
+        """Settings that omit the error bars of inverse dynamics during a search, because error bars take ten times as
         long.
         """
         return [] if isinstance(self.spec, RunSpec) else [(("motion", "errors"), "none")]
@@ -170,7 +170,7 @@ class ScenarioRuns:
 
 
 def _judged(values: tuple[float, ...], verdict: str, reasons: Sequence[str]) -> Outcome:
-    """Return the outcome of a complete run, with the first of the reasons why it is doubtful or bad."""
+    """Return the outcome of a complete run, with the first reason if the run is judged doubtful or bad."""
     finite = tuple(value if np.isfinite(value) else np.nan for value in values)
     return Outcome(finite, verdict, reasons[0] if reasons and verdict in ("doubtful", "bad") else "")
 
@@ -208,13 +208,13 @@ class Evaluator:
     scenarios
         The runs of each scenario.
     runs, failures
-        Number of runs so far, and of those that failed.
+        Number of runs so far, and number of failed runs.
     gradients
         Number of points so far at which exact derivatives were computed.
     least
-        Least first goal so far at a point that satisfies all limits; nan if there is none.
+        Smallest value of the first goal so far at a point that satisfies all limits; nan if there is none.
     why_differences
-        Reason why derivatives are differences of runs; empty if they are exact.
+        Reason why derivatives are computed by differences of runs; empty if they are exact.
 
     Raises
     ------
@@ -248,11 +248,11 @@ class Evaluator:
 
     @property
     def first(self) -> np.ndarray:
-        """The start (n,) of the variables."""
+        """Values (n,) of the variables at the start, as shares of the bounds."""
         return self.point({name: variable.first for name, variable in self.spec.variables.items()})
 
     def point(self, variables: Mapping[str, float]) -> np.ndarray:
-        """Return the point (n,) of values of the variables."""
+        """Return the point (n,) that corresponds to values of the variables."""
         given = self.spec.variables
         return np.array([(variables[name] - one.bounds[0]) / self._width(one) for name, one in given.items()])
 
@@ -268,7 +268,7 @@ class Evaluator:
         return [(variable_path(name), value) for name, value in self.variables(x).items()]
 
     def outcomes(self, points: np.ndarray) -> list[tuple[Outcome, ...]]:
-        """Return the outcomes of every scenario at points (N, n); points that were evaluated before are not computed
+        """Return the outcomes of all scenarios at points (N, n); points that were evaluated before are not computed
         again.
         """
         keys = [np.ascontiguousarray(x).tobytes() for x in points]
@@ -289,7 +289,7 @@ class Evaluator:
         return [np.frombuffer(key) for key in self._known]
 
     def exceeded(self, values: np.ndarray) -> tuple[str, ...]:
-        """Return the names of the limits that values of goals and limits (..., K) violate; nan violates all."""
+        """Return the names of the limits that values of goals and limits (..., K) violate; nan violates every limit."""
         found = []
         for name, limit in self.spec.subject_to.items():
             column = values[..., self.names.index(name)]
@@ -300,7 +300,7 @@ class Evaluator:
         return tuple(found)
 
     def run(self, jobs: Sequence[Job]) -> list[Outcome]:
-        """Return the outcome of jobs, and count them."""
+        """Return the outcomes of jobs, and count them."""
         found = self.source(jobs)
         self.runs += len(jobs)
         self.failures += sum(one.verdict == "failed" for one in found)

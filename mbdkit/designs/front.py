@@ -1,4 +1,4 @@
-"""Pareto fronts: the minimum of the first goal for many upper limits of the others."""
+"""Pareto fronts: the minimum of the first goal for many combinations of upper limits of the other goals."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from mbdkit.designs.search import Search, searches
 ROWS = 20
 """Largest number of points in the table of a front."""
 SLACK = 1e-6
-"""Difference of goals that counts as zero, as a share of their range on the front."""
+"""Differences of goals below this, as a share of their range on the front, count as zero."""
 
 
 def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> list[Search]:
     """Return points of the Pareto front, in ascending order of the first goal.
 
-    Each further goal is limited by values between its largest and its smallest value at the points where a single goal
-    is minimal, and the first goal is minimised with all combinations of these limits (epsilon-constraint method).
-    Points that are dominated by another one, or violate limits of the design, are left out. If no point is left, the
-    result is `first_end`.
+    First, each goal is minimised alone. Each goal except the first is then limited to values between its largest and
+    its smallest value at these points, and the first goal is minimised for all combinations of these limits
+    (epsilon-constraint method). Points that are dominated by another point, or that violate limits of the design, are
+    left out. If no point is left, the result is `first_end`.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> lis
     goals = np.array([evaluator.totals(one.end) for one in (first_end, *ends.values())])
     caps = {k: np.linspace(np.max(goals[:, k]), goals[k, k], spec.front) for k in others}
     places = list(product(range(spec.front), repeat=len(others)))
-    found = {places[0]: first_end}  # the first limits are not exceeded by any point
+    found = {places[0]: first_end}  # no point exceeds the first limits
     for number, place in enumerate(places[1:], start=2):
         limits = {k: float(caps[k][step]) for k, step in zip(others, place, strict=True)}
         strictest = next((k for k, step in zip(others, place, strict=True) if step == spec.front - 1), None)
@@ -49,7 +49,7 @@ def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> lis
 
 
 def _before(found: dict[tuple[int, ...], Search], place: tuple[int, ...]) -> Search:
-    """Return the point whose limits are looser by one step of the last goal that is limited."""
+    """Return the point found with the limits that are looser by one step in the last limited goal."""
     last = max(k for k, step in enumerate(place) if step > 0)
     return found[(*place[:last], place[last] - 1, *place[last + 1 :])]
 

@@ -1,4 +1,4 @@
-"""The gains of a design in its goals, and its costs: larger loads of joints."""
+"""The gains of a design in its goals, and its costs, which are larger loads of joints."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LEAST_CHANGE = 0.01
 class Gain:
     """The change of a goal from the start to the best point.
 
-    `is_real` says whether the gain exceeds `error`. If the error is unknown, `error` is nan and `is_real` is None.
+    `is_real` is whether the gain exceeds `error`. If the error is unknown, `error` is nan and `is_real` is None.
     """
 
     name: str
@@ -71,7 +71,7 @@ def goal_words(name: str) -> str:
 
 
 def measure_units(spec: DesignSpec) -> dict[tuple[str, str], str]:
-    """Return the units of goals and limits by scenario and name; empty for numbers without one."""
+    """Return the units of goals and limits by scenario and name; empty for numbers without a unit."""
     found = {
         (scenario, measure.name): describe(measure, one).units
         for scenario, one in spec.specs.items()
@@ -81,7 +81,9 @@ def measure_units(spec: DesignSpec) -> dict[tuple[str, str], str]:
 
 
 def goal_units(spec: DesignSpec) -> dict[str, str]:
-    """Return the units of the goals by name; an empty text for a sum of squares, and where scenarios differ."""
+    """Return the units of the goals by name; empty for a sum of squares, and for goals whose unit differs between
+    scenarios.
+    """
     if spec.sums_squares:
         return dict.fromkeys(spec.totals, "")
     units = measure_units(spec)
@@ -99,7 +101,7 @@ def gains(spec: DesignSpec, start: DesignPoint, best: DesignPoint, trust: Trust)
 
 
 def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
-    """Return the largest loads of joints that the design changes, the largest increase first.
+    """Return the largest loads of joints that the design changes, in descending order of the increase.
 
     Parameters
     ----------

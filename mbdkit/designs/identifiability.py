@@ -2,7 +2,7 @@
 
 At an optimum, the first derivatives of a goal are zero, so that its second derivatives show which changes of the
 variables do not affect the goal. The second derivatives of a sum of squares follow from the Jacobian of its terms.
-Active limits determine variables by their first derivatives, and an active bound fixes its variable.
+Active limits determine variables by the first derivatives of the limits, and an active bound fixes its variable.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _second_derivatives(problem: Problem, best: np.ndarray, free: np.ndarray) ->
 
 
 def _change(problem: Problem, free: np.ndarray, direction: np.ndarray) -> dict[str, float]:
-    """Return a direction (F,) of the free variables as changes of variables, the first one positive."""
+    """Return a direction (F,) of the free variables as changes by name; the first change is positive."""
     direction = direction / direction[np.argmax(np.abs(direction))]
     variables = problem.evaluator.spec.variables
     names = list(variables)

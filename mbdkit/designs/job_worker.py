@@ -37,7 +37,7 @@ def _carry(task: dict[str, Any], notify: Callable[[str], None]) -> dict[str, Any
 
 @lru_cache(maxsize=16)
 def _scenario(text: str, kind: str, folder: str) -> ScenarioRuns:
-    """Return the runs of a scenario; they are cached, so that further points need less preparation."""
+    """Return the runs of a scenario; cached, so that further points need less preparation."""
     data = json.loads(text)
     spec = InverseSpec(**data) if kind == "inverse" else RunSpec(**data)
     spec._document = Document(data, folder=Path(folder))

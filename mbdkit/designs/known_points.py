@@ -1,4 +1,4 @@
-"""The points that a design has evaluated: kept in memory, and in a file from which the next call continues."""
+"""The points that a design has evaluated, stored in memory and in a file from which the next call continues."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from mbdkit.designs.point import Notify
 
 
 def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
-    """Return data that begin with a format version of this name; none if the text is something else.
+    """Return data that begin with a format version under this name; an empty mapping if the text contains something
+    else.
 
     Raises
     ------
@@ -43,7 +44,7 @@ VERSION = "mbdkit_points"
 """Name of the format version in the first line of the file."""
 FIRST = json.dumps({VERSION: 1}).encode()
 SUM = "crc32"
-"""Name of the check sum in a line; it is that of the JSON text of the line without the check sum."""
+"""Name of the check sum in a line, which is computed from the JSON text of the line without the check sum."""
 
 Compute = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
 
@@ -53,8 +54,8 @@ class PointFile:
 
     A line has the ``scenario``, the ``settings`` of its keys, the ``values`` of goals and limits by name (null if the
     run failed), the ``verdict`` on the run, the ``reason`` of a failure, the ``errors`` of the values in their order if
-    they were estimated, and a check sum. Lines are added at the end, so that a killed process leaves at most one
-    unfinished line. The next process removes it, and all damaged lines, and computes their points again.
+    they were estimated, and a check sum. Lines are appended, so that a killed process leaves at most one unfinished
+    line. The next process removes unfinished and damaged lines, and computes their points again.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ class PointFile:
         SpecError
             If the file is not a list of points of this design, or was written by a later version of mbdkit.
         ResourceError
-            If the system refuses to read or write it.
+            If the system refuses to read or write the file.
         """
         try:
             if self.path.exists() and not self.path.is_dir():
@@ -105,7 +106,7 @@ class PointFile:
         return dict(known.values())
 
     def add(self, job: Job, outcome: Outcome) -> None:
-        """Add a line; raise ResourceError if the system refuses it."""
+        """Append a line; raise ResourceError if the system refuses to write it."""
         plain = plain_outcome(outcome)
         plain["values"] = dict(zip(self._names, plain["values"], strict=True))
         data = {"scenario": job.scenario, "settings": job.values, **plain}
@@ -134,7 +135,7 @@ class KnownPoints:
     Parameters
     ----------
     compute
-        Computes jobs, and yields each when it is done.
+        Function that computes jobs, and yields each when it is done.
     file
         File in which outcomes are stored; None if they are not stored.
     progress

@@ -35,7 +35,7 @@ class Cut:
 
 
 def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
-    """Return a cut through the best point (n,) along each variable, within its bounds."""
+    """Return, for each variable, a cut through the best point (n,) along this variable, within its bounds."""
     found = []
     for index, name in enumerate(evaluator.spec.variables):
         low, high = max(best[index] - REACH, 0.0), min(best[index] + REACH, 1.0)
@@ -51,14 +51,16 @@ def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
 SHARE = 0.01
 """Change of a variable for which sensitivities are given, as a share of its bounds."""
 DISTANCES = (1e-4, 2e-4)
-"""Distances from the best point at which goals and limits are compared, as shares of the bounds."""
+"""Distances from the best point at which goals and limits are evaluated, as shares of the bounds."""
 LEAST_GROWTH = 3.0
-"""If second differences grow by less than this factor from the first distance to the second, the measure has a corner
-(different slopes on both sides). The factor is 4 where a measure is smooth, and 2 at a corner."""
+"""Smallest growth of second differences from the first to the second distance for which a measure counts as smooth.
+
+The factor is 4 for a smooth measure, and 2 at a corner, where the slopes on both sides differ.
+"""
 LEAST_CORNER = 0.05
 """Smallest difference of the slopes on both sides of a corner, as a share of the larger one."""
 NOISE = 1e-9
-"""Second differences below this share of the measure are errors of the runs."""
+"""Second differences below this share of the measure are attributed to errors of the runs."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +104,9 @@ def sensitivities(evaluator: Evaluator, best: np.ndarray) -> list[Sensitivity]:
 
 
 def _sides(evaluator: Evaluator, best: np.ndarray) -> np.ndarray:
-    """Return the changes (2, S, K, n) if a variable decreases, and if it increases, by `SHARE`; nan where the measure
-    is smooth, at a bound, and where a run fails.
+    """Return the changes (2, S, K, n) if a variable decreases, and if it increases, by `SHARE`.
+
+    They are nan where the measure is smooth, at a bound, and where a run fails.
     """
     count = len(best)
     points = [best, *(best + sign * step * one for step in DISTANCES for sign in (-1, 1) for one in np.eye(count))]

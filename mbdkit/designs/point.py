@@ -12,7 +12,7 @@ from mbdkit.designs.evaluation import Evaluator
 from mbdkit.spec import DesignSpec
 
 Notify = Callable[[str], None]
-"""Called with a sentence for the user."""
+"""Function that receives a sentence for the user."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class DesignPoint:
 
 
 def point_of(evaluator: Evaluator, x: np.ndarray) -> DesignPoint:
-    """Return the point with the shares (n,) of the bounds."""
+    """Return the point at these shares (n,) of the bounds."""
     values, goals = evaluator.values(x[None])[0], evaluator.totals(x)
     return DesignPoint(
         variables=evaluator.variables(x),

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator
 
 FAILED = 1e3
-"""Cost at points where a run fails, relative to the cost at the start. It is so large that no search ends there."""
+"""Cost assigned to points where a run fails, relative to the cost at the start; so large that no search ends there."""
 FEASIBLE = 1e-6
-"""Violation of a limit that counts as zero, relative to the limit, or to the value at the start if that is larger."""
+"""Largest violation of a limit that counts as zero, relative to the larger of the limit and the value at the start."""
 
 Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
-"""Returns the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,)."""
+"""Function that returns the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,)."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Bound:
     weights
         (S, K) weights of the values of goals and limits, whose weighted sum is the limited quantity.
     low, high
-        Limits, infinite where there is none.
+        Limits; infinite if there is no limit.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Bound:
 
 
 def _weighted(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the weighted sum (N,) of goals and limits (N, S, K); nan counts only where the weight is not zero."""
+    """Return the weighted sum (N,) of goals and limits (N, S, K); nan is ignored where the weight is zero."""
     counted: np.ndarray = np.where(weights != 0.0, weights * values, 0.0)
     return np.asarray(counted.sum(axis=(1, 2)))
 
@@ -61,9 +61,9 @@ class Problem:
     evaluator
         Evaluates goals and limits.
     goal
-        Number of the goal.
+        Index of the goal.
     caps
-        Upper limits of other goals, by their number.
+        Upper limits of other goals, by index of the goal.
     jacobian
         Derivatives of goals and limits.
 
@@ -163,7 +163,8 @@ class Problem:
         return self.worth(x[None])[0][0] == 0.0
 
     def _derivatives(self, x: np.ndarray) -> np.ndarray:
-        if self._differentiated[0] != x.tobytes():  # optimisers ask for those of goals and of limits one by one
+        # optimisers request the derivatives of goals and of limits separately
+        if self._differentiated[0] != x.tobytes():
             self._differentiated = x.tobytes(), np.nan_to_num(self._jacobian(self.evaluator, x))
         return self._differentiated[1]
 

@@ -1,4 +1,4 @@
-"""Effect on a design of inexact numbers: of the device that is built, and of the user who was measured."""
+"""The effect of inexact numbers on a design: of the device that is built, and of the user who was measured."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MOVED = 0.002
 _ELEMENTS = ("forces", "springs")
 _POINTS = ("points", "point", "at", "from", "to")
 MOST = 12
-"""Largest number of masses that are varied, beginning with the largest mass, and of rows that are printed."""
+"""Largest number of masses that are varied, the largest ones first, and largest number of rows that are printed."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Deviation:
     Attributes
     ----------
     words, size
-        Name of the number, and its deviation, such as 5 % or 2 mm.
+        Name of the number, and size of the deviation, such as 5 % or 2 mm.
     goals
         (2, G) goals with the number reduced and increased by the deviation; nan where a run fails.
     exceeds
@@ -53,8 +53,10 @@ class Deviation:
 
 
 def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
-    """Return goals and limits at the best point (n,) with each variable and each large mass of the model changed by
-    5 %, and with each attachment of a force element moved by 2 mm along x and along y.
+    """Return goals and limits near the best point (n,), with one number changed at a time.
+
+    Each variable and each large mass of the model is changed by 5 %, and each attachment of a force element is moved by
+    2 mm along x and along y.
     """
     settings = evaluator.settings(best)
     specs = [runs.at(settings) for runs in evaluator.scenarios]
@@ -83,7 +85,7 @@ def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
 
 
 def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Sequence[Settings]]]:
-    """Yield the paths of masses and coordinates of attachments of a model, with the settings for both deviations."""
+    """Yield the paths of masses and of coordinates of attachments in a model, with the settings for both deviations."""
     model = canonical(spec.model)
     found = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
     masses = [path for path in found if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
@@ -112,7 +114,9 @@ def _at(model: Any, path: Path) -> Any:
 
 
 def _setting(model: Any, path: Path, value: float) -> Settings:
-    """Return the setting of a number; a number in a list is set with the whole list, which the base may omit."""
+    """Return the setting of a number. A number in a list is set with the whole list, because the base may omit the
+    list.
+    """
     depth = next((place for place, part in enumerate(path) if isinstance(part, int)), len(path))
     return [(path[:depth], _replaced(_at(model, path[:depth]), path[depth:], value))]
 
@@ -125,7 +129,7 @@ def _replaced(holder: Any, path: Path, value: float) -> Any:
 
 
 def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:
-    """Return the deviations with the largest effect as a table for a terminal, the worst first."""
+    """Return the deviations with the largest effect as a table for a terminal, in descending order of the effect."""
     ranked = sorted(deviations, key=lambda one: -np.max(np.nan_to_num(one.goals[:, 0], nan=np.inf)))
     sides = [f"{goal_words(name)} {sign}".upper() for name in spec.totals for sign in "-+"]
     rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if spec.subject_to else ()))]

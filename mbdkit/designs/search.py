@@ -55,7 +55,7 @@ def check_installed(spec: DesignSpec) -> None:
 
 
 def searches(problem: Problem, optimizer: Optimizer, first: np.ndarray) -> list[Search]:
-    """Return searches from all starts, the best one first: feasible ones by cost, then the others by violation.
+    """Return the searches from all starts, sorted: feasible ones by cost, then the others by violation.
 
     Parameters
     ----------
@@ -81,10 +81,11 @@ def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:
 
 
 def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeResult]) -> Search:
-    """Return the search of a method.
+    """Return the search by a method from one start.
 
-    If the method ends at a point that is worse than the start, such as one at which a run fails, the best point that
-    was evaluated since the start is the end.
+    If the method ends at a point worse than the start, such as one at which a run fails, the best point evaluated
+    during
+    the search is used as its end.
     """
     before = len(problem.evaluator.evaluated)
     result = method()
@@ -110,7 +111,7 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
         limits = [NonlinearConstraint(problem.margins, 0.0, np.inf, jac=problem.margin_slopes)]
         options |= {"xtol": optimizer.tolerance, "gtol": optimizer.tolerance}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of trust-constr, where a goal or limit is linear
+        warnings.simplefilter("ignore")  # trust-constr issues warnings if a goal or limit is linear
         return minimize(
             problem.cost,
             start,
@@ -172,8 +173,8 @@ def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray)
         "tolfun": 0.0,
         "tolfunhist": 0.0,
         "verbose": -9,
-        "verb_log": 0,  # no files
-        "signals_filename": "",  # options from a file in the current folder
+        "verb_log": 0,  # write no files
+        "signals_filename": "",  # do not read options from a file in the current folder
     }
     if optimizer.population is not None:
         options["popsize"] = optimizer.population

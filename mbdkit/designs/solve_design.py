@@ -25,7 +25,7 @@ WORKER = "mbdkit.designs.job_worker"
 """Module that carries out the tasks of worker processes."""
 
 Progress = Callable[[int, int], None]
-"""Called with the number of runs so far, and of those that failed."""
+"""Function that is called with the number of runs so far, and the number of failed runs."""
 
 
 def design(
@@ -52,12 +52,12 @@ def design(
         call was interrupted, the same call continues from these points, with the same result as without the
         interruption; the result of a completed design is read. By default nothing is written.
     workers, executor, progress, notify
-        As for `mbdkit.study`. `progress` is called with the numbers of runs so far and of those that failed, `notify`
+        See `mbdkit.study`. `progress` is called with the number of runs so far and the number of failed runs, `notify`
         with a sentence when a stage begins or a search ends.
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``.
     overwrite
-        Whether to remove the files of an earlier design in the folder first; other files are kept.
+        Whether to remove the files of an earlier design in the folder first; other files remain.
     optimum_only
         Whether to omit the comparisons with other settings (`compare`). A later call with the same folder adds them.
     **sections
@@ -75,8 +75,8 @@ def design(
     RunError
         If a run fails at the start of the variables.
     ResourceError
-        If the folder cannot be written to or is in use by another call, or a resource is not available; the points so
-        far are kept.
+        If the folder cannot be written to or is in use by another call, or a resource is not available. The points
+        evaluated so far remain in the folder.
 
     Examples
     --------
@@ -119,7 +119,7 @@ def solved_in(
     """
     check_installed(spec)
     folder.check(spec, overwrite=overwrite)
-    Evaluator(spec)  # expressions are checked before anything is written
+    Evaluator(spec)  # checks the expressions before anything is written
     if overwrite:
         folder.clear()
     folder.prepare(spec)
@@ -161,7 +161,7 @@ def load_design(folder: str | Path) -> Design:
 
 @contextmanager
 def evaluating(spec: DesignSpec, folder: DesignFolder | None, engine: Engine, stages: Stages) -> Iterator[Evaluator]:
-    """Yield the evaluator of a design; points are stored in its folder, if there is one, which is created and locked.
+    """Yield the evaluator of a design; if there is a folder, it is created and locked, and points are stored in it.
 
     If Ctrl-C ends the block, a message says how to continue.
     """

@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from mbdkit.designs.evaluation import Evaluator
 
 Progress = Callable[[int, int, str], None]
-"""Called with the number of runs so far, of those that failed, and the stage with its best goal in words."""
+"""Function called with the number of runs so far, the number of failed runs, and the stage with its best goal in
+words.
+"""
 
 
 class Stages:
-    """Says in messages which stage of a design is computed.
+    """Reports in messages which stage of a design is being computed.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ class Stages:
     optimum_only
         Whether comparisons are omitted.
     further
-        Number of stages of the caller after these.
+        Number of stages of the caller that follow these.
     """
 
     def __init__(
@@ -57,7 +59,7 @@ class Stages:
         self.notify(self._words)
 
     def count(self, done: int, failed: int) -> None:
-        """Report the number of runs so far, and of those that failed."""
+        """Report the number of runs so far, and the number of failed runs."""
         if self._progress is None:
             return
         least = np.nan if self._evaluator is None else self._evaluator.least

@@ -77,7 +77,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         Raises
         ------
         SpecError
-            If the folder contains no design, or one without a result.
+            If the folder contains no design, or a design without a result.
         """
         if not self.spec.is_file():
             raise SpecError("this folder contains no design (no design.yaml)", file=self.path)
@@ -134,7 +134,7 @@ def runs_of(design: Design, folder: Path) -> Iterator[dict[str, dict[str, Run]]]
 
 
 def written_out(spec: DesignSpec) -> dict[str, Any]:
-    """Return a design as plain data that refer to no other spec: each scenario has its base, with all overrides."""
+    """Return a design as plain data that refer to no other spec: each scenario contains its base with all overrides."""
     data: dict[str, Any] = spec.model_dump(mode="json", exclude_unset=True)
     data.pop("overrides", None)
     bases = {name: _base(one) for name, one in spec.specs.items()}
@@ -148,7 +148,7 @@ def written_out(spec: DesignSpec) -> dict[str, Any]:
 
 
 def _base(spec: RunSpec | InverseSpec) -> dict[str, Any]:
-    """Return the spec of a scenario as plain data, without its measures, which are those of the design."""
+    """Return the spec of a scenario as plain data, without the measures, which the design defines."""
     assert spec._document is not None
     data = {key: value for key, value in spec._document.data.items() if key != "measures"}
     if isinstance(spec, InverseSpec):
@@ -159,6 +159,6 @@ def _base(spec: RunSpec | InverseSpec) -> dict[str, Any]:
 
 
 def _with_absolute_file(section: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a section whose file does not depend on the folder of the spec."""
+    """Return a section in which the file name does not depend on the folder of the spec."""
     file = section.get("file")
     return section if file is None else section | {"file": os.path.abspath(folder / file)}

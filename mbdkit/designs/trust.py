@@ -22,24 +22,25 @@ class Trust:
     Attributes
     ----------
     errors
-        Estimated error of each goal and limit at the best point, by name: the errors of these measures in the runs
-        there (`Run.measure_errors`), or the bounds of their errors by noise and cutoff in inverse dynamics; nan where
-        they are unknown.
+        Estimated error of each goal and limit at the best point, by name; nan if unknown. These are the errors of the
+        measures in the runs at this point (`Run.measure_errors`) or, in inverse dynamics, bounds of the errors due to
+        noise and cutoff.
     gain
         Decrease of each goal from the start to the best point, by name.
     is_gain
         Whether the gain of each goal exceeds its error, by name; None if there is no estimate.
     verdict
-        Worst verdict of the runs at the best point, which estimate their errors (``check: true``).
+        Worst verdict on the runs at the best point, whose errors are estimated (``check: true``).
     reason
         Reason why this verdict is doubtful or bad; empty otherwise.
     failures
-        Sentences that say why errors of runs are unknown: the first reason at the start, and at the best point.
+        Sentences that say why errors of runs are unknown: the first reason at the start, and the first at the best
+        point.
     gain_errors
         Error of each gain by name: the sum of the errors of both points or, in inverse dynamics, the bound of the error
         of the difference, because both points use the same data with the same noise; nan where it is unknown.
     is_of_data
-        Whether errors are those of inverse dynamics, by noise, cutoff and deviations of muscles.
+        Whether errors are those of inverse dynamics, due to noise, cutoff and deviations of muscle properties.
     """
 
     errors: dict[str, float]
@@ -78,7 +79,7 @@ class Trust:
 
 
 def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trust:
-    """Certify the best point (n,) by runs that estimate their errors, there and at the start."""
+    """Certify the best point (n,) by runs with error estimates, at this point and at the start."""
     goals, count = evaluator.spec.totals, len(evaluator.spec.totals)
     checked_at_start, checked = (_checked(evaluator, x) for x in (start, best))
     sampled_at_start, sampled = (_sampled(evaluator, x) for x in (start, best))
@@ -105,9 +106,9 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
 
 
 def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
-    """Return the goals, summed over the scenarios, and the largest limits with their samples at a point (n,).
+    """Return the goals, summed over the scenarios, and the largest limits at a point (n,), with their samples.
 
-    They are None unless all scenarios are inverse dynamics with errors that are known.
+    None if any scenario is not inverse dynamics, or has unknown errors.
     """
     found = [scenario.sampled(evaluator.settings(x)) for scenario in evaluator.scenarios]
     known = [one for one in found if one is not None]
@@ -127,7 +128,7 @@ def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
 
 
 def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:
-    """Return the outcomes at a point (n,) of runs that estimate their errors."""
+    """Return the outcomes at a point (n,) of runs with error estimates."""
     settings = evaluator.settings(x)
     jobs = [Job(name, [*settings, *check_of(spec)]) for name, spec in evaluator.spec.specs.items()]
     return evaluator.run(jobs)

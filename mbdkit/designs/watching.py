@@ -31,12 +31,12 @@ class Work:
     text
         The progress in words.
     done, total
-        Numbers of runs or blocks that are done, and of all; the total is nan for a design, whose end depends on its
-        search.
+        Number of runs or blocks that are done, and their total number; the latter is nan for a design, whose end
+        depends on its search.
     is_complete
         Whether the result exists.
     owners
-        The processes that compute it, in words.
+        The processes that compute the study or design, in words.
     """
 
     text: str
@@ -46,7 +46,7 @@ class Work:
     owners: tuple[str, ...]
 
     def line(self, before: Work | None = None, seconds: float = math.nan) -> str:
-        """Return the state as one line, with the time left at the rate since an earlier state, `seconds` ago."""
+        """Return the state as one line, with the remaining time, estimated from an earlier state `seconds` ago."""
         parts = [self.text]
         if self.is_complete:
             parts.append("complete")
@@ -101,7 +101,7 @@ def _of_design(folder: Path) -> Work:
     known = [value for value in values if isinstance(value, int | float)]
     least = f", least {goal} of a run {min(known):.4g}" if known else ""
     owners = tuple(_owners(folder))
-    complete = paths.result.is_file() and not owners  # comparisons and robustness come after the result
+    complete = paths.result.is_file() and not owners  # comparisons and robustness are computed after the result
     return Work(f"{counted(len(values), 'run')}{least}", len(values), math.nan, complete, owners)
 
 

@@ -36,7 +36,7 @@ class Value:
 
 
 def of_operands(operation: str, number: float, *operands: Value) -> Value:
-    """Return the result of an operation of expressions, with its derivatives."""
+    """Return the result of an operation in expressions, with its derivatives."""
     x, *others = operands
     if operation == "norm":
         return _norm(x)
@@ -54,7 +54,9 @@ def of_operands(operation: str, number: float, *operands: Value) -> Value:
 
 
 def _aligned(x: Value, y: Value) -> tuple[Value, Value]:
-    """Return two values with equal numbers of axes: a number at each time applies to all components of a vector."""
+    """Return two values with equal numbers of axes, so that a number at each time applies to all components of a
+    vector.
+    """
     axes = max(x.value.ndim, y.value.ndim)
 
     def widened(one: Value) -> Value:

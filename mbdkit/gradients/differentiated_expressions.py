@@ -1,4 +1,4 @@
-"""Expressions of measures and events, and the numbers in them, which may depend on named parameters."""
+"""Expressions of measures and events, and the numbers that they contain, which may depend on named parameters."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ NO_MEASURES: Definitions = MappingProxyType({})
 
 
 def definitions_of(spec: RunSpec | InverseSpec, measures: Measures) -> Definitions:
-    """Return the definitions of measures, where names of measures of a spec may stand for their expressions; raise
-    SpecError if there are no measures.
+    """Return the definitions of measures; names of measures of a spec may stand for their expressions.
+
+    Raises SpecError if there are no measures.
     """
     known = {measure.name: measure for measure in spec.defined_measures()}
     if isinstance(measures, str):
@@ -57,12 +58,12 @@ def expressions_of(spec: ModelSpec, definitions: Definitions) -> dict[str, Measu
 
 
 def numbers_of(spec: ModelSpec, definitions: Definitions) -> dict[str, np.ndarray]:
-    """Return the numbers of the instructions of all measures, by `of_measure`."""
+    """Return the numbers in the instructions of all measures, by `of_measure`."""
     return {of_measure(name): _numbers(one.program) for name, one in expressions_of(spec, definitions).items()}
 
 
 def numbers_of_events(spec: RunSpec) -> dict[str, np.ndarray]:
-    """Return the numbers of the instructions of all events, by `of_event`."""
+    """Return the numbers in the instructions of all events, by `of_event`."""
     return {of_event(name): _numbers(one.program) for name, one in spec.watched().items()}
 
 
@@ -77,7 +78,7 @@ def of_event(name: str) -> str:
 
 
 def slopes_of(program: Program, seeds: Seeds, name: str) -> np.ndarray:
-    """Return the derivatives (I, K) of the numbers of a program by K parameters, from the array of this name."""
+    """Return the derivatives (I, K) of the numbers in a program by K parameters, from the array with this name."""
     found = seeds.get(name)
     return np.zeros((len(program), seeds.count)) if found is None else found
 

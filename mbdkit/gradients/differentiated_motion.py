@@ -1,7 +1,8 @@
 """The motion between the ends of the steps of a differentiated run.
 
-The polynomials of `mbdkit.runs.step_interpolation` are linear in positions, velocities and accelerations at
-the ends of steps, whose times are fixed, so that their derivatives are the polynomials of the derivatives.
+The polynomials of `mbdkit.runs.step_interpolation` are linear in the positions, velocities and accelerations at the
+ends of steps. Because the times of the ends are fixed, the derivatives of the polynomials are the polynomials through
+the derivatives.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class _Part:
     """Ends of consecutive steps between two discontinuities of motions, loads or force laws."""
 
     before: Corner | None = None
-    """The discontinuity of a force law at which this part begins."""
+    """The discontinuity of a force law at which this part begins; None if there is none."""
     law_sides: np.ndarray | None = None
     sides: tuple[float, float] = (-np.inf, np.inf)
     """First and last time at which motions and loads are evaluated [s]."""
@@ -71,11 +72,11 @@ class DifferentiatedMotion:
         return self._used(run.q), self._used(run.v)
 
     def _used(self, x: np.ndarray) -> np.ndarray:
-        """Return an array without the derivatives that are not used."""
+        """Return an array without those derivatives that are not used."""
         return np.array(np.asarray(x)[..., : self._evaluator.width])
 
     def _begin_at(self, time: float, q: np.ndarray, v: np.ndarray, corner: Corner | None = None) -> None:
-        """Begin a part, in place of the last one if that has no step."""
+        """Begin a new part of the motion; it replaces the last part if that has no step."""
         if len(self._parts[-1].time) < 2:
             self._parts.pop()
         law_sides = None if self._sided is None else self._sided.sides if corner is None else corner.sides
@@ -84,8 +85,9 @@ class DifferentiatedMotion:
         self._parts.append(part)
 
     def _beside_stop(self, time: float, side: float) -> float:
-        """Return the time before (`side` -1) or after (1) the discontinuity of a motion at `time`; -side * inf if there
-        is none.
+        """Return the time just before (`side` -1) or after (1) the discontinuity of a motion at `time`.
+
+        Without a discontinuity, the result is -side * inf.
         """
         table = self._stepper.timetable
         for stop, margin in zip(table.stops, table.stop_margins, strict=True):
@@ -94,14 +96,14 @@ class DifferentiatedMotion:
         return -side * np.inf
 
     def add(self) -> None:
-        """Add the corners and the end of the step by which the stepper has advanced."""
+        """Add the corners and the end of the last step of the stepper."""
         reached = self._stepper.time
         for corner in [] if self._sided is None else self._sided.corners[self._corners :]:
             self._corners += 1
             time, before, after = float(corner.before.time[0]), corner.before, corner.after
             if time > self._parts[-1].time[-1]:
                 self._parts[-1].add(time, before.q[0], before.v[0])
-            v = after.v[0].copy()  # derivatives at fixed times change with the accelerations
+            v = after.v[0].copy()  # derivatives at fixed times change by the jump of the accelerations
             v[:, 1:] += np.outer(before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0], corner.slope)
             self._begin_at(time, after.q[0], v, corner)
         if reached > self._parts[-1].time[-1]:
@@ -150,7 +152,7 @@ class DifferentiatedPart:
 
     @property
     def plain(self) -> MotionPart:
-        """The motion without derivatives, with the sides of force laws that are valid in this part."""
+        """The motion without derivatives, with the sides of force laws that apply in this part."""
         self._use()
         return self._plain
 
@@ -160,7 +162,7 @@ class DifferentiatedPart:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Its first and last time [s]."""
+        """First and last time of the part [s]."""
         return float(self._ends.time[0]), float(self._ends.time[-1])
 
     def states(self, time: np.ndarray) -> DifferentiatedStates:
@@ -173,12 +175,14 @@ class DifferentiatedPart:
 
 
 def states_of(motions: Sequence[DifferentiatedMotion], number: int, time: np.ndarray) -> DifferentiatedStates:
-    """Return the states at times (T,) [s] in a part, counted from 0, with the derivatives by all parameters."""
+    """Return the states at times (T,) [s] in part `number`, counted from 0, with the derivatives by all parameters."""
     return joined_states([motion.parts[number].states(time) for motion in motions])
 
 
 def _whole(x: np.ndarray) -> Duals:
-    """Return an array of dual numbers with all `DIRECTIONS` derivatives, of which those not in `x` are zero."""
+    """Return an array of dual numbers with all `DIRECTIONS` derivatives; derivatives that `x` does not have are
+    zero.
+    """
     whole = new_duals(*x.shape[:-1])
     whole[..., : x.shape[-1]] = x
     return whole

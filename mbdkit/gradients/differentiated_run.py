@@ -34,7 +34,7 @@ from mbdkit.stepping.start import NoDerivativeError, compiled_method, require_de
 
 @dataclass(frozen=True)
 class Event:
-    """A crossing of an event: its name and time [s], the expression, and whether it ends the run."""
+    """A crossing of an event: its name, its time [s], the expression, and whether the event ends the run."""
 
     name: str
     time: float
@@ -53,12 +53,12 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Needs:
-    """What measures need beside the recorded states of a run.
+    """Data that measures need in addition to the recorded states of a run.
 
     Attributes
     ----------
     nodes, ends
-        Whether the stages of the steps are kept as nodes of integrals, and the ends of all steps.
+        Whether stages of the steps are stored as nodes of integrals, and whether the ends of all steps are stored.
     """
 
     nodes: bool = False
@@ -72,11 +72,12 @@ class DifferentiatedRun:
     Parameters
     ----------
     rows
-        Recorded states. The derivatives of the last state include the change of its time, the end of the run.
+        Recorded states. The derivatives of the last state include the effect of the change of its time, the end of the
+        run.
     nodes
         Stages of the steps, as nodes of integrals over time; None if integrals use the recorded states.
     end
-        (K,) derivatives of the time at which the run ends; not zero if an event ends it.
+        (K,) derivatives of the time at which the run ends; zero unless an event ends the run.
     crossings
         Events in order of time.
     sizes
@@ -84,7 +85,7 @@ class DifferentiatedRun:
     motions
         The motion between the ends of the steps, for up to `DIRECTIONS` parameters each; empty if it is not needed.
     is_split
-        Whether steps end at discontinuities of force laws, which the steps of the run itself do not.
+        Whether steps end at discontinuities of force laws, unlike those of an ordinary run.
     doubts
         Warnings about force laws with discontinuities inside steps.
     """
@@ -109,7 +110,7 @@ def differentiated_run(
     seeds
         Derivatives of the prepared run by the parameters.
     needs
-        What the measures need beside the recorded states.
+        Data that the measures need in addition to the recorded states.
     sizes
         Sizes of steps [s], in place of those that step-size control would choose.
 
@@ -144,8 +145,8 @@ def differentiated_run(
 def plain_run(spec: RunSpec) -> DifferentiatedRun:
     """Run a spec without events, and return its recorded states, without derivatives and nodes; raise RunError.
 
-    The check of a gradient uses it. `simulate` cannot be used, because it imports this package; steps, evaluation of
-    states and method are the same.
+    This function is used by the check of a gradient, because `simulate` imports this package. Method, steps and
+    evaluation of states are the same as there.
     """
     method = make_method(spec)
     workspace, _ = build(spec)
@@ -176,7 +177,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
 
 
 def refuse(spec: RunSpec, method: Method) -> None:
-    """Raise SpecError if runs of a spec with a method have no derivatives."""
+    """Raise SpecError if runs of a spec with this method cannot be differentiated."""
     try:
         require_derivatives(method, spec.stabilized)
     except NoDerivativeError as error:
@@ -210,7 +211,7 @@ def _stepper(
 ) -> DifferentiatedStepper | SidedStepper:
     """Return a run at its start.
 
-    Fixed steps end at discontinuities of force laws. Adaptive steps do not, because their sizes follow from errors.
+    Fixed steps end at discontinuities of force laws. Adaptive steps do not, because step-size control determines them.
     """
     method = make_method(spec)
     workspace, _ = build(spec)
@@ -226,7 +227,7 @@ def _stepper(
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
     require_derivatives(method, workspace.stabilization)
-    compiled: Any  # one whose steps have derivatives
+    compiled: Any  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:
         if sided is None or method.traits.tolerances is not None:
@@ -244,7 +245,7 @@ def _stepper(
 
 @dataclass(frozen=True)
 class _AtEvent:
-    """The state with derivatives at an event, and the sides of force laws there."""
+    """The state at an event with its derivatives, and the sides of force laws at this time."""
 
     state: Moment
     sides: np.ndarray | None
@@ -301,7 +302,7 @@ class _Pass:
         return self._observed(np.concatenate(times), last, events, at_events)
 
     def _use(self, sides: np.ndarray | None) -> None:
-        """Use these sides of force laws."""
+        """Use the given sides of force laws in later evaluations."""
         if self._sided is not None and sides is not None:
             self._sided.set_sides(sides)
 
@@ -312,9 +313,7 @@ class _Pass:
         events: Sequence[Event],
         at_events: Sequence[_AtEvent],
     ) -> DifferentiatedRun:
-        """Return recorded states, nodes if they are kept, and states at events, with the quantities computed from
-        them.
-        """
+        """Return recorded states, nodes (if stored) and states at events, with the quantities computed from them."""
         workspace = self.workspace
         q0, v0 = (constants(x, self.seeds.get(name))[None] for name, x in (("q", workspace.q0), ("v", workspace.v0)))
         q, v, z, energy = self.steps.recorded(len(time) - 1)
@@ -323,7 +322,7 @@ class _Pass:
         workspace.clamp_motions(-np.inf, np.inf)
         crossings = [self._crossing(event, at) for event, at in zip(events, at_events, strict=False)]
         moved = np.zeros(self.width - 1)
-        if last is not None:  # the end depends on the parameters
+        if last is not None:  # the time of the end depends on the parameters
             moved = crossings[-1].slope
             time = np.append(time, last[0])
             q, v, z, energy = (
@@ -359,11 +358,12 @@ class _Pass:
     def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:
         """Return the nodes of integrals over time.
 
-        The parts of an integral before and after a discontinuity meet at a time that depends on the parameters; two
-        nodes of weight zero add this dependence to the derivatives.
+        An integral consists of parts that meet at discontinuities, whose times depend on the parameters. Two nodes of
+        weight
+        zero at each discontinuity add this dependence to the derivatives.
         """
         time, weight, q, v = self.steps.nodes()
-        state = q, v, np.zeros((len(time), 0, q.shape[-1]))  # there are no nodes with first-order states
+        state = q, v, np.zeros((len(time), 0, q.shape[-1]))  # runs with first-order states have no nodes
         fixed = np.column_stack([weight, np.zeros((len(weight), self.width - 1))])
         parts = [self._evaluated(history, time, *state, fixed, None)]
         for one in [] if self._sided is None else self._sided.corners:
@@ -374,7 +374,8 @@ class _Pass:
     def _evaluated(
         self, history: Sequence[tuple[int, np.ndarray]], time: np.ndarray, *arrays: np.ndarray | None
     ) -> DifferentiatedStates:
-        """Return states with the quantities computed from them, using the sides that were valid at each of them.
+        """Return states with the quantities computed from them, using the sides of force laws that were valid at each
+        state.
 
         The `arrays` are positions, velocities, first-order states, weights and energies.
         """
@@ -391,8 +392,9 @@ class _Pass:
         return one_after_another(parts)
 
     def _moving_end(self, last: tuple[float, Moment, np.ndarray], moved: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return positions, velocities, first-order states and energies of the last state with derivatives that include
-        the change of its time.
+        """Return the last state with derivatives that include the effect of the change of its time.
+
+        The result consists of positions, velocities, first-order states and energies.
         """
         t, (q, v, z), energy = last
         state = self._evaluator.states(np.array([t]), q[None], v[None], z[None])
@@ -419,7 +421,7 @@ class _Pass:
 
 
 def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[Event]:
-    """Run a spec, in steps of given `sizes` if any, and return its events in order of time.
+    """Run a spec and return its events in order of time; `sizes`, if given, are the sizes of the steps [s].
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""States of a run with derivatives by parameters, and the quantities of expressions in them."""
+"""States of a run with derivatives by parameters, and the quantities in them that expressions use."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class DifferentiatedStates(States):
         Parameters
         ----------
         energy
-            (T, 2, 1 + K) work and dissipated energy [J]; None where they are not known.
+            (T, 2, 1 + K) work and dissipated energy [J]; None if they are not known.
         more
             Further arguments of the class.
         """
@@ -94,7 +94,7 @@ def _refused(quantity: Quantity, why: str) -> SpecError:
 
 
 def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> Value:
-    """Return the expression of an event in each of T states, (T,).
+    """Return the values of the expression of an event in T states, (T,).
 
     Parameters
     ----------
@@ -119,12 +119,12 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
 
 
 def one_after_another(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
-    """Return states in which those of the parts follow each other in time."""
+    """Return the states of several parts joined in order of time."""
     return _together(parts, np.concatenate, ("time", *_ARRAYS))
 
 
 def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates:
-    """Return the same states with the derivatives of several passes."""
+    """Return the states with the derivatives of several passes combined."""
 
     def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
         return np.concatenate([arrays[0], *(x[..., 1:] for x in arrays[1:])], axis=-1)
@@ -133,13 +133,13 @@ def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates
 
 
 _ARRAYS = ("q", "v", "z", "work", "dissipated", "weight", "power", "actuators")
-"""Arrays with one row per state and derivatives."""
+"""Names of arrays that have one row per state, and derivatives."""
 
 
 def _together(
     parts: Sequence[DifferentiatedStates], join: Callable[[Sequence[np.ndarray]], np.ndarray], names: Sequence[str]
 ) -> DifferentiatedStates:
-    """Return states whose arrays of these `names` are joined from those of the parts."""
+    """Return states in which the arrays with these `names` are joined from those of the parts."""
     first = parts[0]
     observed = Observed(*(join(x) for x in zip(*(part.observed for part in parts), strict=True)))
     known = [name for name in names if np.ndim(getattr(first, name)) > 1 or name == "time"]

@@ -1,8 +1,8 @@
 """Evaluates states with derivatives: accelerations, reactions, forces, energies and powers.
 
 The formulas are those of `mbdkit.engine.kernels.observe`, compiled for dual numbers. Unlike
-`mbdkit.engine.observed_states`, this module neither shares the reactions of redundant joints nor follows the distance
-to singularity, neither of which has derivatives.
+`mbdkit.engine.observed_states`, this module does not compute shared reactions of redundant joints and the distance to
+singularity, which have no derivatives.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class StateEvaluator:
             If the accelerations of a state are not unique.
         """
         self.steps.take_up_solver()
-        if z.shape[1] and len(time) != 1:  # the kernels evaluate states with the same first-order states together
+        if z.shape[1] and len(time) != 1:  # the kernels evaluate only states with equal first-order states together
             given = {"q": q, "v": v, "z": z, "weight": weight, "energy": energy}
             known = {name: x for name, x in given.items() if x is not None}
             rows = (slice(k, k + 1) for k in range(len(time)))
@@ -87,9 +87,10 @@ class StateEvaluator:
         )
 
     def around(self, here: DifferentiatedStates, unit: float) -> tuple[DifferentiatedStates, float]:
-        """Return eight states of the motion around a state, without derivatives, and their distance in time.
+        """Return eight states near a state along the motion, without derivatives, and the time between neighbouring
+        ones.
 
-        With `rate_of`, they give rates of quantities along the motion.
+        `rate_of` computes rates of quantities along the motion from them.
         """
         distance = unit / 32.0
         offsets = distance * np.array(CENTRAL)
@@ -99,7 +100,7 @@ class StateEvaluator:
         return self.states(here.time[0] + offsets, *moved), distance
 
     def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
-        """Choose pivots for the state that could not be evaluated; raise RunError if there are none."""
+        """Choose pivots for a state that could not be evaluated; raise RunError if there are none."""
         try:
             if is_last_try or not self.workspace.is_finite(tangents=False):
                 raise SingularSystemError

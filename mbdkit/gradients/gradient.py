@@ -49,7 +49,7 @@ from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.stepping.dual_run import NO_SEEDS
 
 REFERENCE_STEPS = 2_000
-"""Assumed number of steps of the run, from which the largest number of steps of the other method in a check follows."""
+"""Assumed number of steps of a run, from which the step limit of the other method in a check is computed."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,9 @@ class Gradient(HtmlView):
         return float(self.jacobian[self.measures.index(measure), self.parameters.index(parameter)])
 
     def described(self, measure: str) -> dict[str, Any]:
-        """Return unit, derivatives by parameter and check of one measure as plain data; None for what is not finite."""
+        """Return unit, derivatives by parameter and check of one measure as plain data; numbers that are not finite
+        become None.
+        """
         m = self.measures.index(measure)
         found: dict[str, Any] = {
             "unit": self.units[m],
@@ -151,7 +153,7 @@ def gradient(
     check
         Whether to check the gradient in one direction by differences of four runs, and of two runs by another method.
     **sections
-        Other sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``, which replace those of `source`.
+        Sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``; they replace those of `source`.
 
     Returns
     -------
@@ -184,7 +186,7 @@ def gradient(
 
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
-    """Raise SpecError, with its key, if the gradients requested by a spec cannot be computed."""
+    """Raise SpecError, with the key, if the gradients requested by a spec cannot be computed."""
     try:
         if not spec.measures:
             raise SpecError("gradients are those of measures, and the spec has no `measures`", key="gradients")
@@ -201,7 +203,7 @@ def check_gradients(spec: RunSpec, method: Method) -> None:
 
 
 def require_derivatives(expressions: Mapping[str, MeasureExpression]) -> None:
-    """Raise SpecError, with the name of the measure, if a quantity in it has no derivative for any mechanism."""
+    """Raise SpecError, with the name of the measure, if the measure contains a quantity that has no derivative."""
     for name, expression in expressions.items():
         for quantity in expression.quantities:
             try:
@@ -236,7 +238,7 @@ def gradient_of_run_spec(
 
     def again(varied: RunSpec) -> DifferentiatedRun:
         if needs != Needs() or spec.events or run.is_split or run.sizes is not None:
-            # step sizes that depend on the parameters would add a multiple of the tolerance to the differences
+            # Step sizes that depend on the parameters would change the differences by a multiple of the tolerance.
             return differentiated_run(varied, NO_SEEDS, needs, sizes=run.sizes)
         return plain_run(varied)
 
@@ -255,12 +257,12 @@ def gradient_of_run_spec(
 
 
 class _Reference:
-    """Measures of runs by another method than that of a spec, with small errors.
+    """Measures of runs with small errors, computed by another method than that of a spec.
 
     Parameters
     ----------
     spec
-        The spec; for runs with other parameters, the same method is used.
+        The spec. The same method is used for runs with other parameters.
     expressions
         The measures.
     """
@@ -271,7 +273,7 @@ class _Reference:
         self._chosen: int | None = None
 
     def values(self, spec: RunSpec) -> Sequence[float]:
-        """Return the measures of a run in SI units; nan if no method reaches its end."""
+        """Return the measures of a run in SI units; nan if no method reaches the end of the run."""
         interval = _recorded_interval(spec)  # `at` is defined by interpolation between recorded states
         others = other_methods(spec, self._method, build(spec)[0], REFERENCE_STEPS, interval)
         for place in range(len(others)) if self._chosen is None else [self._chosen]:
@@ -283,7 +285,7 @@ class _Reference:
 
 
 def _recorded_interval(spec: RunSpec) -> float | None:
-    """Return the interval of the recorded states of a run [s]; None if it depends on the sizes of steps."""
+    """Return the interval of the recorded states of a run [s]; None if it depends on the step sizes."""
     if spec.output.interval is not None or spec.time.step is None:
         return spec.output.interval
     return spec.time.step * (spec.output.every or 1)
@@ -308,9 +310,9 @@ def gradient_of_run(
     parameters, prepared
         The parameters, and the derivatives of the preparation.
     measured
-        Returns the measures for other values of the parameters, for the check; None: the gradient is not checked.
+        Function that returns the measures for other values of the parameters, for the check; None for no check.
     reference
-        Returns the measures by another method with small errors; None if there is none.
+        Function that returns the measures by another method with small errors; None if there is none.
     """
     values, slopes, sizes = [], [], {}
     doubts = list(run.doubts)

@@ -1,7 +1,7 @@
 """The check of a gradient: its derivative in one direction, compared with differences of runs at two distances.
 
-Runs with the same steps reveal errors of the differentiation. Runs of another method with small errors show how far the
-derivative is from that of the exact motion, because they do not share the errors of the steps.
+Runs with the same steps reveal errors of the differentiation. Runs by another method with small errors, which do not
+have the same discretization error, show how far the derivative is from that of the exact motion.
 
 The differences are central. If the spec is not valid on one side of a parameter, such as a damping of zero, they are
 one-sided and of the same order.
@@ -22,38 +22,46 @@ STEPS = (1e-4, 2e-4)
 """Relative changes of the parameters in the runs."""
 
 ROUND_OFF = 1e-13
-"""Assumed relative error of a measure of one run by rounding errors and by the tolerance of the stage equations."""
+"""Assumed relative error of a measure of one run, due to rounding and to the tolerance of the stage equations."""
 
 NATURAL = np.finfo(float).eps / ROUND_OFF
-"""Smallest size of a measure, as a share of the size that follows from its unit. Numbers that differ from zero by
-rounding errors of the coordinates only, such as the height of a rod that lies still, have no digits to be compared."""
+"""Smallest size of a measure, relative to the natural size for its unit.
+
+Smaller measures differ from zero by rounding errors of the coordinates only, such as the height of a rod that lies
+still, and have no digits to compare.
+"""
 
 ALLOWED = 10.0
-"""The derivative may deviate from the differences by this multiple of their estimated error."""
+"""Largest accepted deviation of the derivative from the differences, as a multiple of their estimated error."""
 
 SMALLEST = 1e-7
-"""A deviation below this share of the sum of the terms of the derivative is always allowed."""
+"""Deviations below this share of the sum of the terms of the derivative are always accepted."""
 
 REFERENCE_STEP = 5e-4
 """Relative change of the parameters in the runs of the other method, whose measures are less exact."""
 REFERENCE_ERROR = 3e-12
 """Assumed relative error of a measure of one run of the other method, at its tolerance."""
 CORRECTED = 0.01
-"""Largest expected error of the differences of the other method after their correction by extrapolation, as a share of
-the correction."""
+"""Largest expected error of the other method's differences after correction by extrapolation, as a share of the
+correction.
+"""
 
 LARGEST_DISCRETIZATION = 1e-2
-"""Largest share of the sum of the terms of the derivative by which it may differ from that of the exact motion."""
+"""Largest accepted difference from the derivative of the exact motion, as a share of the sum of the terms of the
+derivative.
+"""
 
 NOTED = (5e-7, 5e-5)
-"""Above these shares of the sum of the terms, the difference from the derivative of the exact motion is noted: the
-first for smooth measures, the second for those that change their form inside steps."""
+"""Differences from the derivative of the exact motion above these shares of the sum of the terms are noted.
+
+The first applies to smooth measures, the second to measures whose form changes inside steps.
+"""
 
 Settings = Sequence[tuple[Path, float]]
 """Key paths and their values."""
 
 Measured = Callable[[Settings], Sequence[float]]
-"""Returns the measures of a run with these values, nan if it stops early."""
+"""Function that returns the measures of a run with these values; nan if the run stops early."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +85,8 @@ class GradientCheck:
     reference
         (M,) the derivatives by differences of runs of another method with small errors; nan if no such run ended.
     agrees
-        (M,) whether the derivative is within the estimated error, and some allowance, of the differences, and within
-        1 % of those of the other method; true where there is no derivative to check.
+        (M,) whether the derivative agrees with the differences within their estimated error and some tolerance, and
+        with those of the other method within 1 %; true for measures without a derivative.
     names
         Names of the measures.
     """
@@ -128,7 +136,7 @@ class Direction:
     change
         (K,) change of each parameter: its size with a random sign, or the sign that keeps the spec valid.
     is_one_sided
-        Whether the spec is valid for changes in this direction only, but not in the opposite one.
+        Whether the spec is valid for changes in this direction, but not in the opposite one.
     """
 
     parameters: Sequence[Parameter]
@@ -137,13 +145,15 @@ class Direction:
 
     @classmethod
     def random(cls, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> Direction:
-        """Return a random direction, the same one in every call."""
+        """Return a random direction; every call returns the same one."""
         signs = np.random.default_rng(18).choice([-1.0, 1.0], size=len(parameters))
         signs = np.where(prepared.side != 0, prepared.side, signs)
         return cls(parameters, signs * prepared.seeds.scale, bool(np.any(prepared.side)))
 
     def differences(self, measured: Measured, value: np.ndarray) -> np.ndarray:
-        """Return differences (2, M) of second order, at both `STEPS`; `value` (M,) is that of the spec itself."""
+        """Return differences (2, M) of second order, at both `STEPS`; `value` (M,) has the measures of the spec
+        itself.
+        """
         places = (1, 2) if self.is_one_sided else (-1, 1)
         runs = np.array([measured(self._settings(place * step)) for step in STEPS for place in places])
         first, second, steps = runs[::2], runs[1::2], np.array(STEPS)[:, None]
@@ -178,13 +188,13 @@ def check_gradient(
     Parameters
     ----------
     measured
-        Returns the measures for other values of the parameters.
+        Function that returns the measures for other values of the parameters.
     sizes
-        Magnitude of the numbers from which each measure is computed, by name.
+        Magnitudes of the numbers from which the measures are computed, by name of the measure.
     value, jacobian
         (M,) the measures, and (M, K) their gradients.
     reference
-        Returns the measures by another method with small errors; None if there is none.
+        Function that returns the measures by another method with small errors; None if there is none.
     """
     differences = direction.differences(measured, value)
     ratio = (STEPS[1] / STEPS[0]) ** 2
@@ -197,7 +207,7 @@ def check_gradient(
     other = np.full(len(derivative), np.nan)
     if reference is not None:
         correction = _correction(extrapolated - differences[0])
-        other = direction.of_reference(reference) + correction  # without the error of the differences
+        other = direction.of_reference(reference) + correction  # the error of the differences is removed
         allowed = LARGEST_DISCRETIZATION * terms + _reference_error(correction, sizes)
         agrees &= (np.abs(derivative - other) <= allowed) | np.isnan(other)
     return GradientCheck(
@@ -207,26 +217,26 @@ def check_gradient(
 
 
 def _correction(of_smallest: np.ndarray) -> np.ndarray:
-    """Return the correction (M,) of the differences of the other method, from the correction of those at `STEPS[0]`."""
+    """Return the correction (M,) of the other method's differences, from that of the differences at `STEPS[0]`."""
     return np.asarray((REFERENCE_STEP / STEPS[0]) ** 2 * of_smallest)
 
 
 def _reference_error(correction: np.ndarray, sizes: Mapping[str, float]) -> np.ndarray:
-    """Return the largest expected error of the differences of the other method, after a correction (M,)."""
+    """Return the largest expected error of the other method's differences after a correction (M,)."""
     return np.asarray(CORRECTED * np.abs(correction) + REFERENCE_ERROR * np.array([*sizes.values()]) / REFERENCE_STEP)
 
 
 def discretization_doubts(
     check: GradientCheck, sizes: Mapping[str, float], jacobian: np.ndarray, smooth: Sequence[bool]
 ) -> list[str]:
-    """Return a warning for each measure whose derivative differs from that of the exact motion.
+    """Return a warning for each measure whose derivative differs from that of the exact motion by more than `NOTED`.
 
     Parameters
     ----------
     jacobian
         (M, K) the gradients.
     smooth
-        Whether each measure is smooth inside the steps; the limits are `NOTED`.
+        Whether each measure is smooth inside the steps, which selects the limit in `NOTED`.
     """
     terms = np.sum(np.abs(jacobian * check.direction), axis=1)
     away = np.abs(check.derivative - check.reference)

@@ -1,10 +1,10 @@
-"""Discontinuities of force laws and of their derivatives (*corners*), and mechanisms whose laws stay on one side of
-them.
+"""Discontinuities of force laws and their derivatives (*corners*), and mechanisms whose laws use one side of each
+corner.
 
 A law that is a SymPy expression, or its derivative, is discontinuous where a condition of a ``Piecewise`` changes, such
 as at the beginning of contact. Each condition compares a function g of length, rate and parameters with zero. In a
 mechanism with sides, the conditions are replaced by additional parameters of the law, the *sides*: 1 where g > 0,
-otherwise -1. The law is then smooth during a step, for all states of its stages, and steps end where g is zero.
+otherwise -1. During a step, the law is then smooth in the states of all stages; steps end where g is zero.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import sympy
 
 SIDE = "mbdkit_side_{}"
-"""Names of the parameters with the sides; see `mbdkit.symbolic.symbolic_law.SIDE`."""
+"""Name of the parameter with the side of a condition; see `mbdkit.symbolic.symbolic_law.SIDE`."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class SidedLaw:
     law
         The law.
     conditions
-        Functions of length, rate and the parameters of the original law, in its order, that return g and its
-        derivatives by all of these.
+        Functions that return g and its derivatives by all of their arguments. These are length, rate and the parameters
+        of the original law, in the order of the law.
     """
 
     law: ExpressionLaw
@@ -90,7 +90,7 @@ class SidedMechanism:
     places: np.ndarray
 
     def passed(self, forces: np.ndarray) -> tuple[str, ...]:
-        """Return the names of the force elements whose conditions change over time.
+        """Return the names of the force elements for which a condition changes over time.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class SidedMechanism:
         return tuple(dict.fromkeys(found))
 
     def seeds(self, seeds: Seeds) -> Seeds:
-        """Return derivatives of the arrays of this mechanism from those of the original mechanism."""
+        """Return the derivatives of the arrays of this mechanism, given those of the original mechanism."""
         given = seeds.get("law_parameters")
         if given is None:
             return seeds
@@ -125,7 +125,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     top = mechanism.topology
     values: list[float] = []
     places = np.zeros(len(top.law_parameters), dtype=np.int64)
-    # a load that is an expression of the state, and its derivatives, share their parameters
+    # A load that is an expression of the state shares its parameters with its derivatives.
     begins: dict[int, int] = {}
     rows, laws, conditions = top.laws.copy(), list(mechanism.laws), []
     elements = {int(one[3]): int(top.force_place[k]) for k, one in enumerate(top.springs) if one[5] > 0}
@@ -158,7 +158,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             side = first + names.index(SIDE.format(i))
             conditions.append(Condition(name, elements[row], first + own_places, side, function))
         values += [float(len(held)), *held.tolist()]
-    for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states outside of laws
+    for place in top.states[top.states[:, 0] < 0, 1].tolist():  # initial values of states that do not belong to a law
         places[place - 1 : place + 1] = len(values), len(values) + 1
         values += top.law_parameters[place - 1 : place + 1].tolist()
     inputs, states, state_places, reactions = (
@@ -178,7 +178,7 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
 
 
 def with_unknown_corners(mechanism: CompiledMechanism) -> tuple[str, ...]:
-    """Return the names of the forces whose laws are functions of plugins, which may have discontinuities."""
+    """Return the names of the forces whose laws are plugin functions, which may have unknown discontinuities."""
     return tuple(
         name
         for name, one in mechanism.laws
@@ -192,7 +192,7 @@ def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:
 
 @cache
 def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
-    """Return a law with sides; None if it is not an expression."""
+    """Return a law with sides; None if the law is not an expression."""
     if not isinstance(law, ExpressionLaw):
         return None
     import sympy as sp
@@ -205,7 +205,7 @@ def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
     replaced: dict[Any, Any] = {}
     for relation in sorted(force.atoms(sp.core.relational.Relational), key=str):
         if not isinstance(relation, sp.Gt | sp.Ge | sp.Lt | sp.Le) or not relation.free_symbols & set(variables[:2]):
-            continue  # a condition on time or parameters does not change along the motion
+            continue  # the value of a condition on time or parameters is constant along the motion
         g = sp.expand(relation.gts - relation.lts)
         if g.free_symbols - set(variables):
             continue
@@ -216,7 +216,7 @@ def _sided(law: Any, names: tuple[str, ...]) -> SidedLaw | None:
         side = sp.Symbol(SIDE.format(found.index(g if sign > 0 else -g)), real=True)
         replaced[relation] = sp.Gt(sign * side, 0)
         rate = variables[1]
-        if rate in relation.free_symbols:  # the force at rate zero is the derivative of the potential, on any side
+        if rate in relation.free_symbols:  # the force at rate zero is the derivative of the potential for either side
             at_rest = relation.subs(rate, 0)
             replaced[relation] = sp.Or(sp.And(sp.Eq(rate, 0), at_rest), sp.And(sp.Ne(rate, 0), replaced[relation]))
     functions = tuple(

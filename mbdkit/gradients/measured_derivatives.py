@@ -33,23 +33,27 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 
 AT_ZERO = 1e-9
-"""An operand below this share of the quantities from which it was computed counts as zero."""
+"""Operands below this share of the quantities from which they were computed count as zero."""
 BESIDE = 0.05
-"""Limits on one side of a point are extrapolated from values within this share of a step."""
+"""The limit on one side of a point is extrapolated from values within this share of a step."""
 LIMIT_POINTS = 8
-"""Number of values for this extrapolation. For a motion with eight steps in a period, the relative error of rates is
-below 1e-9."""
+"""Number of values used for this extrapolation.
+
+For a motion with eight steps per period, the relative error of rates is below 1e-9.
+"""
 
 
 def needs_of(expression: MeasureExpression) -> Needs:
-    """Return what a measure needs beside the recorded states."""
+    """Return the data that a measure needs in addition to the recorded states."""
     found = expression.functionals
     return Needs(any(one.is_of_stages for one in found), any(not one.is_of_stages for one in found))
 
 
 @dataclass(frozen=True)
 class _Limit:
-    """A quantity and the scalar that changes sign at a point, on one side of it, with their rates."""
+    """A quantity, and the scalar that changes sign at a point, as limits from one side of the point, with their
+    rates.
+    """
 
     value: Value
     rate: np.ndarray
@@ -85,7 +89,7 @@ class MeasureOfRun:
         Parameters
         ----------
         constants
-            (I, K) derivatives of the numbers in the I instructions of the expression; None: zero.
+            (I, K) derivatives of the numbers in the I instructions of the expression; None for zero.
         """
         self.size = 0.0
         slopes = np.zeros((len(expression.program), self.count)) if constants is None else constants
@@ -113,8 +117,8 @@ class _Evaluation:
         self.size = 0.0
         self._begins = _begins(expression)
         self._reduced: dict[int, Value] = {}  # by index of the instruction
-        self._functionals: dict[str, Value] = {}  # by text
-        self._largest_term = 0.0  # of the derivative of an extremum
+        self._functionals: dict[str, Value] = {}  # by source text
+        self._largest_term = 0.0  # largest term of the derivative of an extremum
         self._duration = run.rows.time[-1] - run.rows.time[0]
 
     def result(self) -> Value:
@@ -128,8 +132,8 @@ class _Evaluation:
         Parameters
         ----------
         switches
-            Receives the scalars at whose sign changes operations change their form, in the order of
-            `Functional.values_and_switches`.
+            List to which the switches are appended: scalars whose sign determines the form of an operation, in the
+            order of `Functional.values_and_switches`.
         """
         place = iter(range(begin, end))
         are_rows = states is self.run.rows
@@ -160,7 +164,9 @@ class _Evaluation:
         return execute(self.expression.program[begin:end], step)
 
     def _reduction(self, index: int, name: str, number: int, operands: Sequence[Value]) -> Value:
-        """Return a reduction over time, the instruction of this index, of its operands on the rows."""
+        """Return the value of the reduction over time at this index of the program; its operands are evaluated on the
+        rows.
+        """
         rows = operands[0]
         functional = self.expression.functionals[number - 1] if number else None
         self.size = max(self.size, float(np.max(np.abs(rows.value))))
@@ -187,7 +193,9 @@ class _Evaluation:
         return self._root(mean, rows) if name == "rms" else mean
 
     def _root(self, mean: Value, rows: Value) -> Value:
-        """Return the root of the mean square of a quantity; add a warning if this is zero but moves."""
+        """Return the root of the mean square of a quantity; add a warning if the root is zero but its derivatives are
+        not.
+        """
         if np.any(mean.value != 0.0):
             return of_operands("sqrt", 0.0, mean)
         if not rows.slope.any():
@@ -199,7 +207,7 @@ class _Evaluation:
         self, index: int, states: DifferentiatedStates, *, square: bool = False, switches: list[Value] | None = None
     ) -> Value:
         """Return the operand of a reduction in T states, (T,) or (2, T)."""
-        is_value = self.expression.program[index][0] == REDUCE + "at"  # its second operand is a time
+        is_value = self.expression.program[index][0] == REDUCE + "at"  # the second operand of `at` is a time
         found = self._series(self._begins[index], self._begins[index - 1] if is_value else index, states, switches)
         found = of_operands("mul", 0.0, found, found) if square else found
         shape = (*found.value.shape[:-1], len(states.time))
@@ -224,14 +232,14 @@ class _Evaluation:
         return Value(total.value, total.slope + np.multiply.outer(self.run.end, last))
 
     def _of_stages(self, index: int, square: bool) -> Value:
-        """Return an integral by the weights of the method."""
+        """Return an integral as a sum over the stages with the weights of the method."""
         nodes = self.run.nodes
         assert nodes is not None
         assert nodes.weight is not None
         return _weighted(self._of_operand(index, nodes, square=square), nodes.weight)
 
     def _split(self, functional: Functional, index: int, square: bool) -> Value:
-        """Return an integral over the continuous motion, split where its integrand changes its form."""
+        """Return an integral over the continuous motion, divided where the integrand changes its form."""
         total: Value | None = None
         for number, part in enumerate(self.run.motions[0].parts):
             found = self._sampled(functional, number)
@@ -242,7 +250,8 @@ class _Evaluation:
             self._note_rest(switches, nodes.time)
             weights = np.column_stack([nodes.weight, np.zeros((len(nodes.weight), self.count))])
             piece = _weighted(values, weights)
-            if part.corner is not None:  # the integrand may jump there, at a time that depends on the parameters
+            # the integrand may be discontinuous there, at a time that depends on the parameters
+            if part.corner is not None:
                 moved = np.concatenate([_corner_of(motion, number).slope for motion in self.run.motions])
                 sides = self._of_operand(index, self._at_corner(number), square=square).value
                 piece = Value(piece.value, piece.slope + np.multiply.outer(moved, sides[..., :1] - sides[..., 1:]))
@@ -251,7 +260,7 @@ class _Evaluation:
         return total
 
     def _at_corner(self, number: int) -> DifferentiatedStates:
-        """Return the states before and after the discontinuity at which a part begins."""
+        """Return the states before and after the discontinuity at which part `number` begins."""
         parts, first = self.run.motions, []
         for motion in parts:
             corner = _corner_of(motion, number)
@@ -324,11 +333,11 @@ class _Evaluation:
         return Value(here.value, (limit.value.slope[:, 0] + limit.rate * moved)[:, None])
 
     def _limit(self, number: int, peak: Peak, index: int, side: float) -> _Limit:
-        """Return the limits at an extremum from one side, by extrapolation of a polynomial in time."""
+        """Return the limits at an extremum from one side, extrapolated by a polynomial in time."""
         part = self.run.motions[0].parts[number]
         size = part.plain.size
         step = int(np.searchsorted(part.plain.ends.time, peak.time))
-        near = size[max(0, step - 2) : step + 1]  # the step itself may be tiny, as one that is cut by an event
+        near = size[max(0, step - 2) : step + 1]  # the step itself may be very short, for example if an event cuts it
         width = min(BESIDE * float(np.max(near)), part.span[1] - part.span[0])
         places = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LIMIT_POINTS) + 0.5) / LIMIT_POINTS)
         time = np.clip(peak.time + side * width * places, *part.span)
@@ -350,10 +359,11 @@ class _Evaluation:
     # --- values at times
 
     def _at(self, functional: Functional | None, index: int, time: Value, operand: Value) -> Value:
-        """Return an operand at a time: its value in the row of this time or, if there is none, in the motion between
-        the ends of steps.
+        """Return an operand at a time.
 
-        At a discontinuity of a force law or a load, the value is the limit from the left.
+        It is the value in the row with this time or, if there is none, that of the motion between the ends of steps. At
+        a
+        discontinuity of a force law or a load, the limit from the left is used.
         """
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:
@@ -376,12 +386,14 @@ class _Evaluation:
         return found
 
     def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> Value:
-        """Return an operand at the time `at` in a part of the motion; `moved` (K,) are the derivatives of the time."""
+        """Return an operand at the time `at` in a part of the motion; `moved` (K,) has the derivatives of the time."""
         here = self._of_operand(index, states_of(self.run.motions, number, np.array([at])))
         return self._moved(here, number, at, index, moved)
 
     def _moved(self, here: Value, number: int, at: float, index: int, moved: np.ndarray) -> Value:
-        """Return an operand with the derivatives due to its time `at`; `moved` (K,) are the derivatives of the time."""
+        """Return an operand with derivatives that include the effect of its time `at`, whose derivatives are `moved`
+        (K,).
+        """
         if not moved.any():
             return here
         side = 1.0 if at == self.run.motions[0].parts[number].span[0] else -1.0
@@ -389,7 +401,7 @@ class _Evaluation:
         return Value(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
 
     def _between_rows(self, at: float, time: Value, operand: Value) -> Value:
-        """Return an operand at a time, interpolated linearly between the rows around it."""
+        """Return an operand at a time, interpolated linearly between the neighbouring rows."""
         rows = self.run.rows.time
         k = int(np.clip(np.searchsorted(rows, at, side="right") - 1, 0, len(rows) - 2))
         share = (at - rows[k]) / (rows[k + 1] - rows[k])
@@ -436,7 +448,7 @@ class _Evaluation:
         )
 
     def _note_corner(self, operation: str, operands: Sequence[Value]) -> None:
-        """Add a warning if an operation on results of functions over time has no derivative at its operands."""
+        """Add a warning if an operation on results of reductions over time has no derivative at these operands."""
         if operation in ALONG.values():
             self._note_equal_elements(operation, operands[0])
             return
@@ -455,8 +467,9 @@ class _Evaluation:
         )
 
     def _note_rest(self, switches: Sequence[Value], time: np.ndarray) -> None:
-        """Add a warning if an operand stays at a value at which the form of the integrand changes, while parameters
-        would change this value.
+        """Add a warning if an operand stays at a value at which the integrand changes its form.
+
+        The warning is given only if the parameters change this value.
         """
         for one in switches:
             size = float(np.max(np.abs(one.value), initial=0.0))
@@ -471,8 +484,9 @@ class _Evaluation:
                 return
 
     def _note_equal_elements(self, operation: str, rows: Value) -> None:
-        """Add a warning if elements with different derivatives share the extreme value along a beam, over time or at
-        the end.
+        """Add a warning if several elements of a beam have the extreme value, but different derivatives.
+
+        The extremum is taken over time, or at the end of the run.
         """
         values = rows.value if operation == "along_max" else -rows.value
         for row in {int(np.argmax(np.max(values, axis=0))), values.shape[1] - 1}:
@@ -499,7 +513,7 @@ def _begins(expression: MeasureExpression) -> list[int]:
 
 
 def _weighted(values: Value, weights: np.ndarray) -> Value:
-    """Return the sum of values (..., T) by weights (T, 1 + K) with derivatives, (..., 1)."""
+    """Return the sum of values (..., T) times weights (T, 1 + K), with derivatives, (..., 1)."""
     moved = np.moveaxis(values.value @ weights[:, 1:], -1, 0)
     return Value((values.value @ weights[:, 0])[..., None], (values.slope @ weights[:, 0] + moved)[..., None])
 
@@ -511,9 +525,9 @@ def _corner_of(motion: DifferentiatedMotion, number: int) -> Corner:
 
 
 def _switch_of(operation: str, operands: Sequence[Value]) -> Value | None:
-    """Return the scalar at whose sign changes an operation changes its form; None if it does not.
+    """Return the scalar whose sign determines the form of an operation; None if the form is fixed.
 
-    See `mbdkit.measures.reductions.Functional.values_and_switches`; a vector is compared with its value at the first
+    See `mbdkit.measures.reductions.Functional.values_and_switches`. A vector is compared with its value at the first
     time.
     """
     kind = OPERATIONS[operation].switch if operation in OPERATIONS else ""

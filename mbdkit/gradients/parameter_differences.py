@@ -1,8 +1,8 @@
-"""Derivatives, by parameters, of the arrays to which a spec is compiled: the mechanism, its initial state, and others.
+"""Derivatives, by parameters, of the arrays that a spec is compiled to, such as the mechanism and its initial state.
 
-The preparation turns a spec into arrays, and is repeated with other values of one parameter. The derivative of an array
-that depends on the parameter linearly is the slope of a line through two points, which is exact up to rounding errors.
-All others are differentiated by differences of order 8, whose error is estimated from differences of order 6; the
+The preparation, which turns a spec into arrays, is repeated with other values of one parameter. If an array depends on
+the parameter linearly, its derivative is the slope of a line through two points, which is exact up to rounding errors.
+All other arrays are differentiated by differences of order 8, whose error is estimated from differences of order 6. The
 distance of the points is reduced until this error is small.
 """
 
@@ -25,30 +25,35 @@ from mbdkit.stepping.dual_run import Seeds
 Arrays = Mapping[str, np.ndarray]
 
 WIDEST = 0.05
-"""Largest change of a parameter, as a share of its size."""
+"""Largest change of a parameter, relative to its size."""
 SMALLEST_SIZE = 0.1
-"""A parameter with a smaller value, such as an angle of 1e-9 rad, is changed as if it had this size, because the effect
-of smaller changes would be lost in rounding errors.
+"""Smallest size that is assumed for a parameter, such as an angle of 1e-9 rad.
 
-The size is in SI units; if the length of the mechanism is below 1 m, the size is multiplied by this length.
+The effect of smaller changes would be lost in rounding errors. The size is in SI units; if the length of the mechanism
+is
+below 1 m, the size is multiplied by this length.
 """
 FACTOR, MOST_ATTEMPTS = 4.0, 4
-"""Factor by which the changes are reduced while differences are not accurate, and largest number of attempts."""
+"""Factor by which changes are reduced as long as differences are not accurate, and largest number of attempts."""
 ACCURATE = 1e-13
-"""Derivatives are accurate if those of order 8 and 6 differ by less than this, relative to the largest derivative or to
-the array over the size of the parameter."""
+"""Largest difference between the derivatives of order 8 and 6 for which they count as accurate.
+
+It is relative to the largest derivative, or to the array divided by the size of the parameter.
+"""
 LINEAR = 64.0
-"""Deviation from a line, in units of round-off of the array, that counts as round-off."""
+"""Largest deviation from a line that counts as rounding, in units of round-off of the array."""
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 BACKWARD = tuple(-place for place in FORWARD)
 """Positions of the points, in units of a quarter of the largest change."""
 FEW = {CENTRAL: (-4, 1, 4), FORWARD: (2, 4, 8), BACKWARD: (-8, -4, -2)}
-"""Positions of the points that test for linear dependence."""
+"""Positions of the points that are used to test for linear dependence."""
 
 
 LEFT_OUT = ("length", "row_units", "spare_axes", "weight")
-"""Arrays that are not differentiated: those on which the motion does not depend (units and choices), and the inverse
-masses, whose derivatives follow from those of the masses."""
+"""Arrays that are not differentiated.
+
+The motion does not depend on units and choices. The derivatives of inverse masses follow from those of the masses.
+"""
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,8 @@ class PreparedDerivatives:
     error
         (K,) estimated errors of these derivatives by each parameter, relative to the largest derivative of an array.
     side
-        (K,) 0, or the sign of changes for which the spec is valid, such as 1 for a damping of zero.
+        (K,) 0 if the spec is valid for changes of both signs, otherwise the sign for which it is valid, such as 1 for a
+        damping of zero.
     """
 
     seeds: Seeds
@@ -79,13 +85,13 @@ class Preparation(ABC):
     mechanism
         The compiled mechanism of the spec.
     base
-        Its arrays by name.
+        Arrays of the preparation of the spec itself, by name.
     """
 
     mechanism: CompiledMechanism
     base: Arrays
     ROUNDED: tuple[str, ...] = ()
-    """Names of arrays whose values change by the round-off of lengths and angles."""
+    """Names of arrays whose values change by rounding errors of lengths and angles."""
 
     @abstractmethod
     def at(self, parameter: Parameter, value: float) -> Arrays:
@@ -111,7 +117,7 @@ class Preparation(ABC):
             for name, x in self.base.items()
             if any(name in one.slopes for one in found)
         }
-        if "mass" in seeds:  # exact, and zero for ground
+        if "mass" in seeds:  # the derivatives of inverse masses are exact, and zero for ground
             weight = self.mechanism.topology.weight
             seeds["weight"] = -(weight**2)[..., None] * seeds["mass"]
         return PreparedDerivatives(
@@ -152,11 +158,11 @@ class Preparation(ABC):
             )
 
     def _scale(self, parameter: Parameter) -> float:
-        """Return the size of a parameter, by which its changes are measured."""
+        """Return the size of a parameter, relative to which its changes are measured."""
         return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
 
     def _by(self, parameter: Parameter) -> _Derivatives:
-        """Return the derivatives by a parameter."""
+        """Return the derivatives of all arrays by one parameter."""
         try:
             return _Derivatives(*self._with_places(parameter, CENTRAL), 0)
         except SpecError as error:
@@ -172,7 +178,7 @@ class Preparation(ABC):
             ) from None
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
-        """Return the non-zero derivatives by a parameter, and their error, from points at these positions."""
+        """Return the non-zero derivatives by a parameter and their error, computed from points at these positions."""
         unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
         points = {place: self._point(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
@@ -195,7 +201,7 @@ class Preparation(ABC):
         return {name: x for name, x in slopes.items() if np.any(x)}, max(errors.values())
 
     def _point(self, parameter: Parameter, change: float) -> tuple[float, Arrays]:
-        """Return the change of a parameter, as rounded in floating-point arithmetic, and the arrays for it."""
+        """Return the actual change of a parameter after rounding, and the arrays for the changed parameter."""
         value = parameter.value + change
         return value - parameter.value, self.at(parameter, value)
 
@@ -233,7 +239,9 @@ class _Derivatives:
 
 
 def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarray]]) -> np.ndarray | None:
-    """Return the slope of the line through the first and the last point; None if the other points are not on it."""
+    """Return the slope of the line through the first and the last point; None if the other points are not on this
+    line.
+    """
     (x0, low), (x1, high) = points[min(points)], points[max(points)]
     slope = (high - low) / (x1 - x0)
     limit = LINEAR * np.finfo(float).eps * np.maximum(np.maximum(np.abs(high), np.abs(low)), np.abs(base))

@@ -1,7 +1,7 @@
 """Derivatives of the preparation of a run: of the compiled mechanism and of its consistent start, by parameters.
 
 The preparation validates the model, builds and compiles the mechanism, and assembles its initial state. The numbers in
-expressions of measures and events, which may depend on named parameters, are treated in the same way.
+expressions of measures and events may depend on named parameters, and are differentiated in the same way.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Differentiated runs whose steps end where a force law or its derivative is discontinuous (at a *corner*).
 
-The result of a step across a corner is not a smooth function of the parameters: for any step size, its derivative lacks
-the change of the time at which the corner is reached. Steps therefore end there, and each part of a step uses one side
-only (`mbdkit.gradients.law_corners`). Where the force is discontinuous, the derivatives of the velocities change by the
-difference of the accelerations before and after the corner, times the derivative of its time (P. C. Mueller,
-Calculation of Lyapunov exponents for dynamic systems with discontinuities, Chaos, Solitons & Fractals 5 (1995)
-1671-1681).
+The result of a step across a corner is not a smooth function of the parameters. However small the step, its derivative
+lacks the effect of the change of the time at which the corner is reached. Steps therefore end at corners, and each part
+of a step uses one side only (`mbdkit.gradients.law_corners`). If the force is discontinuous, the derivatives of the
+velocities change by the difference of the accelerations before and after the corner, times the derivative of the time
+of the corner (P. C. Mueller, Calculation of Lyapunov exponents for dynamic systems with discontinuities, Chaos,
+Solitons & Fractals 5 (1995) 1671-1681).
 """
 
 from __future__ import annotations
@@ -32,21 +32,23 @@ from mbdkit.stepping.run_state import MODIFIED
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
 SAME = 1e-9
-"""A corner closer to the start or end of a step than this share of the step counts as being there."""
+"""A corner counts as being at the start or end of a step if its distance from there, as a share of the step, is below
+this.
+"""
 AHEAD = 1e-6
-"""Share of a step after a corner at which the new sides are determined."""
+"""Share of a step after a corner at which the new sides are evaluated."""
 MOST_AT_ONCE = 8
-"""Number of corners at the same time after which the run fails."""
+"""Largest number of corners at the same time; if there are more, the run fails."""
 
 
 @dataclass(frozen=True)
 class Sides:
-    """Sides of force laws, and the state of a run from which on they are valid.
+    """Sides of force laws, and the state of a run from which on they apply.
 
     Attributes
     ----------
     rows, nodes
-        Numbers of recorded states, without the first, and of nodes before that state.
+        Number of recorded states before that state, without the first one, and number of nodes before it.
     sides
         (C,) the sides.
     """
@@ -89,9 +91,9 @@ class SidedStepper(DifferentiatedStepper):
     Attributes
     ----------
     history
-        The sides since the start, with the states from which on they are valid.
+        The sides since the start of the run, with the states from which on they apply.
     corners
-        The corners so far.
+        The corners passed so far.
     """
 
     def __init__(
@@ -126,7 +128,7 @@ class SidedStepper(DifferentiatedStepper):
         return np.asarray(self._numbers[[condition.side for condition in self.conditions]])
 
     def set_sides(self, sides: np.ndarray) -> None:
-        """Use other sides."""
+        """Use the given sides from now on."""
         assert self.steps is not None
         places = [condition.side for condition in self.conditions]
         self._numbers[places] = self.workspace.scratch.law_values[places] = sides
@@ -170,8 +172,9 @@ class SidedStepper(DifferentiatedStepper):
         return stretch if theta > SAME else self.advance()
 
     def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
-        """Return the share of a step at which the first condition changes, and the index of the condition; None if no
-        condition changes.
+        """Return the share of a step at which the first condition changes, and the index of the condition.
+
+        None if no condition changes.
         """
         states = [self.inside(theta) for theta in PLACES[:-1]] + [step.between(1.0)]
         values = self._values([step.time(theta) for theta in PLACES], states)
@@ -180,7 +183,9 @@ class SidedStepper(DifferentiatedStepper):
         return min(found) if found else None
 
     def _root(self, step: StepTaken, wrong: np.ndarray, number: int) -> tuple[float, int] | None:
-        """Return where a condition changes; None if it does not, according to steps of the method."""
+        """Return the share of the step at which a condition changes; None if steps of the method show that it does not
+        change.
+        """
         side = float(self.sides[number])
 
         def value(theta: float) -> float:
@@ -236,15 +241,13 @@ class SidedStepper(DifferentiatedStepper):
         return np.array(values), np.array(slopes), np.array(rates)
 
     def _ahead(self, here: DifferentiatedStates) -> np.ndarray:
-        """Return the sides (C,) a little later."""
+        """Return the sides (C,) shortly after a state."""
         value, _, rate = self._conditions(here)
         later = value + AHEAD * float(self.timetable.step or 1.0) * rate
         return np.where(later >= 0.0, 1.0, -1.0)
 
     def _pass(self, number: int) -> None:
-        """Change the sides at a corner, and the derivatives of the velocities and energies by the formula for
-        discontinuities.
-        """
+        """Apply a corner: change the sides, and the derivatives of velocities and energies."""
         assert self.steps is not None
         before = self._here()
         _, slope, rate = self._conditions(before)

@@ -1,4 +1,4 @@
-"""The verdict on a result of inverse dynamics: the doubts about its data that the spec does not accept."""
+"""The verdict on a result of inverse dynamics, from the doubts about its data that the spec does not accept."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from mbdkit.trust.criteria import Evidence, Judgement, judge
 
 
 class DataDoubts(NamedTuple):
-    """What is implausible in data, as sentences that begin with the name of the criterion: what the spec does not
-    accept, and what it accepts.
+    """Doubts about data, as sentences that begin with the name of the criterion: doubts that the spec does not accept,
+    and doubts that it accepts.
     """
 
     open: tuple[str, ...] = ()
@@ -24,7 +24,7 @@ class DataDoubts(NamedTuple):
 
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
-    """Return what is implausible in the data of a result."""
+    """Return the doubts about the data of a result."""
     accepted = result.problem.spec.accept
     found = [*column_doubts(result), *load_doubts(result, bars)]
     texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in found]
@@ -39,7 +39,7 @@ def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubt
     misalignment
         (J,) largest misalignment of each joint [m].
     doubts
-        What is implausible in the data; the verdict mentions what is accepted.
+        The doubts about the data; the verdict also mentions the accepted ones.
     """
     joints = result.problem.prepared.workspace.mechanism.joints
     worst = int(np.argmax(misalignment)) if misalignment.size else 0

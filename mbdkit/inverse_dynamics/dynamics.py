@@ -1,10 +1,10 @@
-"""Forces of actuators and joints that produce a given motion: the solutions of the equations of motion in each frame.
+"""Forces of actuators and joints that produce a given motion, from the equations of motion in each frame.
 
     M a + Phi_q^T lambda = Q + Q_loads + B u
 
-with the values u of the actuators and the multipliers lambda as unknowns. The projection on the free directions N of
-the mechanism gives ``N^T B u = N^T (M a - Q - Q_loads)``; then lambda balances the remaining forces. There is no
-division by masses, so that bodies with little mass cause no large errors.
+The unknowns are the values u of the actuators and the multipliers lambda. The projection on the free directions N of
+the mechanism gives ``N^T B u = N^T (M a - Q - Q_loads)``; then lambda balances the remaining forces. Nothing is divided
+by masses, so that bodies with little mass cause no large errors.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.spec.named_actuators import NamedActuator
 
 WEAK = 1e-8
-"""A free direction counts as not driven if the effect of the actuators on it is below this share of the largest
-effect."""
+"""A free direction counts as not driven if the effect of the actuators on it, relative to the largest effect, is below
+this.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Dynamics:
     unbalanced
         (T, n) generalized forces that the actuators leave unbalanced.
     surplus
-        Number of actuators beyond the degrees of freedom that they drive.
+        Number of actuators minus the number of degrees of freedom that they drive.
     """
 
     value: np.ndarray
@@ -79,7 +80,7 @@ def solve_dynamics(
 
 
 class Balance:
-    """Solves for actuators and multipliers of a motion in T frames.
+    """Solves for the actuators and multipliers that produce a motion in T frames.
 
     Parameters
     ----------
@@ -97,7 +98,7 @@ class Balance:
     columns
         (T, n, U) generalized forces of unit actuators.
     effect
-        (T, f, U) their effect on the free directions, by the weights of the actuators.
+        (T, f, U) effect of unit actuators on the free directions, scaled by the weights of the actuators.
 
     Raises
     ------
@@ -115,11 +116,14 @@ class Balance:
         self._inverse: np.ndarray | None = None
 
     def solved(self, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return values (T, U), multipliers (T, m) and unbalanced forces (T, n) for needed forces (T, n)."""
+        """Return values (T, U), multipliers (T, m) and unbalanced forces (T, n) for the generalized forces `needed` (T,
+        n).
+        """
         inverse, effect = self._inverted(), self.effect
         right = (self._free @ needed[..., None])[..., 0]
         scaled = (inverse @ right[..., None])[..., 0]
-        scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]  # rounding errors
+        # removes rounding errors
+        scaled += (inverse @ (right - (effect @ scaled[..., None])[..., 0])[..., None])[..., 0]
         value = scaled / self._weight
         pushed = (self.columns @ value[..., None])[..., 0]
         left = right - (effect @ scaled[..., None])[..., 0]
@@ -128,7 +132,7 @@ class Balance:
         return value, self.directions.multipliers(pushed - needed), unbalanced
 
     def as_actuators(self, forces: np.ndarray) -> np.ndarray:
-        """Return the values (T, U, M) of actuators with the effect of generalized forces (T, n, M)."""
+        """Return the values (T, U, M) of actuators that have the same effect as generalized forces (T, n, M)."""
         values: np.ndarray = (self._inverted() @ (self._free @ forces)) / self._weight[:, None]
         return values
 
@@ -182,7 +186,7 @@ def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, motion: Mo
 
 
 def largest_unbalanced(dynamics: Dynamics, bodies: Sequence[str]) -> str:
-    """Return a clause on the largest unbalanced force and torque, with their bodies."""
+    """Return a clause that gives the largest unbalanced force and torque, with their bodies."""
     parts = np.abs(dynamics.unbalanced).reshape(len(dynamics.unbalanced), -1, 3)
     force, torque = np.hypot(parts[..., 0], parts[..., 1]).max(axis=0), parts[..., 2].max(axis=0)
     return (

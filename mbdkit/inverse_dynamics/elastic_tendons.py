@@ -1,4 +1,4 @@
-"""Recruitment of muscles with elastic tendons: fibres and tendons are in equilibrium, frame after frame.
+"""Recruitment of muscles with elastic tendons, whose fibres and tendons are in equilibrium; frames are solved in order.
 
 The tension F of a muscle determines the length of its tendon, and thus the length l(F) of its fibres. The velocity of
 the fibres is the change of l since the previous frame, divided by the time between both frames. The activation with
@@ -6,9 +6,10 @@ which they exert the tension is
 
     a(F) = (F / (max_force cos(alpha)) - f_passive(l)) / (f_active(l) f_velocity(v))
 
-The optimum of each frame is that of the tensions a(F). It is found by convex programmes in which F is linear in a, with
-the slope at the activations that the previous programme found. Once two programmes find the same activations, the
-conditions of optimality are those of the problem itself. In the first frame, tendons have constant lengths.
+In each frame, the cost of the activations a(F) is minimised over the tensions F. The minimum is found by a sequence of
+convex programmes in which F is linear in a; the slope is that at the activations found by the previous programme. Once
+two programmes find the same activations, the optimality conditions of the programme are those of the original problem.
+In the first frame, tendons have constant lengths.
 """
 
 from __future__ import annotations
@@ -23,24 +24,28 @@ from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.force_curves import CURVES
 
 ITERATIONS = 60
-"""Largest number of programmes of one frame; 4 to 8 are usual."""
+"""Largest number of programmes for one frame; 4 to 8 are usual."""
 SETTLED = 1e-12
-"""Change of the tensions, in `max_force`, at which the programmes of a frame end."""
+"""The programmes of a frame end when the change of the tensions, relative to `max_force`, is below this."""
 FARTHEST = 0.2
-"""Largest change of a tension from one programme to the next, in `max_force`."""
+"""Largest change of a tension from one programme to the next, relative to `max_force`."""
 LEAST = 1e-9
-"""Least tension, in `max_force`, also of muscles whose fibres are too short to exert any."""
+"""Smallest tension, relative to `max_force`; it is also assumed for muscles whose fibres are too short to exert a
+force.
+"""
 WEAK = 1e-6
-"""Active force at full activation, in `max_force`, below which fibres exert none."""
+"""Fibres whose active force at full activation, relative to `max_force`, is below this count as unable to exert a
+force.
+"""
 SMALLEST = 0.05
-"""Smallest share of a change of the tensions that is made."""
+"""Smallest share of a change of the tensions that is applied."""
 SLOWEST, STRONGEST = 0.05, 1.5
-"""Least factor of force by velocity, and largest activation, that programmes use."""
+"""Smallest factor of the force-velocity curve, and largest activation, that programmes use."""
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Muscles with tensions F, all arrays (M,).
+    """Equilibrium of M muscles with tensions F; all arrays are (M,).
 
     Attributes
     ----------
@@ -49,9 +54,9 @@ class Equilibrium:
     length, rate
         Lengths of the fibres [m] and their rates [m/s].
     activation, stiffness
-        Activations with which the fibres exert the tensions, and derivatives of the tensions by them [N].
+        Activations with which the fibres exert the tensions, and derivatives of the tensions by the activations [N].
     by_velocity
-        Factors of force by velocity; zero where fibres exert no active force at any activation.
+        Factors of the force-velocity curve; zero where fibres exert no active force at any activation.
     """
 
     tension: np.ndarray
@@ -63,7 +68,7 @@ class Equilibrium:
 
     @property
     def offset(self) -> np.ndarray:
-        """Tensions of the linear functions of the activations where these are zero [N]."""
+        """Tensions at zero activation of the linear functions that approximate the tensions [N]."""
         return np.asarray(self.tension - self.stiffness * self.activation)
 
 
@@ -87,7 +92,7 @@ class ElasticMuscles:
         self._speed = self._optimal * np.array([one.max_velocity for one in self._muscles])
 
     def _curve(self, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the values of a curve of each muscle and its slopes, for one argument each."""
+        """Return the values and slopes of a curve of the muscles, each at its own argument."""
         value, slope = np.empty_like(x), np.empty_like(x)
         for kind in dict.fromkeys(one.curves for one in self._muscles):
             own = np.array([one.curves == kind for one in self._muscles])
@@ -104,7 +109,7 @@ class ElasticMuscles:
         path, rate
             Lengths of the paths and their rates.
         before, step
-            Lengths of the fibres in the frame before, and the time since then; None in the first frame.
+            Lengths of the fibres in the previous frame, and the time since then; None in the first frame.
         """
         share = tension / self.max_force
         stretch, compliance = self._curve("stretch", share)
@@ -141,7 +146,9 @@ class ElasticMuscles:
         step: float,
         rate: np.ndarray,
     ) -> Equilibrium:
-        """Return an equilibrium with these tensions, or nearer to `start` where fibres cannot exert them; see `at`."""
+        """Return the equilibrium with these tensions; if fibres cannot exert them, with tensions nearer to `start`. See
+        `at`.
+        """
         found = self.at(tension, path, before, step, rate)
         for _ in range(60):
             is_beyond = (found.by_velocity < SLOWEST) | (found.activation > STRONGEST)
@@ -163,9 +170,9 @@ class ElasticMuscles:
 
 
 def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
-    """Return the share of a change that is made, by Aitken's method, from the share of the last change.
+    """Return the share of a change that is applied, by Aitken's method, from the share of the last change.
 
-    Curves of force by velocity bend sharply where fibres begin to lengthen, so that whole changes would alternate.
+    Force-velocity curves bend sharply where fibres begin to lengthen, so that full changes would alternate.
     """
     bend = last - change
     if not np.any(last) or not np.any(bend):
@@ -174,14 +181,16 @@ def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
 
 
 Share = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
-"""Returns the activations (M,) of a frame with tensions that are linear in them, from the slopes and the tensions at
-zero; nan where there is no solution."""
+"""Function that returns the activations (M,) of a frame; nan if there is no solution.
+
+Tensions are linear in the activations. The arguments are the frame, the slopes, and the tensions at zero activation.
+"""
 
 
 def in_equilibrium(
     elastic: ElasticMuscles, time: np.ndarray, path: np.ndarray, rate: np.ndarray, share: Share
 ) -> list[Equilibrium]:
-    """Return the equilibrium in each of T frames with the optimal tensions.
+    """Return the equilibrium with the optimal tensions in each of T frames.
 
     Parameters
     ----------
@@ -191,7 +200,7 @@ def in_equilibrium(
     Raises
     ------
     RunError
-        If a tendon is longer than its path, or the programmes of a frame do not agree.
+        If a tendon is longer than its path, or the programmes of a frame do not converge.
     """
     elastic.require_room(time, path)
     found: list[Equilibrium] = []

@@ -1,13 +1,13 @@
 """Error bars of the results of inverse dynamics: from noise of the data, and the choice of cutoff and coordinates.
 
-Noise is Gaussian and independent from sample to sample. Samples of it, passed through the linearised fit and the
-smoothing, give the covariance of coordinates, rates and accelerations in each frame; derivatives of the dynamics by
-central differences give the covariance of the forces. Loads are not smoothed, so that their noise is added to this
-covariance unchanged. The effect of the cutoff is added by root sum of squares: the mean of the squared changes of the
-result with a lower and a higher cutoff, minus the mean square change caused by noise alone. The effect of the choice of
-independent coordinates is added in the same way, unless they are the measured quantities: the squared change of the
-result if others are smoothed, minus the mean square of this change due to noise. Properties of muscles that are not
-known exactly are drawn at random; the mean squares of the changes are added.
+Noise is assumed to be Gaussian and independent from sample to sample. Samples of noise, passed through the linearised
+fit and the smoothing, give the covariance of coordinates, rates and accelerations in each frame. Derivatives of the
+dynamics by central differences then give the covariance of the forces. Loads are not smoothed, so that their noise is
+added to this covariance unchanged. The effect of the cutoff is added by root sum of squares: the mean of the squared
+changes of the result with a lower and a higher cutoff, minus the mean square change caused by noise alone. The effect
+of the choice of independent coordinates is added in the same way, unless these are the measured quantities: the squared
+change of the result if other coordinates are smoothed, minus the mean square of this change due to noise. Uncertain
+properties of muscles are drawn at random, and the mean squares of the changes are added.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from mbdkit.spec.inverse_sections import ErrorBars as Asked
 from mbdkit.spec.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
 LEVEL = 0.95
-"""Probability that an error stays below its bar."""
+"""Probability that an error is smaller than its bar."""
 
 CUTOFFS = (0.8, 1.25)
-"""Factors of the cutoff between which the result is compared."""
+"""Factors of the cutoffs with which the result is compared."""
 
 
 LOAD_UNITS = {"force": "N", "point": "m", "torque": "N m"}
@@ -65,8 +65,9 @@ class ErrorBars:
 
 @dataclass(frozen=True)
 class _Outcome:
-    """Results that have error bars: actuators (T, U), reactions (T, J, 3), positions and velocities (T, B, 3), muscles
-    (T, M).
+    """The quantities that have error bars.
+
+    Actuators (T, U), reactions (T, J, 3), positions and velocities (T, B, 3), and muscles (T, M).
     """
 
     actuators: np.ndarray
@@ -84,7 +85,7 @@ class _Outcome:
 
 
 class _Response:
-    """Computes the outcome of series of independent coordinates that are near those of a result."""
+    """Computes the outcome for series of independent coordinates close to those of the result."""
 
     def __init__(self, result: Inverse, independent: Independent):
         self.result, self.independent = result, independent
@@ -119,7 +120,7 @@ def error_bars(result: Inverse) -> ErrorBars | None:
         return None
     recruiter = problem.recruiter
     if recruiter is not None and recruiter.couples_frames:
-        return None  # noise in one frame changes other frames, which covariances of single frames leave out
+        return None  # noise in one frame changes other frames, which is not part of the covariances of single frames
     random = np.random.default_rng(asked.seed)
     measured, times = fitted.measured, result.motion.time
     coordinates = independent.quantities.values(fitted.q)
@@ -162,7 +163,7 @@ def _covariances(
 ) -> list[np.ndarray]:
     """Return covariances (T, 3 U, 3 U), due to noise, of the coordinates, their rates and accelerations in each frame.
 
-    The first is that of the result; each further one is that of the change of the coordinates by one of `others`.
+    The first is that of the result; the others are those of the changes of the coordinates by each of `others`.
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
     for noise in path.samples(deviation, asked.samples, random):
@@ -173,7 +174,7 @@ def _covariances(
 
 
 def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) -> list[np.ndarray]:
-    """Return the derivatives (3 U, ...) of each part of the outcome, by central differences over the deviations."""
+    """Return the derivatives (3 U, ...) of each quantity of the outcome, by central differences over the deviations."""
     parts = (series.value, series.rate, series.acceleration)
     count = series.value.shape[1]
     typical = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
@@ -193,7 +194,7 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
 def _with_loads(
     result: Inverse, sensitivity: list[np.ndarray], covariance: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the derivatives of each part of the outcome, and the covariance, both including the noise of the loads.
+    """Return the derivatives of each quantity of the outcome, and the covariance, including the noise of the loads.
 
     Each of the C noisy components of loads is a further variable in each frame, independent of the others and of the
     motion.
@@ -202,7 +203,8 @@ def _with_loads(
     deviations, columns = [], []
     for name, series in problem.loads.items():
         for component, deviation in series.deviation.items():
-            loads = problem.loads | {name: series.moved(component, deviation)}  # the outcome is linear in each one
+            # the outcome is linear in each component
+            loads = problem.loads | {name: series.moved(component, deviation)}
             with_noise = replace(problem, loads=loads)
             moved = forces_of(with_noise, result.fitted, result.independent, result.motion, strict=False)
             columns.append([part / deviation for part in _outcome(moved).minus(base).parts])
@@ -218,10 +220,10 @@ def _with_loads(
 
 
 def _muscle_squares(result: Inverse, random: np.random.Generator) -> list[np.ndarray] | None:
-    """Return the squared bounds of all parts, in the order of `_bounds`, due to the properties of the muscles.
+    """Return the squared bounds of all quantities due to uncertain properties of muscles, in the order of `_bounds`.
 
-    Samples with muscles that cannot produce a frame do not count there; where these are more than half of the samples,
-    the bounds are nan. None if the properties count as exact.
+    A sample is ignored in frames that its muscles cannot produce. In frames in which these are more than half of the
+    samples, the bounds are nan. None is returned if the properties count as exact.
     """
     base, factor = _outcome(result), chi2.ppf(LEVEL, 1)
     unknown = tuple(np.full_like(part, np.nan) for part in base.parts)
@@ -250,9 +252,7 @@ def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.nd
 
 
 def _squares(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
-    """Return the mean squares, due to noise, of actuators, norms of forces, torques, positions, velocities and
-    muscles.
-    """
+    """Return the mean squares, due to noise, of actuators, force norms, torques, positions, velocities and muscles."""
     actuators, reactions, position, velocity, muscles = sensitivity
     x, y, torque = (_product(moveaxi, moveaxi, covariance) for moveaxi in np.moveaxis(reactions, -1, 0))
     own, place, rate, pull = (_product(one, one, covariance) for one in (actuators, position, velocity, muscles))
@@ -268,8 +268,8 @@ def _product(a: np.ndarray, b: np.ndarray, covariance: np.ndarray) -> np.ndarray
 def _norm_bound(xx: np.ndarray, yy: np.ndarray, xy: np.ndarray) -> np.ndarray:
     """Return the bound of the norm of a Gaussian vector with these covariances.
 
-    The squared norm is taken as a multiple of chi-square with the same mean and variance (Welch and Satterthwaite),
-    which is exact for errors along a line and for errors that are equal in all directions.
+    The squared norm is approximated by a multiple of a chi-square variable with the same mean and variance (Welch and
+    Satterthwaite). This is exact for errors along a line and for errors that are equal in all directions.
     """
     mean, square = xx + yy, xx**2 + yy**2 + 2 * xy**2
     safe = np.where(mean > 0, mean, 1.0)
@@ -280,12 +280,12 @@ def _norm_bound(xx: np.ndarray, yy: np.ndarray, xy: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Other:
-    """Another way to smooth the data.
+    """Another way to smooth the data, for comparison with that of the result.
 
     Attributes
     ----------
     name
-        What is different, for the description.
+        The difference from the result, for the description.
     noise
         Function from noise (T, K, S) of the data to the changes (T, U, S) of the coordinates of the result.
     change
@@ -298,14 +298,14 @@ class _Other:
 
     @classmethod
     def of(cls, name: str, noise: Callable[[np.ndarray], Smoothed], outcome: _Outcome, base: _Outcome) -> _Other:
-        """Return another way of smoothing, from its outcome and the outcome `base` of the result."""
+        """Return another way of smoothing, given its outcome and the outcome `base` of the result."""
         one = outcome.minus(base)
         force, torque = np.linalg.norm(one.reactions[..., :2], axis=2), one.reactions[..., 2]
         return cls(name, noise, [one.actuators, force, torque, one.position, one.velocity, one.muscles])
 
 
 def _other_cutoffs(response: _Response, path: NoisePath, coordinates: np.ndarray, how: list[Smoothing]) -> list[_Other]:
-    """Return the other cutoffs that the sampling rate allows."""
+    """Return smoothings with the other cutoffs that the sampling rate allows."""
     times, base = response.result.motion.time, _outcome(response.result)
     found = []
     for factor in CUTOFFS:
@@ -321,9 +321,9 @@ def _other_cutoffs(response: _Response, path: NoisePath, coordinates: np.ndarray
 
 
 def _other_coordinates(response: _Response) -> list[_Other]:
-    """Return the smoothing of other quantities, unless the result smooths the measured quantities themselves.
+    """Return the smoothing of other quantities; none if the result smooths the measured quantities themselves.
 
-    The coordinates of the result follow from the poses that fit the smoothed quantities best, and are differentiated.
+    With other quantities, the coordinates of the result follow from the poses that fit the smoothed quantities best.
     """
     result, quantities = response.result, response.independent.quantities
     problem, fitted = result.problem, result.fitted
@@ -340,7 +340,7 @@ def _other_coordinates(response: _Response) -> list[_Other]:
     try:
         q = motion_of_series(problem.fitter, other, times, result.motion.q, series).q
         outcome = response(smoothed(times, quantities.values(q), QuinticSpline()))
-    except RunError:  # no pose fits the smoothed quantities, so that the effect of the choice is unknown
+    except RunError:  # no pose fits the smoothed quantities, and the effect of the choice is unknown
         outcome = _Outcome(*(np.full_like(part, np.nan) for part in base.parts))
     noise = partial(NoisePath(result, other, how).smoothed_as, quantities)
     return [_Other.of(_some(other.names), noise, outcome, base)]

@@ -21,17 +21,18 @@ STAGNANT = 1e-8
 """Scaled step below which an iteration may end if its steps no longer decrease."""
 
 SETTLED = 0.03
-"""Scaled step below which the pose of a key frame is accurate enough as a start for other frames."""
+"""Scaled step below which the pose of a key frame is accurate enough to start the fit of other frames."""
 
 LONGEST = 0.5
-"""Longest scaled step of an iteration, and longest change of the pose between key frames."""
+"""Largest scaled step of an iteration, and largest change of the pose between key frames."""
 
 KEYS = 50
-"""Smallest number of key frames, which are fitted one after the other; more are used if the pose changes much."""
+"""Smallest number of key frames, which are fitted one after the other; there are more if the pose changes much."""
 
 UNSEEN = 1e-7
-"""A direction counts as not observed if its effect on the data is below this share of the effect of the best observed
-direction."""
+"""A direction counts as not observed if its effect on the data, relative to that of the best observed one, is below
+this.
+"""
 
 MOVES = 1e-3
 """A coordinate is named in messages if its component is at least this share of the largest one."""
@@ -98,7 +99,7 @@ class Fitter:
         return q[0], first.values[0]
 
     def poses(self, target: Target, first: np.ndarray) -> np.ndarray:
-        """Return the poses (T, n) that fit a target best, beginning with the pose `first` (n,).
+        """Return the poses (T, n) that fit a target best; `first` (n,) is the pose of the first frame.
 
         Key frames are fitted one after the other, each starting from the pose of the previous one. The frames between
         them are fitted together, starting from interpolated poses.
@@ -141,7 +142,7 @@ class Fitter:
         return q[0], float(self._size(q - start)[0])
 
     def _converged(self, target: Target, start: np.ndarray) -> np.ndarray:
-        """Return the poses at which the iteration has converged; all frames at once."""
+        """Return the poses at which the iteration has converged; all frames are computed together."""
         q, active, before = start.copy(), np.arange(len(start)), np.full(len(start), np.inf)
         for _ in range(MOST_ITERATIONS):
             step = self._step(target.rows(active), q[active])
@@ -210,7 +211,9 @@ class Fitter:
         )
 
     def names_of(self, moves: np.ndarray) -> str:
-        """Return the bodies, with their coordinates, whose scaled components `moves` (n,) are not small."""
+        """Return the names of the bodies, with their coordinates, whose scaled components `moves` (n,) are not
+        small.
+        """
         parts = moves.reshape(-1, 3) > MOVES * np.max(moves)
         words = ("x", "y", "angle")
         found = [
@@ -222,17 +225,20 @@ class Fitter:
 
 
 PLACINGS = 4
-"""Number of Gauss-Newton steps from the fitted pose, which is so close that few are needed."""
+"""Number of Gauss-Newton steps from the fitted poses, which are close to the solution."""
 
 PLACED = 1e-14
-"""Scaled step below which positions are exact to round-off."""
+"""Positions count as exact to round-off if the scaled step is below this."""
 
 NEGLIGIBLE = 1e-9
-"""A direction counts as not observed by the data below this share of the largest singular value of their Jacobian."""
+"""A direction counts as not observed if its singular value, relative to the largest one of the Jacobian, is below
+this.
+"""
 
 BLIND = 1e-6
-"""The residual of a constraint row counts as undetermined if more than this share of the row is not observed by the
-data."""
+"""The residual of a constraint row counts as undetermined if the data do not observe more than this share of the
+row.
+"""
 
 
 def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: Target, q: np.ndarray) -> np.ndarray:

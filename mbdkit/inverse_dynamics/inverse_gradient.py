@@ -1,9 +1,8 @@
 """`inverse_gradient`: measures of inverse dynamics and their derivatives by parameters, without integration.
 
-The motion is part of the preparation (`mbdkit.gradients.parameter_differences`): if it depends on a parameter, such as
-a length, it is fitted again for other values of this parameter. The derivatives of the forces that produce it are
-exact. With the motion, the loads and the actuators u, differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u``
-gives
+The motion is part of the preparation (`mbdkit.gradients.parameter_differences`): if the motion depends on a parameter,
+such as a length, it is fitted again for other values of this parameter. The derivatives of the forces that produce the
+motion are exact: differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` by a parameter p gives
 
     B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
 
@@ -56,7 +55,7 @@ from mbdkit.stepping.differentiated_stepper import dual_laws
 from mbdkit.stepping.dual_run import Seeds, constants, dual_states, new_dual_run
 
 WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-item]
-"""Leaves out the error bars of inverse dynamics, which take ten times as long and which measures do not need."""
+"""Settings that leave out error bars, which measures do not need, and which take ten times as long as the rest."""
 
 
 def inverse_gradient(
@@ -146,9 +145,9 @@ def _measured(spec: InverseSpec, definitions: Definitions) -> list[float]:
 
 
 def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> None:
-    """Raise SpecError if the actuators are not determined by the motion, and the motion depends on a parameter.
+    """Raise SpecError if the motion does not determine the actuators and also depends on a parameter.
 
-    The share of each actuator then changes with the directions in which they act.
+    The share of each actuator would then change with the directions in which the actuators act.
     """
     problem = result.problem
     if not result.dynamics.surplus and len(problem.actuators) == problem.fitter.manifold.freedoms:
@@ -165,7 +164,7 @@ def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], pre
 
 
 class _Frames:
-    """The frames of a result with the derivatives by up to `DIRECTIONS` parameters.
+    """The frames of a result, with derivatives by up to `DIRECTIONS` parameters.
 
     Parameters
     ----------
@@ -231,7 +230,8 @@ class _Frames:
         value
             (T, U, K) derivatives of the values of the actuators without muscles.
         lack
-            Lack of forces with the derivatives at constant multipliers of the result with muscles.
+            Unbalanced generalized forces, ground last, with their derivatives at constant multipliers of the result
+            with muscles.
         """
         recruiter, balance = self.result.problem.recruiter, self._balance
         assert recruiter is not None
@@ -250,7 +250,9 @@ class _Frames:
         )
 
     def _slope(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """Return the derivatives (..., K) of an array of the motion; zeros if it has none."""
+        """Return the derivatives (..., K) of an array of the motion; zeros if the array does not depend on
+        parameters.
+        """
         found = self.seeds.get(name)
         return np.zeros((*shape, self.seeds.count)) if found is None else found
 

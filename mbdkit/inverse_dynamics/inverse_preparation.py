@@ -1,4 +1,4 @@
-"""The preparation of inverse dynamics, the motion and the muscles included, with other values of a parameter."""
+"""The preparation of inverse dynamics, including motion and muscles, for other values of a parameter."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ from mbdkit.spec import InverseSpec
 from mbdkit.spec.varied_specs import varied_inverse
 
 MOTION = ("motion.q", "motion.v", "motion.a", "motion.columns", "motion.loads", "motion.weights")
-"""Arrays of a motion: positions, velocities and accelerations (T, n), generalized forces of unit actuators (T, n, U)
-and of the loads (T, n), and weights of the actuators (U,)."""
+"""Names of the arrays of a motion.
+
+Positions, velocities and accelerations (T, n), generalized forces of unit actuators (T, n, U) and of the loads (T, n),
+and weights of the actuators (U,).
+"""
 
 
 class InversePreparation(Preparation):
-    """Prepares a spec of inverse dynamics, the motion included, with other values of a parameter."""
+    """Prepares a spec of inverse dynamics, including the motion, with other values of a parameter."""
 
     ROUNDED = MOTION[:3]
 
@@ -62,7 +65,7 @@ class InversePreparation(Preparation):
         return {**self.mechanism_arrays(mechanism), **motion, **muscles, **numbers}
 
     def _moved(self, problem: InverseProblem, parameter: Parameter) -> Motion:
-        """Return the motion of a mechanism with another value of a parameter."""
+        """Return the motion of the mechanism with another value of a parameter."""
         independent, motion = motion_of(problem, fit(problem))
         own = self.result.independent
         if own is not None and independent is not None and own.intervals != independent.intervals:
@@ -74,7 +77,9 @@ class InversePreparation(Preparation):
         return motion
 
     def _moves_alike(self, other: InverseProblem) -> bool:
-        """Return whether a mechanism has the same motion: the same joints, observed quantities and actuators."""
+        """Return whether a mechanism has the same motion, because its joints, observed quantities and actuators are the
+        same.
+        """
         own = self.result.problem
         a, b = (one.prepared.workspace.mechanism for one in (own, other))
         driven = bool(np.any(a.topology.pairs[:, 3] >= 0))

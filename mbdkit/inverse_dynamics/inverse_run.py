@@ -1,4 +1,7 @@
-"""`inverse`: inverse dynamics of a spec as an archive: the groups of a run, and motion, actuators and loads."""
+"""`inverse`: computes the inverse dynamics of a spec, and returns or writes them as an archive.
+
+The archive has the groups of a run, and those of motion, actuators and loads.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +31,9 @@ def inverse(
 ) -> Run:
     """Compute the forces of actuators and joints that produce a measured motion.
 
-    The mechanism is fitted to the measured columns at each time, with its constraints satisfied to round-off; the
-    fitted motion is smoothed as the spec says; and the equations of motion are solved for the values of the actuators
-    and the reactions of the joints.
+    The mechanism is fitted to the measured columns at each time, with its constraints satisfied to round-off. The
+    fitted motion is smoothed according to the spec. Then the equations of motion are solved for the values of the
+    actuators and the reactions of the joints.
 
     Parameters
     ----------
@@ -38,7 +41,7 @@ def inverse(
         A file, a mapping, or an InverseSpec. Names of data files are relative to the folder of the spec, or to the
         current folder.
     archive
-        File to which the result is written; by default, it is kept in memory.
+        File to which the result is written; by default, it stays in memory.
     overwrite
         Whether an existing archive may be replaced.
     **sections
@@ -84,7 +87,7 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     Parameters
     ----------
     path
-        Final name of the archive; None keeps it in memory.
+        Final name of the archive; None for an archive in memory.
     overwrite
         Whether an existing archive may be replaced.
     """
@@ -92,7 +95,7 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     if path is not None:
         check_target(path, overwrite=overwrite)
     problem = InverseProblem.of(spec)
-    check_measures(spec)  # error bars of joints are written after those of the actuators, on which they depend
+    check_measures(spec)  # the error bars of joints depend on those of the actuators, which are written first
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     with one_thread_of_linear_algebra():
         result = compute(problem)

@@ -14,38 +14,52 @@ from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate, 
 from mbdkit.spec.named_actuators import free_roots
 
 OUTSIDE = 0.25
-"""Distance of a point of application from the outline of its body, as a share of the body's extent, from which it is
-implausible."""
+"""A point of application is implausible if its distance from the outline of its body exceeds this share of the body's
+extent.
+"""
 
 OFTEN = 0.1
-"""Share of the force, summed over time, that must act outside the outline."""
+"""Share of the force, summed over time, that must act outside the outline to cause a doubt."""
 
 ROD = np.sqrt(3.0)
-"""Half the length of a uniform rod by its radius of gyration: the least extent of a body around its centre of mass."""
+"""Half the length of a uniform rod, divided by its radius of gyration: smallest extent of a body around its centre of
+mass.
+"""
 
 UNLOADED, LEAST_OFFSET = 0.1, 0.005
-"""A plate counts as unloaded in the rows in which its force is below the first share of its peak, if they are at least
-the same share of all rows. It has an offset if the median of the force in these rows exceeds the second share of the
-peak, and five times its scatter."""
+"""Limits for the offset of a plate.
+
+The plate counts as unloaded in rows in which its force is below the first share of its peak, if at least the same share
+of all rows is unloaded. The plate has an offset if the median of the force in these rows exceeds the second share of
+the
+peak, and five times the scatter of the force.
+"""
 
 FORCE, MOMENT = 0.05, 0.02
-"""Residual forces and moments from which the balance is doubtful, as shares of the largest load, and of that load times
-the height of the mechanism. J. L. Hicks et al. (Journal of Biomechanical Engineering 137, 2015, 020905) recommend at
-most 0.05 for peak forces, and 0.01 for the root mean square of moments."""
+"""Residual forces and moments from which the balance is doubtful.
+
+They are relative to the largest load, and to that load times the height of the mechanism. J. L. Hicks et al. (Journal
+of
+Biomechanical Engineering 137, 2015, 020905) recommend at most 0.05 for peak forces, and 0.01 for the root mean square
+of
+moments.
+"""
 
 NOISY = 0.8
-"""Ratio of the root mean square of a residual to that of its error bar above which noise does not explain the residual;
-noise alone gives 0.5."""
+"""Noise does not explain a residual if its root mean square exceeds this share of that of its error bar.
+
+Noise alone gives a ratio of 0.5.
+"""
 
 EXPLAINS = 0.3
-"""Ratio by which a change of the loads must reduce the residual forces to be named as their cause."""
+"""A change of the loads is named as the cause of residual forces if it reduces them to at most this share."""
 
 LATEST = 0.1
-"""Largest delay of a load that is looked for [s]."""
+"""Largest delay of a load that is considered [s]."""
 
 
 def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
-    """Yield the doubts about measured loads."""
+    """Yield doubts about measured loads."""
     outlines = _outlines(result)
     for index, (name, load) in enumerate(result.problem.spec.loads.items()):
         if load.is_plate:
@@ -57,7 +71,7 @@ def load_doubts(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
 
 
 def _outlines(result: Inverse) -> np.ndarray:
-    """Return the smallest and largest x and y, (B, 2, 2), of the known points of each body in its frame."""
+    """Return the smallest and largest x and y, (B, 2, 2), of the known points of each body in the frame of the body."""
     mechanism = result.problem.names.mechanism
     points: dict[str, list[tuple[float, float]]] = {name: [] for name in mechanism.bodies}
     for joint in mechanism.joints.values():
@@ -75,7 +89,9 @@ def _outlines(result: Inverse) -> np.ndarray:
 
 
 def _outside(result: Inverse, index: int, body: int, outline: np.ndarray) -> np.ndarray:
-    """Return the distance (T,) of the point of a load from the outline of a body, as a share of the body's extent."""
+    """Return the distance (T,) of the point of application of a load from the outline of a body, relative to the body's
+    extent.
+    """
     q, place = result.motion.q, 3 * body
     x, y = (result.loads.point[:, index] - q[:, place : place + 2]).T
     c, s = np.cos(q[:, place + 2]), np.sin(q[:, place + 2])
@@ -147,7 +163,7 @@ def _balance(result: Inverse, bars: ErrorBars | None) -> Iterator[Doubt]:
     residual, noise = _residual_wrench(result, roots[0], bars)
     height = max(result.problem.fitter.manifold.length, float(np.mean(np.ptp(result.motion.q[:, 1::3], axis=1))))
     limits = np.array([FORCE, FORCE, MOMENT * height]) * largest
-    ends = len(residual) // 20  # derivatives are inaccurate there
+    ends = len(residual) // 20  # derivatives are inaccurate at the ends
     inside = slice(ends, len(residual) - ends)
     beyond = np.mean(residual[inside] ** 2, axis=0) > NOISY**2 * np.mean(noise[inside] ** 2, axis=0)
     over = beyond & (np.quantile(np.abs(residual)[inside], 0.95, axis=0) > limits)
@@ -179,14 +195,14 @@ def _residual_wrench(result: Inverse, root: str, bars: ErrorBars | None) -> tupl
 
 
 def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) -> str:
-    """Return the change of the loads that explains most of the residual forces and moments, as a sentence.
+    """Return a sentence that names the change of the loads that explains most of the residual forces and moments.
 
     Parameters
     ----------
     residual
-        (T, 3) residual forces, and moment about the root by the height of the mechanism.
+        (T, 3) residual forces, and residual moment about the root divided by the height of the mechanism.
     inside
-        Rows without the ends.
+        The rows except those at the ends.
     """
     time, loads = result.motion.time, result.loads
     root = result.problem.names.body(free_roots(result.problem.names.mechanism)[0], "model")

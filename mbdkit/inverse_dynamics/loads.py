@@ -21,7 +21,7 @@ from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Load
 
 Component: TypeAlias = tuple[Literal["force", "point", "torque"], int | None]
-"""An array of a `LoadSeries`, and the axis of its component."""
+"""A component of a `LoadSeries`: name of the array, and index along its last axis."""
 
 
 @dataclass(frozen=True)
@@ -33,20 +33,20 @@ class LoadSeries:
     time
         (R,) [s].
     body
-        Number of the body that it acts on.
+        Index of the body on which the load acts.
     force
         (R, 2) force in the global frame [N].
     point
         (R, 2) point of application in the frame of `frame` [m]; None for the body's centre of mass.
     frame
-        Number of the body in whose frame the point is given, `GROUND` for the global frame.
+        Index of the body in whose frame the point is given, `GROUND` for the global frame.
     torque
         (R,) free torque [N m].
     is_cubic
-        Whether values between these times are those of a cubic spline instead of straight lines.
+        Whether values between these times are interpolated by a cubic spline instead of straight lines.
     deviation
-        Standard deviations of the noise in SI units, for the components that have one: ("force", 0) is that of the
-        x component of the force, ("torque", None) that of the torque.
+        Standard deviations of the noise in SI units, for the components with noise. The keys are components, such as
+        ("force", 0) for the x component of the force and ("torque", None) for the torque.
     """
 
     time: np.ndarray
@@ -77,7 +77,7 @@ class LoadSeries:
 
     @property
     def acts(self) -> np.ndarray:
-        """(R,) whether the load acts: its force or torque is not zero. That of a foot in the air does not act."""
+        """(R,) whether the load acts, that is, whether its force or torque is not zero."""
         return np.asarray(np.any(self.force != 0, axis=1) | (self.torque != 0))
 
     def at(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ class Loads:
     Attributes
     ----------
     names, bodies
-        Names of the loads, and of the bodies that they act on.
+        Names of the loads, and of the bodies on which they act.
     force, point, torque
         (T, L, 2) [N], (T, L, 2) in the global frame [m], (T, L) [N m].
     generalized
@@ -122,7 +122,7 @@ def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None)
     Parameters
     ----------
     of_motion
-        The table of the motion, from which loads without their own `file` or `data` are read.
+        The table of the motion. Loads without their own `file` or `data` are read from it.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_mo
 
 
 def _deviation(table: Table, column: ColumnOfTable | float, unit: str) -> float:
-    """Return the standard deviation of the noise of a column in the SI `unit`, 0 if none is stated."""
+    """Return the standard deviation of the noise of a column in the SI `unit`; 0 if none is stated."""
     if isinstance(column, float) or column.deviation is None:
         return 0.0
     return abs(unit_factor(column, table, unit, "loads")) * column.deviation
@@ -175,7 +175,8 @@ def _required(
     Parameters
     ----------
     needed
-        (R,) rows in which the value matters; others may be missing, such as the point of application of a zero force.
+        (R,) rows in which the value is needed. Other rows may lack it, such as the point of application where the force
+        is zero.
     """
     if isinstance(column, float):
         return np.full(len(table), column)
@@ -195,7 +196,7 @@ def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str
     Raises
     ------
     SpecError
-        If a load is not known during the whole motion.
+        If the data of a load do not cover the whole motion.
     """
     time, q, v = motion.time, motion.q, motion.v
     count = len(series)

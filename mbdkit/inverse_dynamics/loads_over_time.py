@@ -1,13 +1,14 @@
-"""How muscles share loads if activations change no faster than activation dynamics allow.
+"""Recruitment of muscles whose activations change no faster than activation dynamics allow.
 
-The programmes of all frames then form one convex programme. First-order dynamics with time constants of rising and
-falling activation, and excitations between 0 and 1, allow from one frame to the next, after the time h,
+The programmes of all frames then form a single convex programme. Activations follow first-order dynamics with time
+constants of rise and fall, and excitations are between 0 and 1. From one frame to the next, after the time h, this
+allows
 
-    a_next >= a exp(-h / fall),    1 - a_next >= (1 - a) exp(-h / rise),
+    a_next >= a exp(-h / fall),    1 - a_next >= (1 - a) exp(-h / rise).
 
-which are linear, as in F. De Groote et al., Computer Methods in Biomechanics and Biomedical Engineering 12:563-574,
-2009, where they are stated for derivatives. A primal-dual interior-point method with Mehrotra's corrector finds the
-inequalities that hold with equality; Newton's method with these as equations then removes its error.
+These inequalities are linear, as those for derivatives in F. De Groote et al., Computer Methods in Biomechanics and
+Biomedical Engineering 12:563-574, 2009. A primal-dual interior-point method with Mehrotra's corrector determines which
+inequalities hold with equality; Newton's method with these as equations then removes its error.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ from scipy.sparse.linalg import splu
 from mbdkit.inverse_dynamics.shared_loads import SOLVED, Programme, Shared
 
 ITERATIONS = 80
-"""Iterations of the interior-point method; 15 to 25 are usual."""
+"""Largest number of iterations of the interior-point method; 15 to 25 are usual."""
 GAP = 1e-13
-"""Mean product of slacks and multipliers at which the iteration ends."""
+"""Mean product of slacks and multipliers at which the interior-point method ends."""
 POLISHED = 6
-"""Newton iterations with the inequalities that hold with equality."""
+"""Number of Newton iterations in which active inequalities are equations."""
 REGULAR = 1e-11
-"""Regularisation of the matrices, which refinement of their solutions undoes."""
+"""Regularisation of the matrices; its effect is removed by iterative refinement."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class ActivationDynamics:
     Attributes
     ----------
     falling, rising
-        (T - 1, M) shares ``exp(-h / fall)`` and ``exp(-h / rise)`` of the M first unknowns.
+        (T - 1, M) factors ``exp(-h / fall)`` and ``exp(-h / rise)`` of the first M unknowns.
     """
 
     falling: np.ndarray
@@ -54,8 +55,9 @@ class ActivationDynamics:
 
 @dataclass(frozen=True)
 class _Whole:
-    """Minimise the sum of ``|x|^p`` subject to ``equal x = right`` and ``less x <= most``; x are unknowns over
-    weights.
+    """The problem: minimise the sum of ``|x|^p`` subject to ``equal x = right`` and ``less x <= most``.
+
+    The unknowns x are divided by their weights.
     """
 
     equal: csr_array
@@ -81,12 +83,13 @@ def share_over_time(programme: Programme, exponent: float, dynamics: ActivationD
     exponent
         p > 1, finite.
     start
-        (T, N) solutions of the frames by themselves.
+        (T, N) solutions of the single frames, without activation dynamics.
 
     Returns
     -------
     Shared
-        The solution; the certificates include the inequalities between frames. They are infinite if there is none.
+        The solution, whose certificates include the inequalities between frames. They are infinite if there is no
+        solution.
     """
     whole = _whole(programme, exponent, dynamics)
     weight = np.tile(programme.weight, len(programme.right))
@@ -148,8 +151,9 @@ def _interior(whole: _Whole, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 
 @dataclass(frozen=True)
 class _Iterate:
-    """A point of the interior-point method, or a change of it: unknowns, multipliers of the equations, and slacks and
-    multipliers of the inequalities.
+    """A point of the interior-point method, or a change of it.
+
+    It consists of the unknowns, the multipliers of the equations, and the slacks and multipliers of the inequalities.
     """
 
     whole: _Whole
@@ -165,7 +169,7 @@ class _Iterate:
 
     @property
     def residual(self) -> float:
-        """Largest residual of the conditions of optimality other than slack * multiplier = 0."""
+        """Largest residual of the optimality conditions, except slack * multiplier = 0."""
         return max(float(np.max(np.abs(one), initial=0.0)) for one in self._residuals)
 
     @cached_property
@@ -181,26 +185,28 @@ class _Iterate:
         return _System(stiff, self.whole.equal)
 
     def step(self, product: np.ndarray) -> _Iterate:
-        """Return Newton's change, which reduces `product`, in place of slack * z, to zero."""
+        """Return Newton's change for the residual; `product` takes the place of the products slack * z, to be reduced
+        to zero.
+        """
         (dual, equal, less), matrix = self._residuals, self.whole.less
         dx, dy = self._system.solved(-dual - matrix.T @ ((self.z * less - product) / self.slack), -equal)
         ds = -less - matrix @ dx
         return _Iterate(self.whole, dx, dy, ds, -(product + self.z * ds) / self.slack)
 
     def moved(self, change: _Iterate, length: float) -> _Iterate:
-        """Return the point after a share of a change."""
+        """Return the point moved by a share `length` of a change."""
         pairs = zip((self.x, self.y, self.slack, self.z), (change.x, change.y, change.slack, change.z), strict=True)
         return _Iterate(self.whole, *(a + length * b for a, b in pairs))
 
 
 def _longest(x: np.ndarray, change: np.ndarray) -> float:
-    """Return the share of a change up to which positive numbers stay positive."""
+    """Return the largest share of a change for which positive numbers remain positive."""
     falls = change < 0
     return float(np.min(-x[falls] / change[falls], initial=np.inf))
 
 
 class _System:
-    """Solves ``[stiff, equal^T; equal, 0]``."""
+    """Solves linear systems with the matrix ``[stiff, equal^T; equal, 0]``."""
 
     def __init__(self, stiff: csr_array, equal: csr_array):
         rows = equal.shape[0]
@@ -218,7 +224,9 @@ class _System:
 
 
 def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the solution whose inequalities with multipliers hold with equality, or the given one if it is better."""
+    """Return the solution in which inequalities with multipliers hold with equality; the given point if that is
+    better.
+    """
     given = x, y, z
     for _ in range(2):
         active = np.flatnonzero(z > 0)
@@ -231,7 +239,7 @@ def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tup
             x, every = x + dx, every + dy
         y, z = every[: len(y)], np.zeros(len(z))
         z[active] = every[len(y) :]
-        if np.all(z >= 0):  # otherwise again, without inequalities of the wrong sign
+        if np.all(z >= 0):  # otherwise solve again, without the inequalities whose multipliers have the wrong sign
             break
     if not np.all(np.isfinite(x)):
         return given
@@ -241,10 +249,11 @@ def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tup
 
 
 def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, frames: int) -> np.ndarray:
-    """Return the largest violation (T,) of the conditions of optimality.
+    """Return the largest violation (T,) of the optimality conditions.
 
-    Derivatives of the Lagrangian count relative to the largest derivative of the cost, and equations relative to their
-    size. Inequalities count by their violation or, where they have a multiplier, by their slack.
+    Derivatives of the Lagrangian are relative to the largest derivative of the cost, and equations relative to their
+    size.
+    The violation of an inequality counts or, if it has a multiplier, its slack.
     """
     parts = whole.slope(x), whole.equal.T @ y, whole.less.T @ z
     size = max(float(np.max(np.abs(part), initial=0.0)) for part in parts) or 1.0
@@ -256,9 +265,9 @@ def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, fra
 
 
 def smallest_supplement_over_time(programme: Programme, dynamics: ActivationDynamics) -> np.ndarray:
-    """Return the smallest supplement (T, K) to the right sides with which the programme of all frames has a solution.
+    """Return the smallest supplement (T, K) to the right sides for which the programme of all frames has a solution.
 
-    The sum of its parts, relative to the sizes of the equations, is least.
+    The sum of its components, relative to the sizes of the equations, is minimised.
     """
     whole = _whole(programme, 2.0, dynamics)
     rows, unknowns = whole.equal.shape

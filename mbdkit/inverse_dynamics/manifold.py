@@ -1,4 +1,6 @@
-"""States of a mechanism on its constraint manifold, many frames at once: terms, free directions, least squares."""
+"""The constraint manifold of a mechanism, for many frames at once: matrices, free directions, least-squares
+solutions.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,12 @@ from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, rea
 from mbdkit.mechanics.source import AssembledMechanism
 
 SAFE = 1000.0
-"""A matrix counts as one of full rank if its pivots exceed the threshold for zero by this factor."""
+"""A matrix counts as having full rank if its pivots exceed the threshold for zero by this factor."""
 
 DEPENDENT = 1e-9
-"""Constraint rows whose independent part is below this share of the largest count as dependent: a singular position."""
+"""Constraint rows count as dependent (a singular position) if their independent part, relative to the largest, is below
+this.
+"""
 
 
 class Manifold:
@@ -50,7 +54,7 @@ class Manifold:
         Parameters
         ----------
         forces
-            Whether the applied forces are evaluated.
+            Whether the applied forces are evaluated as well.
         """
         out = Frames.zeros(len(times), self.n, self.m)
         v = np.zeros_like(q) if v is None else v
@@ -59,7 +63,7 @@ class Manifold:
         return out
 
     def reactions(self, times: np.ndarray, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> Reactions:
-        """Return the reactions of the multipliers `lam` (T, m) of the independent rows, residuals, and powers."""
+        """Return the reactions, residuals and powers for multipliers `lam` (T, m) of the independent rows."""
         out = Reactions.zeros(len(times), self._pairs)
         given = (np.ascontiguousarray(x, dtype=float) for x in (times, q, v, lam))
         reactions_in_frames(self._equations.address, *given, out)
@@ -85,7 +89,7 @@ class Directions:
     Attributes
     ----------
     scale
-        (n,) sizes of the coordinates, see `Manifold`.
+        (n,) scales of the coordinates, see `Manifold`.
     held, free
         (T, n, m) constrained directions, and (T, n, f) free directions.
     triangle
@@ -98,7 +102,7 @@ class Directions:
     triangle: np.ndarray
 
     def singular(self) -> np.ndarray:
-        """Return the frames, (T,) bool, in which rows of the constraints depend on each other."""
+        """Return the frames, (T,) bool, in which constraint rows are linearly dependent."""
         if not self.triangle.shape[1]:
             return np.zeros(len(self.triangle), dtype=bool)
         pivots = np.abs(np.diagonal(self.triangle, axis1=1, axis2=2))
@@ -113,7 +117,9 @@ class Directions:
         return (self.held @ along)[..., 0]
 
     def multipliers(self, force: np.ndarray) -> np.ndarray:
-        """Return lam (T, m) for which ``Phi_q^T lam`` is the held part of a generalized force (T, n)."""
+        """Return lam (T, m) for which ``Phi_q^T lam`` is the part of a generalized force (T, n) in the constrained
+        directions.
+        """
         if not self.triangle.shape[1]:
             return np.zeros((len(force), 0))
         held = np.swapaxes(self.held, 1, 2) @ (force * self.scale)[..., None]
@@ -121,14 +127,14 @@ class Directions:
         return found
 
     def least_squares(self, rows: np.ndarray, observed: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return x (T, n) with ``Phi_q x = rows`` for which the norm of ``observed x - values`` is least.
+        """Return x (T, n) that satisfies ``Phi_q x = rows`` and minimises the norm of ``observed x - values``.
 
         Parameters
         ----------
         rows
             (T, m) right side of the constraints.
         observed, values
-            (T, k, n) and (T, k); the displacement has no component along free directions that do not affect `observed`.
+            (T, k, n) and (T, k); x has no component along free directions that do not affect `observed`.
         """
         x = self.displacement(rows)
         if self.free.shape[2]:
@@ -140,7 +146,7 @@ class Directions:
 
 
 def least_norm(matrix: np.ndarray, values: np.ndarray, negligible: float) -> np.ndarray:
-    """Return the x (T, f) of least norm for which the norm of ``matrix x - values`` is least.
+    """Return the x (T, f) that minimises the norm of ``matrix x - values``; if there are several, that of least norm.
 
     If all matrices have full rank, a QR decomposition is used, which is several times as fast as the singular value
     decomposition that is needed otherwise.

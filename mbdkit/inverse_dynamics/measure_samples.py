@@ -1,8 +1,8 @@
 """Errors of measures of inverse dynamics, by samples of noise and of properties of muscles, and by other cutoffs.
 
-The error bars of `mbdkit.inverse_dynamics.error_bars` hold at each time. A measure depends on all times, so that it is
-computed again from noisy motions and loads. The same seed gives the same noise, which therefore cancels in the
-difference of two results of one motion, such as those with and without a device.
+The error bars of `mbdkit.inverse_dynamics.error_bars` hold at single times, while a measure depends on all times.
+Measures are therefore computed again from noisy motions and loads. The same seed gives the same noise, which cancels in
+the difference of two results for one motion, such as those with and without a device.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from mbdkit.inverse_dynamics.smoothing import Smoothed, fixed, smoothed_each, wi
 from mbdkit.spec import InverseSpec
 
 SAMPLES = 40
-"""Number of samples; the bounds scatter by 1 / sqrt(2 * SAMPLES), 11 %."""
+"""Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %."""
 
 FACTOR = float(chi2.ppf(LEVEL, 1))
-"""Squared bound of a Gaussian variable over its mean square."""
+"""Ratio of the squared bound of a Gaussian variable to its mean square."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SampledMeasures:
     muscles: np.ndarray
 
     def minus(self, other: SampledMeasures) -> SampledMeasures:
-        """Return the differences of two results, each with the same noise and cutoffs."""
+        """Return the differences between two results, each for the same noise and cutoffs."""
         return SampledMeasures(
             self.value - other.value,
             self.noisy - other.noisy,
@@ -64,9 +64,9 @@ class SampledMeasures:
     def bounds(self) -> np.ndarray:
         """Return the bounds (..., K) of the errors, which hold with the probability `LEVEL`; nan if they are unknown.
 
-        Noise and muscles count with their mean squares, which include the bias of extrema, and cutoffs with their mean
-        square change, by root sum of squares. Samples that muscles cannot produce do not count, unless they are more
-        than half of the samples.
+        The bounds are root sums of squares of the effects of noise, muscles and cutoffs. Noise and muscles enter by the
+        mean square of their effect, which includes the bias of extrema; cutoffs enter by their mean square change.
+        Samples that muscles cannot produce are ignored; if they are more than half of the samples, the bounds are nan.
         """
         square = np.zeros_like(self.value)
         for factor, samples in ((FACTOR, self.noisy), (FACTOR, self.muscles), (1.0, self.cutoffs)):
@@ -153,7 +153,7 @@ def _noisy(
 
 
 def _moved(result: Inverse, independent: Independent, series: Smoothed, loads: dict[str, LoadSeries]) -> Inverse:
-    """Return the result for other coordinates and loads; tensions are nan where muscles cannot produce the motion."""
+    """Return the result for other coordinates and loads; tensions are nan in frames that muscles cannot produce."""
     problem = replace(result.problem, loads=loads)
     motion = motion_of_series(problem.fitter, independent, result.motion.time, result.motion.q, series)
     return forces_of(problem, result.fitted, independent, motion, strict=False)

@@ -23,10 +23,12 @@ from mbdkit.spec import InverseSpec
 from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn
 
 RATE_SAMPLES = 5
-"""Number of intervals beside a gap from which the rate of an angle is taken; fewer would have more noise."""
+"""Number of intervals next to a gap from which the rate of an angle is computed; fewer would be more affected by
+noise.
+"""
 
 LARGEST = 1e30
-"""Largest value of a column in SI units; squares and products of larger ones may overflow."""
+"""Largest value of a column in SI units; squares and products of larger values may overflow."""
 
 SHORTEST, LONGEST = 1e-9, 1e9
 """Shortest and longest interval between two rows [s]."""
@@ -47,7 +49,7 @@ class Measured:
     quantities
         The quantities.
     raw
-        (T, K) values as measured, with angles unwrapped over turns; gaps are nan.
+        (T, K) values as measured, with angles unwrapped over full turns; gaps are nan.
     values
         (T, K) the same, with gaps bridged.
     weight
@@ -79,13 +81,15 @@ class Measured:
         return Target(self.time, self.quantities, self.values, np.sqrt(self.weight))
 
     def turned(self, first: np.ndarray) -> Measured:
-        """Return the motion with whole turns added to angles, so that it begins with the values `first` (K,)."""
+        """Return the motion with multiples of full turns added to angles, so that it begins with the values `first`
+        (K,).
+        """
         by = first - self.values[0]
         return replace(self, raw=self.raw + by, values=self.values + by)
 
 
 def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Table | None]:
-    """Return the measured motion of a spec, and the table that it was read from, if it is one.
+    """Return the measured motion of a spec and, if it was read from a table, that table.
 
     Raises
     ------
@@ -130,7 +134,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
 
 
 def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> Table | None:
-    """Return the table of a section; None if it names none."""
+    """Return the table of a section; None if the section has none."""
     if section.data is not None:
         return table_of(section.data, f"{key}.data")
     return None if section.file is None else read_table(folder / section.file, f"{key}.file")
@@ -211,7 +215,7 @@ def times_of(table: Table, heading: str, key: str) -> np.ndarray:
 
 
 def _times(spec: InverseSpec, table: Table) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times within the span of the spec, and the rows of the table that they belong to."""
+    """Return the times within the span of the spec, and the indices of their rows in the table."""
     every = times_of(table, spec.motion.time, "motion.time")
     return every[kept := rows_within(spec, every)], kept
 
@@ -229,15 +233,15 @@ def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:
 
 
 def _continued(time: np.ndarray, values: np.ndarray, period: float, where: tuple[Table, str, np.ndarray]) -> np.ndarray:
-    """Return an angle (T,) continued over full turns, from sample to sample and over its gaps; these stay nan.
+    """Return an angle (T,) continued over full turns, from sample to sample and across gaps, which remain nan.
 
-    Between neighbouring samples, the angle takes the shorter way. Over a gap, it takes the turns that agree best with
-    its rates on both sides.
+    Between neighbouring samples, the angle changes by at most half a turn. Across a gap, the number of turns is chosen
+    that agrees best with the rates on both sides.
 
     Raises
     ------
     SpecError
-        If the turns during a gap are not certain.
+        If the number of turns during a gap is uncertain.
     """
     known = np.flatnonzero(~np.isnan(values))
     turned = np.unwrap(values[known], period=period)
@@ -311,7 +315,7 @@ def _bridged(
 
 
 def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
-    """Return the motion in the archive of a run: of all its bodies, or of the quantities named as columns.
+    """Return the motion in the archive of a run: that of all bodies, or the quantities named as columns.
 
     Rates and accelerations are those of the run, unless the motion is to be smoothed.
     """

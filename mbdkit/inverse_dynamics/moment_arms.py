@@ -14,7 +14,7 @@ from mbdkit.muscles.muscle_path import MusclePath
 from mbdkit.spec import InverseSpec
 
 DEPENDENT = 1e-6
-"""Share of a quantity that must be independent of the quantities chosen before it."""
+"""Smallest share of a quantity that must be independent of the quantities chosen before it."""
 
 
 def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
@@ -39,7 +39,9 @@ def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
 
 
 def _independent(rates: np.ndarray) -> list[int]:
-    """Return the first quantities that determine the motion, given their rates (K, f) along its free directions."""
+    """Return the indices of the first quantities that determine the motion; `rates` (K, f) are along its free
+    directions.
+    """
     rows: list[int] = []
     basis = np.zeros((0, rates.shape[1]))
     for index, row in enumerate(rates):

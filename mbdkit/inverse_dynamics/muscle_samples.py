@@ -1,4 +1,4 @@
-"""Muscles whose properties are drawn at random: the effect of their uncertainty on tensions and joint forces."""
+"""Effects of uncertain muscle properties, which are drawn at random, on tensions and joint forces."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ PROPERTIES = ("max_force", "optimal_length", "tendon_length")
 
 
 def with_drawn_muscles(problem: InverseProblem, random: np.random.Generator) -> Iterator[InverseProblem]:
-    """Yield a problem with muscles whose properties are drawn from log-normal distributions.
+    """Yield copies of a problem with muscles whose properties are drawn from log-normal distributions.
 
-    Each property of each muscle is drawn independently, with its value in the spec as median. There are as many
-    problems as `MuscleDeviations.samples` says, and none if the spec has no `recruitment.deviations`.
+    Each property of each muscle is drawn independently; the median is its value in the spec. The number of copies is
+    `MuscleDeviations.samples`; there are none if the spec has no `recruitment.deviations`.
     """
     recruiter = problem.recruiter
     deviations = None if recruiter is None else recruiter.asked.deviations
@@ -30,7 +30,7 @@ def with_drawn_muscles(problem: InverseProblem, random: np.random.Generator) -> 
 
 
 def _drawn(recruiter: Recruiter, deviations: MuscleDeviations, random: np.random.Generator) -> Recruiter:
-    """Return a recruiter of muscles with drawn properties."""
+    """Return a recruiter whose muscles have properties drawn at random."""
     muscles = {}
     for name, muscle in recruiter.muscles.items():
         factors = np.exp([getattr(deviations, key) * random.standard_normal() for key in PROPERTIES])
@@ -41,7 +41,7 @@ def _drawn(recruiter: Recruiter, deviations: MuscleDeviations, random: np.random
 
 
 def forces_with(problem: InverseProblem, result: Inverse) -> Inverse | None:
-    """Return the result with other muscles for the same motion; None if their tendons are longer than their paths.
+    """Return the result for the same motion with other muscles; None if their tendons are longer than their paths.
 
     Tensions are nan in frames that the muscles cannot produce.
     """
@@ -52,7 +52,7 @@ def forces_with(problem: InverseProblem, result: Inverse) -> Inverse | None:
 
 
 def known_mean(samples: np.ndarray) -> np.ndarray:
-    """Return the mean (...) of the known ones of samples (S, ...); nan where more than half of them are nan."""
+    """Return the mean (...) over samples (S, ...) without nan; nan where more than half of the samples are nan."""
     known = np.isfinite(samples)
     number = np.sum(known, axis=0)
     total = np.sum(np.where(known, samples, 0.0), axis=0)

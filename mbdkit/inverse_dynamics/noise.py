@@ -1,6 +1,6 @@
 """Noise of measured data: its propagation through fit and smoothing to first order, and its estimation from residuals.
 
-The fit is linearised at the fitted poses; a smoothing with given parameters is linear in the data.
+The fit is linearised at the fitted poses; smoothing with given parameters is linear in the data.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from mbdkit.mechanism.mechanism_quantities import Quantities
 from mbdkit.spec.inverse_sections import Smoothing
 
 DRAWS = 20
-"""Number of noise samples per column, from which the share of the noise that remains in the residuals is estimated."""
+"""Number of noise samples per column used to estimate the share of the noise that remains in the residuals."""
 
 ITERATIONS = 500
-"""Number of iterations that attribute the residuals to the noise of the columns."""
+"""Number of iterations of the method that attributes the residuals to the noise of the columns."""
 
 LEAST_SHARE = 0.01
 """The noise of a column can be estimated if at least this share of it remains in the residuals."""
@@ -37,7 +37,7 @@ class NoisePath:
     result
         The result, with U independent coordinates and K observed quantities.
     independent
-        Its independent coordinates.
+        Independent coordinates of the result.
     how
         Smoothing of each coordinate, with given parameters.
     """
@@ -68,7 +68,7 @@ class NoisePath:
         Parameters
         ----------
         how
-            Another smoothing of each coordinate.
+            Smoothing of each coordinate that replaces the one of the result.
         """
         return smoothed_each(self._time, self._fitted @ noise, self._how if how is None else how)
 
@@ -121,10 +121,9 @@ def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) ->
 def noise_deviation(
     path: NoisePath, residual: np.ndarray, stated: np.ndarray, random: np.random.Generator
 ) -> np.ndarray:
-    """Return the standard deviations (K,) of the noise; nan where they are neither stated nor can be estimated from the
-    residuals.
+    """Return the standard deviations (K,) of the noise; nan if neither stated nor estimable from the residuals.
 
-    One part of the noise is in the smoothed motion, and the rest in the residuals. Samples show how much noise of each
+    A part of the noise remains in the smoothed motion, the rest in the residuals. Samples show how much noise of each
     column appears in the residuals of each column. The variances for which the expected mean squares of all residuals
     equal the actual ones are then computed by Richardson-Lucy iteration, which keeps variances positive and distributes
     them evenly over columns that the residuals cannot distinguish.
@@ -138,7 +137,7 @@ def noise_deviation(
     """
     share = np.empty(
         (path.columns, path.columns)
-    )  # [row, column]: mean square of the residuals of one quantity due to the noise of another
+    )  # entry [i, j]: mean square of the residuals of quantity i due to the noise of quantity j
     for index in range(path.columns):
         one = np.zeros(path.columns)
         one[index] = 1.0

@@ -1,4 +1,4 @@
-"""Archives of inverse dynamics: the groups of a run, and motion, actuators, muscles and loads."""
+"""Archives of inverse dynamics: the groups of a run, and those of motion, actuators, muscles and loads."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def archive_of(
     bars
         Error bars of the result, if they are known.
     doubts
-        What is implausible in the data.
+        Doubts about the data.
     timings
-        Those of `TIMINGS`.
+        Durations, named as in `TIMINGS` [s].
     errors
         Errors of the measures by name, if they are known.
 
@@ -63,7 +63,7 @@ def archive_of(
     SpecError
         If no archive may be written at `path`.
     ResourceError
-        If it cannot be written.
+        If the archive cannot be written.
     """
     spec, mechanism = result.problem.spec, result.problem.prepared.workspace.mechanism
     groups = _groups(result)
@@ -100,7 +100,7 @@ def archive_of(
 
 
 def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the rows of ``/steps``, all zero but the times, because there is no integration."""
+    """Return the rows of ``/steps``, which are zero except for the times, because nothing is integrated."""
     none = np.zeros(len(time) - 1, dtype=np.int64)
     counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
     return {"time": time[1:], "size": np.zeros(len(time) - 1), **counted}
@@ -112,7 +112,7 @@ def _measured(result: Inverse, errors: Mapping[str, float], file: h5py.File) -> 
 
 
 def _groups(result: Inverse) -> list[str]:
-    """Return the groups of inverse dynamics that have elements."""
+    """Return the groups of inverse dynamics that are not empty."""
     there = {"motion": True, "actuators": result.problem.actuators, "loads": result.loads.names}
     there["muscles"] = result.recruited is not None
     return [group for group in layout.INVERSE_GROUPS if there[group]]
@@ -134,7 +134,7 @@ def _names(result: Inverse) -> ArchiveNames:
 
 
 def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
-    """Return the arrays of motion, actuators, muscles and loads that are not taken from states, by key."""
+    """Return the arrays of motion, actuators, muscles and loads that are not computed from states, by key."""
     problem, fitted, loads = result.problem, result.fitted, result.loads
     mechanism = problem.prepared.workspace.mechanism
     rows = {

@@ -1,4 +1,4 @@
-"""Results of recruitment: the muscles of a motion, what they share, and their tensions."""
+"""Results of recruitment: the muscles of a motion, the moments that they share, and their tensions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mbdkit.inverse_dynamics.shared_loads import Programme, Shared
 
 @dataclass(frozen=True)
 class Contraction:
-    """Muscles of a motion in T frames: geometry, and what they can exert, all (T, M) but `pull`.
+    """Muscles of a motion in T frames: their geometry and possible forces. Arrays are (T, M), except `pull`.
 
     Attributes
     ----------
@@ -36,17 +36,17 @@ class Contraction:
 
 @dataclass(frozen=True)
 class Sharing:
-    """What muscles and reserves share in T frames, and the programmes that determine their shares.
+    """The actuators that muscles and reserves replace in T frames, and the programmes that determine their shares.
 
     Attributes
     ----------
     arms
-        (T, U, M) values of the actuators with the effect of unit tensions.
+        (T, U, M) values of the actuators that have the same effect as unit tensions.
     driven
         (U,) whether muscles act on an actuator.
     programme
-        The convex programmes. The unknowns are activations of the M muscles and shares of the reserves that take part;
-        the equations are those of the driven actuators.
+        The convex programmes. The unknowns are the activations of the M muscles and the shares of the reserves; the
+        equations are those of the driven actuators.
     """
 
     arms: np.ndarray
@@ -61,16 +61,16 @@ class Recruited:
     Attributes
     ----------
     contraction, sharing, shared
-        The muscles, what they share, and the solution.
+        The muscles, the programmes that determine their shares, and the solution.
     activation, force, power
         (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
     beside
-        (T, U) values that actuators and reserves exert beside the muscles.
+        (T, U) values that actuators and reserves exert in addition to the muscles.
     reserve, reserve_power
         (T, R) values of the reserves [N, N m] and their powers [W].
     actuator, actuator_power
-        (T, U) values of the actuators and their powers. Muscles and reserves produce those of joints that muscles act
-        on; the others act beside them.
+        (T, U) values of the actuators and their powers. Actuators of joints on which muscles act are replaced by
+        muscles and reserves; the others act in addition.
     lam
         (T, m) multipliers of the independent rows, with the forces of the muscles.
     """

@@ -1,7 +1,7 @@
-"""Recruitment: the forces of muscles that produce the moments of inverse dynamics, by optimality in each frame.
+"""Recruitment: the muscle forces that produce the moments of inverse dynamics and are optimal in each frame.
 
-Actuators stand for the net moments of the muscles around joints. With tensions F of the muscles, which have moment arms
-R on these coordinates, and reserves r,
+Actuators represent the net moments of the muscles about the joints. With tensions F of the muscles, their moment arms R
+about these coordinates, and reserves r,
 
     R F + r = u,    F = capacity a + passive,
 
@@ -39,7 +39,7 @@ from mbdkit.spec.inverse_sections import Recruitment
 from mbdkit.spec.named_actuators import NamedActuator, reserves_of
 
 NO_ARM = 1e-9
-"""Moment arm [m, or 1 for lengths] below which a muscle does not act on a coordinate."""
+"""A muscle does not act on a coordinate if its moment arm [m, or 1 for lengths] is below this."""
 
 TIMES_NAMED = 6
 
@@ -64,8 +64,8 @@ class Recruiter:
     Raises
     ------
     SpecError
-        If the mechanism has no muscles, a reserve refers to an unknown actuator, or the section has options that are
-        not possible together.
+        If the mechanism has no muscles, a reserve refers to an unknown actuator, or options of the section exclude each
+        other.
     """
 
     def __init__(self, asked: Recruitment, names: QuantityNames, actuators: Sequence[NamedActuator]):
@@ -113,11 +113,11 @@ class Recruiter:
 
     @property
     def couples_frames(self) -> bool:
-        """Whether the muscles of a frame depend on other frames."""
+        """Whether the forces of the muscles in a frame depend on other frames."""
         return self.is_elastic or self.asked.dynamics == "activation"
 
     def with_muscles(self, muscles: Mapping[str, Muscle]) -> Recruiter:
-        """Return a recruiter of muscles with other properties on the same paths."""
+        """Return a recruiter of muscles with other properties, but the same paths."""
         other = copy(self)
         other.muscles = muscles
         return other
@@ -135,17 +135,18 @@ class Recruiter:
         Parameters
         ----------
         dynamics
-            The forces that produce it without muscles.
+            The forces that produce the motion without muscles.
         balance, needed
             Balance of forces of the motion, and the generalized forces (T, n) that actuators and joints supply.
         strict
-            Whether frames that muscles and reserves cannot produce are refused; otherwise, their forces are nan.
+            Whether to raise an error for frames that muscles and reserves cannot produce; otherwise, forces in them are
+            nan.
 
         Raises
         ------
         RunError
-            If a path is not possible, or muscles and reserves cannot produce the motion; the message has the smallest
-            reserves that suffice.
+            If a path is not possible, or if muscles and reserves cannot produce the motion. In the latter case, the
+            message states the smallest reserves that suffice.
         """
         if balance.effect.shape[1] != balance.effect.shape[2] or dynamics.surplus:
             raise SpecError(
@@ -192,7 +193,9 @@ class Recruiter:
         )
 
     def _over_time(self, sharing: Sharing, shared: Shared, time: np.ndarray, *, strict: bool) -> Shared:
-        """Return the solution with activation dynamics, from the solutions of single frames; see `recruited`."""
+        """Return the solution with activation dynamics, starting from the solutions of single frames; see
+        `recruited`.
+        """
         if not np.all(np.isfinite(shared.certificate)):
             return replace(shared, certificate=np.full_like(shared.certificate, np.inf))
         own = [muscle.activation for muscle in self.muscles.values()]
@@ -216,13 +219,13 @@ class Recruiter:
         return [reserve.of for reserve in self._reserves]
 
     def is_taken_over(self, driven: np.ndarray) -> np.ndarray:
-        """Return which actuators (U,) are replaced by muscles alone, without a reserve."""
+        """Return which actuators (U,) are replaced by muscles without a reserve."""
         alone: np.ndarray = driven.copy()
         alone[self.reserve_places] = False
         return alone
 
     def contraction(self, motion: Motion) -> Contraction:
-        """Return geometry and possible forces of the muscles."""
+        """Return the geometry and the possible forces of the muscles."""
         is_full = self.asked.capacity == "full"
         columns: list[tuple[np.ndarray, ...]] = []
         for name, muscle in self.muscles.items():
@@ -241,7 +244,7 @@ class Recruiter:
         return Contraction(*(np.stack(one, axis=-1) for one in zip(*columns, strict=True)))
 
     def sharing(self, own: Contraction, balance: Balance, value: np.ndarray) -> Sharing:
-        """Return what muscles and reserves share if actuators without muscles have the values (T, U).
+        """Return how muscles and reserves share the values (T, U) that the actuators have without muscles.
 
         Raises
         ------
@@ -275,12 +278,12 @@ class Recruiter:
         )
 
     def _in_equilibrium(self, own: Contraction, sharing: Sharing, value: np.ndarray, time: np.ndarray) -> Contraction:
-        """Return the muscles with fibres that are in equilibrium with elastic tendons.
+        """Return the muscles with fibres in equilibrium with elastic tendons.
 
         Parameters
         ----------
         own, sharing
-            The muscles with rigid tendons, and what they share.
+            The muscles with rigid tendons, and the programmes that determine their shares.
         value
             (T, U) values of the actuators without muscles.
         """
@@ -312,7 +315,7 @@ class Recruiter:
     def _impossible(
         self, sharing: Sharing, time: np.ndarray, failed: np.ndarray, lacking: np.ndarray | None = None
     ) -> RunError:
-        """Return the error for frames without solution, with the smallest reserves that would do.
+        """Return the error for frames without solution, which states the smallest reserves that suffice.
 
         Parameters
         ----------
@@ -334,7 +337,7 @@ class Recruiter:
         if not told:
             return RunError(f"recruitment was not solved at t = {times}{more} s; use another `exponent`, or reserves")
         fast = "" if by_frames else " with activations that change as fast as their dynamics allow"
-        about = "about " if self.is_elastic else ""  # at the tensions to which tendons were stretched last
+        about = "about " if self.is_elastic else ""  # computed for the lengths of the tendons in the last iteration
         return RunError(
             f"the muscles cannot produce the motion{fast} in {len(rows)} of {counted(len(time), 'frame')}, at t = "
             f"{times}{more} s; `recruitment.reserves` should be at least {about}{listed(told, 'and')}"

@@ -1,8 +1,8 @@
 """Derivatives of recruited muscles, and of the joint forces that contain them, by parameters.
 
-Moment arms, capacities and passive forces are part of the preparation, whose derivatives are known. Those of tensions
-and reserves follow from the conditions of optimality (`mbdkit.inverse_dynamics.shared_loads_derivative`). With
-tensions F, their generalized forces P F and what acts beside them, B u,
+Moment arms, capacities and passive forces are part of the preparation, whose derivatives are known. The derivatives of
+tensions and reserves follow from the optimality conditions (`mbdkit.inverse_dynamics.shared_loads_derivative`). With
+the generalized forces P F of the tensions F, and the forces B u of actuators and reserves,
 
     Phi_q^T lam_p = (B u + P F)_p - (M a + Phi_q^T lam - Q - Q_loads)_p,    the last term at constant lam.
 """
@@ -26,16 +26,16 @@ from mbdkit.quantities.states import Muscles
 from mbdkit.stepping.dual_run import Seeds
 
 OF_MUSCLES = ("length", "rate", "fiber_length", "fiber_rate", "capacity", "passive", "pull", "arms")
-"""Arrays of the muscles of a motion, see `Contraction` and `Sharing`."""
+"""Arrays of the muscles of a motion; see `Contraction` and `Sharing`."""
 
 
 def key_of(name: str) -> str:
-    """Return the name of an array of muscles among those of the preparation."""
+    """Return the name under which the preparation stores an array of muscles."""
     return f"muscles.{name}"
 
 
 def muscle_arrays(problem: InverseProblem, motion: Motion) -> dict[str, np.ndarray]:
-    """Return the arrays of the muscles of a motion, which may depend on parameters, and their weights."""
+    """Return the arrays of the muscles of a motion that may depend on parameters, and the weights of the muscles."""
     recruiter = problem.recruiter
     assert recruiter is not None
     manifold = problem.fitter.manifold
@@ -48,7 +48,7 @@ def muscle_arrays(problem: InverseProblem, motion: Motion) -> dict[str, np.ndarr
 
 
 def require_derivatives_of(recruiter: Recruiter) -> None:
-    """Raise SpecError if the derivatives of the solution of recruitment are not known."""
+    """Raise SpecError if the solution of recruitment cannot be differentiated."""
     if recruiter.asked.dynamics == "activation":
         raise SpecError(
             "gradients exist only for frames that are independent of each other, without activation dynamics",
@@ -71,11 +71,11 @@ class RecruitedChange:
     Attributes
     ----------
     activation, force
-        (T, M, K) those of activations and tensions.
+        (T, M, K) derivatives of activations and tensions.
     beside
-        (T, U, K) those of `Recruited.beside`.
+        (T, U, K) derivatives of `Recruited.beside`.
     pushed
-        (T, n, K) those of the generalized forces of muscles and of what acts beside them.
+        (T, n, K) derivatives of the generalized forces of muscles, and of actuators and reserves.
     """
 
     activation: np.ndarray
@@ -111,7 +111,7 @@ class RecruitedChange:
 
 
 def _slopes(seeds: Seeds, recruited: Recruited, index: int) -> dict[str, np.ndarray]:
-    """Return the derivatives of the arrays of muscles by one parameter, zero where they have none."""
+    """Return the derivatives of the arrays of muscles by one parameter; zeros for arrays that do not depend on it."""
     own = recruited.contraction
     shapes = {name: recruited.sharing.arms if name == "arms" else getattr(own, name) for name in OF_MUSCLES}
     none: Mapping[str, np.ndarray] = {name: np.zeros_like(x) for name, x in shapes.items()} | {
@@ -154,7 +154,7 @@ def _change(
 def differentiated_muscles(
     recruiter: Recruiter, recruited: Recruited, change: RecruitedChange, seeds: Seeds
 ) -> Muscles:
-    """Return the muscles with a last axis for the value and its K derivatives."""
+    """Return the muscles with an additional last axis for the value and its K derivatives."""
     own = recruited.contraction
     slopes = [_slopes(seeds, recruited, k) for k in range(seeds.count)]
     kinematic = {name: np.stack([one[name] for one in slopes], axis=-1) for name in OF_MUSCLES[:4]}

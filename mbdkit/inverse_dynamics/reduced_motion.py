@@ -1,13 +1,15 @@
-"""The smoothed motion of a mechanism, in independent coordinates, consistent with its constraints to round-off.
+"""The smoothed motion of a mechanism in independent coordinates, consistent with its constraints to round-off.
 
 As many quantities as there are degrees of freedom are chosen as independent coordinates. Their fitted values are
-smoothed and differentiated; positions, velocities and accelerations of all bodies follow from them and the constraints.
+smoothed and differentiated. Positions, velocities and accelerations of all bodies follow from these values and the
+constraints.
 
 Measured quantities are preferred: the coordinates are observed quantities if enough of these are independent in all
-frames, even if they are badly scaled, because other coordinates would pass the errors of smoothing on to the measured
-ones, often enlarged. Otherwise, coordinates are chosen such that they determine the motion well in all frames. If no
-choice does, as for the cyclic motion of a linkage in which no link rotates fully, different coordinates are used in
-different intervals of the motion.
+frames, even if they are badly scaled. Other coordinates would pass the errors of smoothing on to the measured
+quantities, often enlarged. If there are not enough, coordinates are chosen that determine the motion well in all
+frames.
+If no choice does, as for the cyclic motion of a linkage in which no link rotates fully, different coordinates are used
+in different intervals of the motion.
 """
 
 from __future__ import annotations
@@ -24,19 +26,25 @@ from mbdkit.inverse_dynamics.smoothing import Smoothed
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 
 PREFERRED = 0.2
-"""Independence above which an observed quantity is preferred to others that are more independent, if the observed
-quantities do not suffice."""
+"""Observed quantities with at least this independence are preferred to more independent other quantities, if the
+observed quantities alone do not suffice.
+"""
 
 FOLD = 0.05
-"""If the independence of the observed quantities falls below this share of its largest value, the motion passes near a
-fold, such as the dead centre of a measured rocker, where these quantities do not determine the motion."""
+"""The motion passes near a fold if the independence of the observed quantities falls below this share of its largest
+value.
+
+At a fold, such as the dead centre of a measured rocker, these quantities do not determine the motion.
+"""
 
 LEAST = 1e-4
-"""Independence below which observed quantities count as dependent even if it is constant during the motion. Many bodies
-in series have small values, such as 1 / 580 for the relative angles of 100 links."""
+"""Observed quantities count as dependent below this independence, even if it is constant during the motion.
+
+Many bodies in series have small values, such as 1 / 580 for the relative angles of 100 links.
+"""
 
 ENOUGH = 0.05
-"""Smallest independence of the coordinates of an interval, over all of its frames."""
+"""Smallest independence that the coordinates of an interval must have in all of its frames."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,7 @@ class Motion:
 
 
 def motion_of_derivatives(manifold: Manifold, measured: Measured, q: np.ndarray) -> Motion:
-    """Return the motion with given positions whose velocities and accelerations best fit the measured derivatives."""
+    """Return the motion with given positions whose velocities and accelerations fit the measured derivatives best."""
     assert measured.derivatives is not None
     return _derived(manifold, measured.target, q, *measured.derivatives)
 
@@ -77,7 +85,7 @@ class Independent:
     quantities
         The coordinates.
     intervals
-        First frame, frame after the last, and indices of the coordinates of each interval.
+        First frame, frame after the last one, and indices of the coordinates of each interval.
     """
 
     names: tuple[str, ...]
@@ -116,8 +124,8 @@ def other_coordinates(
 ) -> Independent | None:
     """Return other quantities whose smoothing also gives the motion, for a comparison with the chosen ones.
 
-    If the observed quantities determine the motion well, these are all of them, and the motion then fits their smoothed
-    values best. Otherwise, they are coordinates other than the chosen ones.
+    If the observed quantities determine the motion well, all of them are returned; the motion is then the best fit to
+    their smoothed values. Otherwise, independent coordinates other than the chosen ones are returned.
 
     Returns
     -------
@@ -138,7 +146,7 @@ def other_coordinates(
 
 
 def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quantities) -> np.ndarray:
-    """Return the rates (T, K, f) of quantities along the free directions, as shares of their size."""
+    """Return the rates (T, K, f) of quantities along the free directions, relative to the size of the rates."""
     directions = manifold.directions(manifold.frames(time, q).jacobian)
     size = np.where(quantities.is_angle, 1.0, manifold.length) * quantities.scale
     rows: np.ndarray = (quantities.jacobian(q) * manifold.scale) @ directions.free / size[:, None]
@@ -146,14 +154,14 @@ def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quan
 
 
 def _determine(independence: np.ndarray) -> bool:
-    """Return whether observed quantities of this independence (T,) determine the motion in all frames."""
+    """Return whether observed quantities with this independence (T,) determine the motion in all frames."""
     return bool(np.min(independence, initial=np.inf) >= max(LEAST, FOLD * np.max(independence, initial=0.0)))
 
 
 def _independent(
     named: Mapping[str, Quantity], chosen: Sequence[tuple[int, Sequence[int]]], frames: int
 ) -> Independent:
-    """Return coordinates among named quantities, from the first frame and the indices of each interval."""
+    """Return independent coordinates from named quantities, given the first frame and the indices for each interval."""
     names, quantities = list(named), Quantities(list(named.values()))
     used = sorted({place for _, places in chosen for place in places})
     ends = [*(begin for begin, _ in chosen[1:]), frames]
@@ -167,12 +175,12 @@ def _independent(
 def motion_of_series(
     fitter: Fitter, independent: Independent, time: np.ndarray, q: np.ndarray, series: Smoothed
 ) -> Motion:
-    """Return the motion of a mechanism whose independent coordinates follow a series.
+    """Return the motion of a mechanism for a series of its independent coordinates.
 
     Parameters
     ----------
     q
-        (T, n) poses nearby.
+        (T, n) poses close to the motion.
     series
         The coordinates (T, U) and their derivatives.
     """
@@ -191,7 +199,7 @@ def motion_of_series(
 
 
 def _derived(manifold: Manifold, target: Target, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> Motion:
-    """Return the motion at positions `q` with the derivatives (T, K) of the quantities of a target."""
+    """Return the motion at positions `q`, given the derivatives (T, K) of the quantities of a target."""
     at_rest = manifold.frames(target.time, q)
     directions = manifold.directions(at_rest.jacobian)
     observed = target.quantities.jacobian(q) * target.root_weight[:, None]
@@ -214,7 +222,7 @@ def _chosen(rows: np.ndarray, preferred: int) -> Sequence[tuple[int, list[int]]]
     Parameters
     ----------
     rows, preferred
-        As for `_greedy`.
+        See `_greedy`.
     """
     places, independence = _greedy(rows, preferred)
     if np.min(independence, initial=np.inf) >= ENOUGH:
@@ -230,8 +238,7 @@ def _chosen(rows: np.ndarray, preferred: int) -> Sequence[tuple[int, list[int]]]
 
 
 def _greedy(rows: np.ndarray, preferred: int) -> tuple[list[int], np.ndarray]:
-    """Return the indices of as many quantities as there are free directions, and their independence in each frame,
-    (T,).
+    """Return the indices of chosen quantities, one for each free direction, and their independence in each frame, (T,).
 
     Parameters
     ----------
@@ -262,9 +269,7 @@ def _independence(rows: np.ndarray) -> np.ndarray:
 
 
 def _without(rows: np.ndarray, place: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the components of all rows perpendicular to one of them, and the norm of the latter in each frame,
-    (T,).
-    """
+    """Return the components of all rows perpendicular to one row, and the norm of that row in each frame, (T,)."""
     own = rows[:, place]
     pivot = np.linalg.norm(own, axis=1)
     unit = own / np.where(pivot > 0, pivot, 1.0)[:, None]

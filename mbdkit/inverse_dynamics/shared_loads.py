@@ -1,16 +1,16 @@
 """How muscles share loads: the convex programme of recruitment, solved for all frames at once.
 
-In each frame, ``sum of |x / weight|^p`` is minimised subject to ``matrix x = right`` and bounds of x. For p > 1, this
-is done in the multipliers y of the K equations (the dual problem), which are few: x follows from ``g = matrix^T y`` for
-each unknown by itself, clipped to its bounds, so that ``matrix x(y) = right`` is a system of K equations. Its Jacobian,
-``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method with a line search on the concave dual function solves it
-to rounding errors: for p = 2 it is piecewise linear, so that the iteration ends once the right bounds are active. A
-proximal term keeps the Jacobian regular (method of multipliers); it starts large, and each problem starts from the
-multipliers of the one before.
+In each frame, ``sum of |x / weight|^p`` is minimised subject to ``matrix x = right`` and bounds of x. For p > 1, the
+dual problem is solved, whose unknowns are the multipliers y of the K equations, which are few. Each x follows
+separately from ``g = matrix^T y``, clipped to its bounds, so that ``matrix x(y) = right`` is a system of K equations
+for y. The Jacobian, ``matrix diag(dx/dg) matrix^T``, is symmetric. Newton's method with a line search on the concave
+dual function solves the system to rounding errors; for p = 2 the system is piecewise linear, and the iteration ends
+once the right bounds are active. A proximal term keeps the Jacobian regular (method of multipliers). It is reduced from
+problem to problem, and each problem starts from the multipliers of the previous one.
 
-p = 1 and the minimum of the largest share are linear programmes, which HiGHS solves. Of several solutions, the one with
-the smallest sum of squares is chosen. By the multipliers of one solution, all solutions are known: they leave those
-unknowns at their bounds whose reduced costs do not vanish.
+p = 1 and the minimum of the largest share are linear programmes, which HiGHS solves. If there are several solutions,
+the one with the smallest sum of squares is chosen. The multipliers of one solution determine the set of all solutions:
+unknowns whose reduced costs do not vanish are at the same bounds in all of them.
 """
 
 from __future__ import annotations
@@ -22,23 +22,27 @@ import numpy as np
 from scipy.optimize import linprog
 
 ITERATIONS = 60
-"""Newton iterations of one proximal problem; 5 to 15 are usual."""
+"""Largest number of Newton iterations of one proximal problem; 5 to 15 are usual."""
 PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, *(1e-11,) * 6)
-"""Proximal terms of the problems, relative to half of the trace of the product of the matrix and its transpose; four
-problems are usual."""
+"""Proximal terms of the successive problems, relative to half the trace of the product of the matrix and its transpose.
+
+Four problems usually suffice.
+"""
 ROUNDING = 1e-14
-"""Rounding errors of the dual function, relative to its parts."""
+"""Rounding errors of the dual function, relative to its terms."""
 REACHED = 1e-13
 """Residual of the equations, relative to their size, at which the iteration ends."""
 SOLVED = 1e-9
-"""Residual below which a frame counts as solved; larger ones are those of programmes without solution."""
+"""A frame counts as solved if its residual is below this; larger residuals mean that the programme has no solution."""
 REDUCED_COST = 1e-7
-"""Reduced costs above this share of the largest cost keep unknowns at their bounds."""
+"""Unknowns remain at their bounds if their reduced costs exceed this share of the largest cost."""
 TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """Options of HiGHS."""
 LEAST_SLOPE = 1e-12
-"""Share of the largest derivative dx/dg to which smaller ones are raised for p > 2: at x = 0, where the derivative is
-infinite, it is computed as 0."""
+"""Smallest value of the derivatives dx/dg, relative to the largest one, to which smaller ones are raised for p > 2.
+
+At x = 0, where the derivative is infinite, it is computed as 0.
+"""
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,9 @@ class Programme:
 
     @property
     def size(self) -> np.ndarray:
-        """Size (T, K) of each equation: of its right side, and of all that bounded unknowns can give."""
+        """Size (T, K) of each equation, from its right side and from the contributions possible within the bounds of
+        the unknowns.
+        """
         largest = np.where(np.isfinite(self.high), np.abs(self.high), 0.0)
         size: np.ndarray = np.abs(self.right) + np.sum(np.abs(self.matrix) * largest[:, None], axis=2)
         return np.where(size > 0, size, 1.0)
@@ -82,10 +88,12 @@ class Shared:
     value
         (T, N) unknowns.
     certificate
-        (T,) largest violation of the conditions of optimality: of an equation relative to its size, and of the sign of
-        a derivative of the Lagrangian relative to the largest derivative of the cost. Inf where there is no solution.
+        (T,) largest violation of the optimality conditions; inf if there is no solution. The residual of an equation is
+        relative to its size, and a derivative of the Lagrangian with the wrong sign is relative to the largest
+        derivative of the cost.
     multipliers
-        (T, K) multipliers of the equations, by which the cost grows with the right sides; nan for linear programmes.
+        (T, K) multipliers of the equations, which are the derivatives of the cost by the right sides; nan for linear
+        programmes.
     """
 
     value: np.ndarray
@@ -94,14 +102,16 @@ class Shared:
 
 
 def share_loads(programme: Programme, exponent: float) -> Shared:
-    """Solve programmes.
+    """Solve the programmes of all frames.
 
     Parameters
     ----------
     exponent
         p: 1, 2, 3, ..., or infinity, which minimises the largest share.
     """
-    # In units of weights, all weights are 1, and equations of size 1 have multipliers of the size of the cost.
+    # The programme is scaled such that all weights are 1, and that equations have size 1 and multipliers of the size of
+    # the
+    # cost.
     size, weight = programme.size, programme.weight
     scaled = Programme(
         programme.matrix * weight / size[..., None],
@@ -119,7 +129,7 @@ def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray
     """Return solutions (T, N), certificates (T,) and multipliers (T, K) for p > 1 and weights of 1."""
     frames, equations, _ = programme.matrix.shape
     y = np.zeros((frames, equations))
-    if p > 2:  # from the solution for p = 2, where the derivative of the cost is 2 x instead of p x^(p - 1)
+    if p > 2:  # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
         cost = p * np.sign(x) * np.abs(x) ** (p - 1)
         y = (np.linalg.pinv(np.swapaxes(programme.matrix, 1, 2), rcond=1e-10) @ cost[..., None])[..., 0]
@@ -139,7 +149,7 @@ def _dual_newton(programme: Programme, p: float) -> tuple[np.ndarray, np.ndarray
 
 
 def _polished(programme: Programme, y: np.ndarray, p: float, trace: np.ndarray) -> np.ndarray:
-    """Return the multipliers after a Newton step of the equations, in frames where it reduces the residual."""
+    """Return the multipliers after a further Newton step, in frames in which this step reduces the residual."""
     x, slope = _unknowns(programme, y, p)
     before = _residual(programme, x)
     regular = 1e-14 * trace[:, None, None] * np.eye(y.shape[1])
@@ -207,10 +217,10 @@ def _dual(programme: Programme, y: np.ndarray, x: np.ndarray, p: float) -> np.nd
 
 
 def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:
-    """Return the largest violation (T,) of the conditions of optimality, see `Shared`."""
+    """Return the largest violation (T,) of the optimality conditions, see `Shared`."""
     cost = p * np.sign(x) * np.abs(x) ** (p - 1)
     g = (np.swapaxes(programme.matrix, 1, 2) @ y[..., None])[..., 0]
-    slope = cost - g  # zero between the bounds, not negative at the lower one, and not positive at the upper one
+    slope = cost - g  # zero between the bounds, not negative at the lower bound, and not positive at the upper one
     slope = np.where((x <= programme.low) & (slope > 0), 0.0, slope)
     slope = np.where((x >= programme.high) & (slope < 0), 0.0, slope)
     largest = np.maximum(np.max(np.abs(cost), axis=1), np.max(np.abs(g), axis=1))
@@ -222,7 +232,7 @@ def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -
 def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return solutions (T, N), certificates (T,) and nan (T, K) for p = 1 or infinity and weights of 1.
 
-    Unknowns that may be negative are differences of two that are not.
+    An unknown that may be negative is written as the difference of two unknowns that are not negative.
     """
     frames, _, count = programme.matrix.shape
     signed = np.flatnonzero(np.any(programme.low < 0, axis=0))
@@ -245,7 +255,7 @@ def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarr
 def _optimal_face(
     matrix: np.ndarray, right: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], is_largest: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return bounds (N,) within which all solutions of a linear programme are; None if it has no solution.
+    """Return bounds (N,) that define the set of all solutions of a linear programme; None if it has no solution.
 
     Parameters
     ----------
@@ -254,7 +264,7 @@ def _optimal_face(
     bounds
         Bounds (N,) of the unknowns, none of which may be negative.
     is_largest
-        Whether the largest unknown is minimised, as one further unknown, instead of the sum of the unknowns.
+        Whether the largest unknown, represented by an additional unknown, is minimised instead of the sum.
     """
     (low, high), count = bounds, len(bounds[0])
     more = {}
@@ -276,9 +286,9 @@ def _optimal_face(
 
 
 def smallest_supplement(programme: Programme) -> np.ndarray:
-    """Return the smallest supplement (T, K) to the right sides with which the programmes have solutions.
+    """Return the smallest supplement (T, K) to the right sides for which the programmes have solutions.
 
-    The sum of its parts, relative to the sizes of the equations, is least.
+    The sum of its components, relative to the sizes of the equations, is minimised.
     """
     found = np.zeros_like(programme.right)
     size = programme.size

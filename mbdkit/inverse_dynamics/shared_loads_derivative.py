@@ -1,16 +1,16 @@
 """Derivatives of the solution of recruitment by parameters of its programmes.
 
-By the implicit function theorem, applied to the conditions of optimality: the unknowns at their bounds stay there, and
-the others, x, and the multipliers y of the equations satisfy
+The implicit function theorem is applied to the optimality conditions. Unknowns at their bounds stay there. The other
+unknowns x and the multipliers y of the equations satisfy
 
     f'(x) = A^T y,    A x = b,
 
-so that their changes are the solution of
+Their changes are therefore the solution of
 
     f''(x) dx - A^T dy = dA^T y - df'(x),    A dx = db - dA x,
 
-where ``df'`` is the change of f' with its parameters, the weights. This is the derivative of the solution wherever no
-unknown is about to leave or to reach its bound; elsewhere, it is one of the two sides.
+where ``df'`` is the change of f' with its parameters, the weights. If an unknown is about to leave or to reach a bound,
+the result is a one-sided derivative.
 """
 
 from __future__ import annotations
@@ -22,17 +22,19 @@ import numpy as np
 from mbdkit.inverse_dynamics.shared_loads import Programme, Shared
 
 LEAST_CURVATURE = 1e-12
-"""Share of the largest second derivative of the cost in a frame to which smaller ones are raised: for exponents above
-2, the second derivative vanishes at x = 0."""
+"""Smallest second derivative of the cost, relative to the largest one in a frame, to which smaller ones are raised.
+
+For exponents above 2, the second derivative vanishes at x = 0.
+"""
 NEGLIGIBLE = 1e-13
-"""Singular values below this share of the largest one belong to equations that no free unknown enters."""
+"""Singular values below this share of the largest one belong to equations that contain no free unknown."""
 REFINEMENTS = 2
-"""Repetitions of the solution with what is left of the equations, which remove rounding errors."""
+"""Number of iterative refinements of the solution, which remove rounding errors."""
 
 
 @dataclass(frozen=True)
 class ProgrammeChange:
-    """Derivatives of programmes by one parameter, in the shapes of `Programme`."""
+    """Derivatives of programmes by one parameter; the arrays have the shapes of those in `Programme`."""
 
     matrix: np.ndarray
     right: np.ndarray

@@ -21,7 +21,9 @@ from mbdkit.spec.inverse_sections import (
 )
 
 UNEVEN = 1e-3
-"""Largest relative deviation of intervals from their mean for times that count as evenly spaced."""
+"""Times count as evenly spaced if the largest deviation of an interval from the mean, relative to it, is at most
+this.
+"""
 
 KEY = "motion.smooth"
 
@@ -39,7 +41,7 @@ class Smoothed:
 
     @property
     def every(self) -> np.ndarray:
-        """(T, 3 K, ...) the series, then their rates, then their accelerations."""
+        """(T, 3 K, ...) the series, followed by their rates and their accelerations."""
         return np.concatenate([self.value, self.rate, self.acceleration], axis=1)
 
 
@@ -53,13 +55,13 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
     series
         (T, K) the series.
     how
-        The smoothing; see the classes for what each of them does.
+        The smoothing, described by its class.
 
     Raises
     ------
     SpecError
-        If there are too few samples, they are not evenly spaced although the filter needs that, or the cutoff is too
-        high.
+        If there are too few samples, if they are not evenly spaced although the filter requires this, or if the cutoff
+        is too high.
     """
     if len(time) < FEWEST:
         raise SpecError(f"derivatives need at least {FEWEST} samples, but the motion has {len(time)}", key="motion")
@@ -78,15 +80,15 @@ def smoothed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> Smoothed:
 
 
 def fixed(time: np.ndarray, series: np.ndarray, how: Smoothing) -> list[Smoothing]:
-    """Return the smoothing of each series, with the parameters chosen for it by cross-validation.
+    """Return the smoothing of each series with fixed parameters, those chosen by cross-validation.
 
-    With these parameters, the smoothing is linear in the data.
+    With fixed parameters, the smoothing is linear in the data.
     """
     if not isinstance(how, SmoothingSpline) or how.parameter is not None:
         return [how] * series.shape[1]
     found = smoothed(time, series, how)
-    # the smoothed series f minimizes the sum of (x - f)^2 + p * integral of f''^2, so that its variation along f
-    # itself vanishes: p = sum of (x - f) f / integral of f''^2, where f'' is linear between the rows
+    # The smoothed series f minimizes the sum of (x - f)^2 + p * integral of f''^2. Its variation in the direction of f
+    # vanishes, so that p = sum of (x - f) f / integral of f''^2, where f'' is linear between the rows.
     bend, step = found.acceleration, np.diff(time)[:, None]
     curvature = np.sum(step * (bend[:-1] ** 2 + bend[:-1] * bend[1:] + bend[1:] ** 2) / 3, axis=0)
     work = np.sum((series - found.value) * found.value, axis=0)
@@ -107,7 +109,7 @@ def with_cutoff(how: Smoothing, factor: float) -> Smoothing | None:
 
 
 def smoothed_each(time: np.ndarray, series: np.ndarray, how: Sequence[Smoothing]) -> Smoothed:
-    """Smooth each of the series (T, U, ...) by its own smoothing; see `smoothed`."""
+    """Smooth each of the series (T, U, ...) by the smoothing given for it; see `smoothed`."""
     if not how:
         return Smoothed(series, series, series)
     shape = series[:, 0].shape
@@ -131,7 +133,7 @@ def _of_spline(spline: BSpline, time: np.ndarray) -> Smoothed:
 
 
 def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return both derivatives of the polynomial of degree four through each sample and its four nearest neighbours.
+    """Return both derivatives of the fourth-degree polynomial through each sample and its four nearest neighbours.
 
     For evenly spaced samples, these are the central differences of fourth order, and one-sided ones at the ends.
     """
@@ -144,7 +146,7 @@ def local_derivatives(time: np.ndarray, series: np.ndarray) -> tuple[np.ndarray,
     right = np.zeros((count, 5, 2))
     right[:, 1, 0], right[:, 2, 1] = 1.0 / unit, 2.0 / unit**2
     weights = np.linalg.solve(powers, right)  # (T, 5, 2)
-    near = series[rows] - series[:, None]  # the weights of a derivative sum to zero; this avoids cancellation
+    near = series[rows] - series[:, None]  # differences avoid cancellation; the weights of a derivative sum to zero
     rate, acceleration = np.einsum("tsd,tsk->dtk", weights, near)
     return rate, acceleration
 
@@ -159,8 +161,8 @@ def _smoothing_spline(time: np.ndarray, series: np.ndarray, parameter: float) ->
     unit = float((time[-1] - time[0]) / (len(time) - 1))  # intervals of about 1 keep the matrix well scaled
     step, weight = np.diff(time) / unit, parameter / unit**3
     before, after = 1.0 / step[:-1], 1.0 / step[1:]
-    middle = -(before + after)  # row i of Q^T has before, middle and after at i, i + 1 and i + 2
-    matrix = np.zeros((3, len(middle)))  # the diagonal and the two below it
+    middle = -(before + after)  # row i of Q^T has `before`, `middle` and `after` at i, i + 1 and i + 2
+    matrix = np.zeros((3, len(middle)))  # the diagonal and the two diagonals below it
     matrix[0] = (step[:-1] + step[1:]) / 3 + weight * (before**2 + middle**2 + after**2)
     matrix[1, :-1] = step[1:-1] / 6 + weight * (middle[:-1] * before[1:] + after[:-1] * middle[1:])
     matrix[2, :-2] = weight * after[:-2] * before[2:]
@@ -211,8 +213,8 @@ def _interval(time: np.ndarray) -> float:
 
 
 def _check_cutoff(given: float, once: float, interval: float) -> None:
-    """Raise SpecError if the cutoff `once` of a single pass, for the cutoff `given`, is too high for the sampling
-    rate.
+    """Raise SpecError if the cutoff is too high for the sampling rate; `once` is that of a single pass, for the cutoff
+    `given`.
     """
     highest = 0.5 / interval * given / once
     if given >= highest:
@@ -225,7 +227,7 @@ def _check_cutoff(given: float, once: float, interval: float) -> None:
 
 def _butterworth(time: np.ndarray, series: np.ndarray, how: Butterworth) -> np.ndarray:
     interval = _interval(time)
-    # each of the two passes has -1.5 dB at the cutoff
+    # Each of the two passes has an attenuation of 1.5 dB at the cutoff.
     once = how.cutoff / (2**0.5 - 1) ** (0.5 / how.order)
     _check_cutoff(how.cutoff, once, interval)
     b, a = butter(how.order, once, fs=1.0 / interval)

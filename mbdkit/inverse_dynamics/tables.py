@@ -22,10 +22,10 @@ GAPS = ("", "nan", "na", "n/a", "null")
 HEADINGS_SHOWN = 30
 
 LARGEST_FILE = 128 * 2**20
-"""Size of a file above which it is not read [bytes]."""
+"""Largest size of a file that is read [bytes]."""
 
 MOST_CELLS = 10_000_000
-"""Largest number of cells of a table; a cell takes some 70 bytes of memory."""
+"""Largest number of cells of a table; a cell takes about 70 bytes of memory."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Table:
     in_degrees
         Whether the file states that rotations are in degrees.
     remark
-        What of the file could not be read, as a clause for messages; empty if nothing is missing.
+        Contents of the file that could not be read, as a clause for messages; empty if nothing is missing.
     """
 
     file: str
@@ -65,7 +65,7 @@ class Table:
                 raise self.error(f"two columns have the heading '{shown(heading)}'")
             self._place[heading] = index
         without_subject = [heading.rpartition(":")[2] for heading in self.headings]
-        for index, heading in enumerate(without_subject):  # as Vicon names markers: Subject:LKNE
+        for index, heading in enumerate(without_subject):  # Vicon names markers Subject:LKNE
             if heading not in self._place and without_subject.count(heading) == 1:
                 self._place[heading] = index
 
@@ -160,7 +160,9 @@ class Table:
 
 
 def _is_plain(cell: Any) -> bool:
-    """Return whether `float` reads a cell as other programs do: not with ``1_0`` as 10, or digits of other scripts."""
+    """Return whether `float` reads a cell as other programs do; false for ``1_0``, read as 10, and digits of other
+    scripts.
+    """
     return not isinstance(cell, str) or (cell.isascii() and "_" not in cell)
 
 
@@ -170,9 +172,9 @@ def read_table(path: Path, key: str) -> Table:
     Raises
     ------
     SpecError
-        If the file does not exist, or is not such a table.
+        If the file does not exist, or is not a table in this format.
     ResourceError
-        If the system refuses to read it.
+        If the system refuses to read the file.
     """
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "there is no such file"
@@ -205,7 +207,7 @@ def read_table(path: Path, key: str) -> Table:
 
 
 def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> Table:
-    """Return columns by heading as a table; raise SpecError if they differ in length."""
+    """Return a table with the given columns by heading; raise SpecError if the columns differ in length."""
     lengths = {heading: len(values) for heading, values in data.items()}
     if len(set(lengths.values())) > 1:
         raise SpecError(
@@ -253,7 +255,9 @@ def _csv_rows(file: str, lines: list[str], delimiter: str) -> Iterator[tuple[int
 
 
 def _within(file: str, rows: Iterable[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of a table with their lines; raise SpecError if they have more than `MOST_CELLS` cells."""
+    """Yield the rows of a table with their line numbers; raise SpecError if they have more than `MOST_CELLS` cells in
+    total.
+    """
     count = 0
     for line, cells in rows:
         count += len(cells)
@@ -283,8 +287,9 @@ def _read_storage(file: str, lines: list[str]) -> Table:
 
 
 def _cells_of(headings: str) -> Any:
-    """Return the function that splits the lines of a table with these headings: at tabs if there are any, otherwise at
-    blanks.
+    """Return the function that splits the lines of a table with these headings.
+
+    Lines are split at tabs if the headings contain tabs, otherwise at blanks.
     """
     if "\t" in headings:
         return lambda line: [cell.strip() for cell in line.rstrip("\n").rstrip("\t").split("\t")]

@@ -1,4 +1,5 @@
-"""What plugins add to specs: models and integrators by `name`, and one class of elements for each force law.
+"""The parts of specs that depend on plugins: models and integrators by `name`, and a class of elements for each force
+law.
 
 A model or integrator is a discriminated union of the options of the installed plugins.
 """
@@ -84,7 +85,7 @@ class Choice:
 
 
 def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
-    """Return a schema of a plugin's options that raises PluginError for all errors but ValidationError."""
+    """Return a schema of a plugin's options that converts all errors except ValidationError to PluginError."""
     if item.origin.distribution == "mbdkit":
         return schema
 
@@ -101,7 +102,9 @@ def choice_of(root: type[BaseModel], kind: Kind) -> Choice:
 
 
 def registry_of(root: type[BaseModel]) -> Registry:
-    """Return the registry in the `Choice` annotations of a spec; without any, the registry of installed plugins."""
+    """Return the registry in the `Choice` annotations of a spec; if there are none, the registry of installed
+    plugins.
+    """
     for field in root.model_fields.values():
         for extra in field.metadata:
             if isinstance(extra, Choice):
@@ -137,7 +140,7 @@ class RegistryLookup:
     Parameters
     ----------
     registry
-        Function that returns the registry, called only if a law or an option is looked up.
+        Function that returns the registry. It is called only when a law or an option is looked up.
     """
 
     registry: Callable[[], Registry] = registry

@@ -31,7 +31,7 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``, with values in YAML.
     sections
-        Top-level keys of the spec, which replace those in `source`.
+        Top-level keys of the spec; they replace those in `source`.
 
     Raises
     ------
@@ -82,13 +82,13 @@ def _document(source: Any) -> tuple[Document, FilePath]:
 
 
 Given = dict[str, tuple[Path, Any]]
-"""Key paths and values, by the key of the design that gives them."""
+"""Key paths and values, by the key of the design that sets them."""
 
 
 def _scenario_spec(
     design: DesignSpec, name: str, scenario: Scenario, folder: FilePath, changes: Given | None = None
 ) -> RunSpec | InverseSpec:
-    """Return the spec of a scenario, with goals and limits as its measures and the variables at their start.
+    """Return the spec of a scenario, whose measures are the goals and limits, with the variables at their start values.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _scenario_spec(
 
 
 def _put_all(data: dict[str, Any], given: Given) -> None:
-    """Set values in a base; `given` has them by the key of the design that gives them."""
+    """Set values in a base; `given` has key paths and values by the key of the design that sets them."""
     for where, (path, value) in given.items():
         try:
             put(data, path, value)
@@ -157,7 +157,9 @@ def _check_variable(name: str, data: Mapping[str, Any]) -> None:
 
 
 def _located(error: SpecError, given: Given, document: Document, place: str) -> SpecError:
-    """Return an error in the spec of a scenario, placed at the key of the design, or at the line of its base."""
+    """Return an error in the spec of a scenario with the location of the key in the design, or of the line in the
+    base.
+    """
     path = parse_path(error.key)
     for where, (key, _) in given.items():
         if path[: len(key)] == key:

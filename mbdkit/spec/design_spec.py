@@ -307,31 +307,31 @@ class DesignSpec(StrictSpec):
 
     @property
     def sums_squares(self) -> bool:
-        """Whether the sum of the squares of all goals is minimised, in place of each goal."""
+        """Whether the sum of the squares of all goals is minimised, instead of the goals themselves."""
         return self.optimizer.name == "least-squares"
 
     @property
     def totals(self) -> tuple[str, ...]:
-        """Names of what is minimised: of the goals, or of their sum of squares."""
+        """Names of the functions that are minimised: the goals, or their sum of squares."""
         return (GOAL,) if self.sums_squares else tuple(self.goals)
 
     @property
     def situations(self) -> dict[str, Scenario]:
-        """The scenarios by name; the base alone is one without a name."""
+        """The scenarios by name; without scenarios, the base is the only one, and has an empty name."""
         return self.scenarios or {"": Scenario()}
 
     @property
     def specs(self) -> Mapping[str, RunSpec | InverseSpec]:
-        """The validated specs of the scenarios by name, with the variables at their start."""
+        """The validated specs of the scenarios by name, with the variables at their start values."""
         return self._specs
 
     @property
     def compared_specs(self) -> Mapping[str, Mapping[str, RunSpec | InverseSpec]]:
-        """The validated specs of the scenarios with each of the other settings in `compare`, by their name."""
+        """The validated specs of the scenarios for each set of settings in `compare`, by the name of the set."""
         return self._compared_specs
 
     def defined_measures(self) -> Iterator[DefinedMeasure]:
-        """Yield goals and limits as measures, with their places in this spec."""
+        """Yield goals and limits as measures, with their locations in this spec."""
         for one in defined(self.goals, ("minimize",)):
             yield one if isinstance(self.minimize, Mapping) else replace(one, place=("minimize",))
         for name, limit in self.subject_to.items():
@@ -339,6 +339,6 @@ class DesignSpec(StrictSpec):
 
 
 def variable_path(name: str) -> Path:
-    """Return the key path that a variable sets: a name without dots is that of a parameter."""
+    """Return the key path that a variable sets; a name without dots refers to a parameter."""
     path = parse_key(name)
     return path if len(path) > 1 else ("parameters", *path)

@@ -19,7 +19,7 @@ def load_inverse_spec(source: Any, overrides: Iterable[str] = (), **sections: An
     Parameters
     ----------
     source, overrides, sections
-        As for `load_spec`; the source may also be an `InverseSpec`.
+        See `load_spec`; the source may also be an `InverseSpec`.
 
     Raises
     ------

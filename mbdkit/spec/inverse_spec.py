@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 def _named(sections: dict[str, Any]) -> dict[str, Any]:
     for name in sections:
-        if name != GROUND:  # allowed, because it is a natural name of a load
+        if name != GROUND:  # allowed, because "ground" is a natural name for a load
             check_name(name, name)
     return sections
 
@@ -87,7 +87,7 @@ class InverseSpec(ModelSpec):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """None: start and end follow from the measured motion."""
+        """None, because start and end follow from the measured motion."""
         return None
 
     @property
@@ -97,12 +97,14 @@ class InverseSpec(ModelSpec):
 
     @property
     def actuator_units(self) -> Mapping[str, str]:
-        """Units of the values of the actuators, by name; of all possible actuators if the observed quantities follow
-        from the data.
+        """Units of the values of the actuators, by name.
+
+        If the observed quantities follow from the data, all possible actuators are listed.
         """
         names = QuantityNames(self.mechanism())
         columns = self.motion.columns
-        if columns is None:  # one by one, since the first of several names of a quantity would hide the others
+        # checked one by one, because the first of several names of a quantity would hide the others
+        if columns is None:
             groups = [{name: quantity} for name, quantity in names.candidates().items()]
         else:
             groups = [{name: names.find(name, path_text(("motion", "columns", name))) for name in columns}]

@@ -28,7 +28,7 @@ _SECTIONS = {"model", "integrator", "time", "output", "limits", "stabilization",
 _KINDS = {"bodies", "joints", "forces", "markers", "muscles", "springs"}
 _ENDS = {"from": "point 1", "to": "point 2"}
 _VECTORS = {"position", "velocity", "point", "at", "from", "to", "axis", "gravity"}
-"""Keys with a component along x and one along y."""
+"""Keys whose values have an x and a y component."""
 
 
 def key_words(key: str | Path) -> str:
@@ -57,12 +57,13 @@ def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
     Parameters
     ----------
     specs
-        Specs that have this key; the first that has the option shows what the key sets.
+        Specs that have this key. The first of them that contains the option determines the unit.
     """
     for spec in specs:
         try:
             found = _unit(spec, _parts(key))
-        except (MbdkitError, LookupError, TypeError, AttributeError):  # the option is computed, or not installed
+        # the option is computed, or its plugin is not installed
+        except (MbdkitError, LookupError, TypeError, AttributeError):
             continue
         return found
     return ""
@@ -74,8 +75,8 @@ def described_unit(description: str, along: str = "") -> str:
     Parameters
     ----------
     along
-        Unit of the length of the pathway, ``m`` or ``rad``, which selects one of ``[N/m or N m/rad]``; empty if it is
-        not known, which leaves both.
+        Unit of the length of the pathway, ``m`` or ``rad``, which selects one of ``[N/m or N m/rad]``. Empty if it is
+        not known; both units are then returned.
     """
     units = described_units(description)
     if along and units:
@@ -88,7 +89,7 @@ def _parts(key: str | Path) -> Path:
 
 
 def _unit(holder: Any, path: Path) -> str:
-    """Return the unit in the description of the last field of pydantic models on a path."""
+    """Return the unit in the description of the last field along a path through pydantic models."""
     described = along = ""
     for part in path:
         if isinstance(holder, BaseModel):

@@ -1,4 +1,4 @@
-"""Loading of specs of runs and of inverse dynamics from files, examples, mappings and mechanisms, and their types."""
+"""Loads specs of runs and of inverse dynamics from files, examples, mappings and mechanisms; defines their types."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
 
 
 def loaded(kind: type[S], source: Any, overrides: Iterable[str], sections: Mapping[str, Any]) -> S:
-    """Return the validated spec of one kind from any source."""
+    """Return a validated spec of the given kind from any source."""
     if isinstance(source, kind) and not sections and not tuple(overrides):
         source.mechanism()
         return source
@@ -142,7 +142,7 @@ def example_text(name: str) -> str:
 
 
 def example_table(name: str) -> str | None:
-    """Return the text of the table that a packaged example reads, ``NAME.csv`` beside its spec; None if it has none."""
+    """Return the text of the table ``NAME.csv`` that a packaged example reads; None if it reads no table."""
     path = _examples() / f"{name}.csv"
     return str(path.read_text("utf-8")) if path.is_file() else None
 
@@ -157,7 +157,7 @@ def read_source(source: Any) -> Document:
         fields, omitted = type(source).model_fields, source.ABSENT_BY_DEFAULT
         default = {name: info.get_default(call_default_factory=True) for name, info in fields.items()}
         values = source.sections()
-        # keys that a copy omits by default: `check: false` is no statement of the user, as it is in a file
+        # Keys that a copy omits by default: `check: false` in a copy is not a choice of the user, unlike in a file.
         kept = {name: value for name, value in values.items() if name not in omitted or value != default[name]}
         return Document(kept, folder=Path() if source._document is None else source._document.folder)
     if isinstance(source, Mapping):
@@ -196,7 +196,7 @@ def _named(source: str | Path) -> Document:
 
 
 def exists(path: Path) -> bool:
-    """Return whether a file or folder exists at `path`, readable or not."""
+    """Return whether a file or folder exists at `path`, even if it is not readable."""
     try:
         path.stat()
     except PermissionError:

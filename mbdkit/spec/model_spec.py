@@ -1,6 +1,6 @@
 """Base classes of specs: strict, frozen pydantic models with readable validation errors, canonical JSON and a hash.
 
-`ModelSpec` is the base of the specs of runs and of inverse dynamics: it holds named parameters, and builds the
+`ModelSpec` is the base class of the specs of runs and of inverse dynamics. It contains named parameters, and builds the
 mechanism of its model.
 """
 
@@ -50,7 +50,7 @@ class StrictSpec(Section):
         plugins = RegistryLookup(lambda: registry_of(type(self)))
 
         def validate(values: Any) -> None:
-            # Every source is validated as JSON, because only then pydantic's strict mode accepts a list for a tuple.
+            # Every source is validated as JSON, because pydantic's strict mode accepts a list for a tuple only in JSON.
             text = json.dumps(values, allow_nan=False)
             self.__pydantic_validator__.validate_json(text, self_instance=self, context={"plugins": plugins})
 
@@ -72,7 +72,7 @@ class StrictSpec(Section):
 
     @property
     def written(self) -> Mapping[Path, str]:
-        """The expressions in place of numbers, by key path."""
+        """The expressions that were given in place of numbers, by key path."""
         return self._written
 
     def sections(self) -> dict[str, Any]:
@@ -95,10 +95,10 @@ class StrictSpec(Section):
     def canonical_json(self) -> str:
         """Return the spec as canonical JSON: with defaults, sorted option keys and the shortest form of each number.
 
-        Expressions in place of numbers are kept as written.
-        Names given by the user (bodies, joints, forces) keep their order, which is the order of the archive's arrays.
+        Expressions in place of numbers are not evaluated. Names given by the user (bodies, joints, forces) are not
+        sorted, because their order is that of the archive's arrays.
         """
-        if not self._canonical:  # of a frozen model
+        if not self._canonical:  # cached, because the model is frozen
             self._canonical = canonical_text(insert(canonical(self), self._written))
         return self._canonical
 
@@ -116,11 +116,14 @@ class ModelSpec(StrictSpec):
         If the spec is not valid, with the key path.
     """
 
-    model_config = ConfigDict(defer_build=True)  # the schema of the model imports plugins
+    model_config = ConfigDict(defer_build=True)  # building the schema of the model would import plugins
 
     EXPRESSIONS_IN: ClassVar[str] = "model"
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
-    """Keys that the canonical form omits by default, so that specs written before they existed keep hash and run id."""
+    """Keys that the canonical form omits if they have their default values.
+
+    Specs written before these keys existed therefore keep their hash and run id.
+    """
 
     mbdkit: Literal[1]
     """Version of the spec format."""
@@ -147,7 +150,7 @@ class ModelSpec(StrictSpec):
 
     @property
     def recorded(self) -> frozenset[str]:
-        """Groups of quantities that the archive holds in addition to the trajectory."""
+        """Groups of quantities that the archive contains in addition to the trajectory."""
         return frozenset(QUANTITIES)
 
     @property
@@ -174,7 +177,7 @@ class ModelSpec(StrictSpec):
 
     @property
     def force_law_items(self) -> list[Registered]:
-        """The registry entries of the force laws that the mechanism uses, without duplicates, sorted by long name."""
+        """The registry entries of the force laws that the mechanism uses, without duplicates, sorted by full name."""
         laws = {item_of(force) for force in self.mechanism().forces.values() if isinstance(force, Law)}
         return sorted(laws, key=lambda item: item.id)
 
@@ -197,7 +200,7 @@ class ModelSpec(StrictSpec):
         return built
 
     def _accept(self, mechanism: Mechanism) -> None:
-        """Raise SpecError if the other sections do not fit the mechanism."""
+        """Raise SpecError if the other sections are not compatible with the mechanism."""
 
     def _build(self) -> Mechanism:
         from mbdkit.mechanism.mechanism import Mechanism

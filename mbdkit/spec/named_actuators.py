@@ -1,4 +1,6 @@
-"""The actuators of a spec: those that it names, one for each observed joint by default, and residuals of free roots."""
+"""The actuators of a spec: those it lists, by default one for each observed joint, and residual actuators of free
+roots.
+"""
 
 from __future__ import annotations
 
@@ -24,26 +26,26 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec.inverse_sections import Actuator, Recruitment
 
 RESERVE = "reserve."
-"""Beginning of the names of reserves."""
+"""Prefix of the names of reserves."""
 
 ROOT = "root"
-"""Name of the residual actuators of the only free root, before the name of the coordinate."""
+"""Prefix of the names of residual actuators, before the name of the coordinate, if there is only one free root."""
 
 
 @dataclass(frozen=True)
 class NamedActuator:
-    """An actuator: the quantity whose generalized force it exerts, and its weight where values are not unique.
+    """An actuator: the quantity whose generalized force it exerts, and its weight, used if the values are not unique.
 
     Attributes
     ----------
     name
         Name in the archive.
     quantity
-        The power of a value u is u times the rate of this quantity.
+        The quantity; a value u of the actuator has the power u times the rate of this quantity.
     weight
         Weight of the value, see `mbdkit.spec.inverse_sections.Actuator`.
     is_residual
-        Whether it acts on a body that no joint connects to the ground, from outside.
+        Whether it is a residual actuator, which acts from outside on a body that no joint connects to the ground.
     """
 
     name: str
@@ -64,16 +66,16 @@ class NamedActuator:
 
 @dataclass(frozen=True)
 class Reserve:
-    """A reserve: an actuator beside the muscles.
+    """A reserve: an actuator that acts in addition to the muscles.
 
     Attributes
     ----------
     of
-        Index of the actuator whose moment it shares with the muscles.
+        Index of the actuator whose moment the reserve shares with the muscles.
     actuator
-        The reserve itself, ``reserve.ACTUATOR``.
+        The reserve as an actuator, ``reserve.ACTUATOR``.
     optimal
-        Its optimal force or torque.
+        Optimal force or torque of the reserve [N or N m].
     """
 
     of: int
@@ -87,7 +89,7 @@ def reserves_of(asked: Recruitment, actuators: Sequence[NamedActuator]) -> list[
     Raises
     ------
     SpecError
-        If one is named after an actuator that does not exist.
+        If a reserve is given for an actuator that does not exist.
     """
     own = {one.name: index for index, one in enumerate(actuators) if not one.is_residual}
     optimal = asked.reserves if isinstance(asked.reserves, dict) else dict.fromkeys(own, asked.reserves)
@@ -139,7 +141,7 @@ def actuators_of(
 
 
 def _of_observed(observed: Mapping[str, Quantity], names: QuantityNames) -> list[NamedActuator]:
-    """Return an actuator on each observed relative angle or travel, of the name of its joint or coordinate."""
+    """Return an actuator for each observed relative angle or travel, named after its joint or coordinate."""
     found: dict[Quantity, NamedActuator] = {}
     for name, quantity in observed.items():
         driven = without_scale(quantity)
@@ -180,9 +182,9 @@ def _coordinate_of_actuator(name: str, names: QuantityNames) -> Quantity:
 
 
 def _residuals(names: QuantityNames) -> list[NamedActuator]:
-    """Return residual actuators of the first body of each part of the mechanism that no joint holds to the ground.
+    """Return residual actuators for the first body of each part of the mechanism that no joint connects to the ground.
 
-    They act on the coordinates that the model names for this body, or else on those of its centre of mass.
+    They act on the coordinates that the model defines for this body, or else on those of its centre of mass.
     """
     mechanism = names.mechanism
     roots = free_roots(mechanism)
@@ -197,7 +199,9 @@ def _residuals(names: QuantityNames) -> list[NamedActuator]:
 
 
 def _coordinates_of_body(body: int, names: QuantityNames) -> dict[str, Quantity]:
-    """Return the first coordinates that the model names for x, y and the angle of a body, or of a point of it."""
+    """Return the first coordinates that the model defines for x, y and the angle of a body, or of a point of the
+    body.
+    """
     found: dict[int, tuple[str, Quantity]] = {}
     for name in names.mechanism.coordinates:
         quantity = names.coordinate(name)

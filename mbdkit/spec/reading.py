@@ -37,7 +37,7 @@ class Document:
     Parameters
     ----------
     file
-        Name of the file it was read from; empty for data from Python.
+        Name of the file that the data were read from; empty for data from Python.
     lines
         Function that returns the line numbers of key paths; called only if there is an error to locate.
     overridden
@@ -45,7 +45,7 @@ class Document:
     keywords
         Top-level sections replaced by Python keyword arguments.
     folder
-        Folder to which names of files in it are relative; by default, the current folder.
+        Folder to which file names in the data are relative; by default, the current folder.
     """
 
     data: dict[str, Any]
@@ -76,7 +76,7 @@ class Document:
 LARGEST_FILE = 16 * 2**20  # bytes
 STDIN = "<stdin>"
 PATIENCE = 5.0
-"""Time in which another program has to open a named pipe for writing [s]."""
+"""Time to wait for another program to open a named pipe for writing [s]."""
 
 
 def read_file(path: FilePath) -> Document:
@@ -102,13 +102,16 @@ def read_file(path: FilePath) -> Document:
 
 
 def _content(path: FilePath) -> bytes:
-    """Return the content of a file, or of a pipe such as a shell makes of ``<(command)``, up to the largest size."""
+    """Return the content of a file or pipe, such as that of ``<(command)`` in a shell; at most the largest allowed
+    size.
+    """
     first = b""
     waits_not = getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | waits_not)) as stream:
         if stat.S_ISFIFO(os.fstat(stream.fileno()).st_mode):
             select.select([stream], [], [], PATIENCE)
-            with contextlib.suppress(BlockingIOError):  # a program has opened it, and has written nothing so far
+            # a program has opened the pipe, but has not written anything so far
+            with contextlib.suppress(BlockingIOError):
                 first = os.read(stream.fileno(), 1)
                 if not first:
                     raise SpecError("this is a pipe, and no program writes to it", file=path)
@@ -128,7 +131,7 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     Parameters
     ----------
     file
-        Where the text comes from, for error messages.
+        Origin of the text, for error messages.
     suffix
         ``.json`` or ``.toml``; any other suffix means YAML.
     """
@@ -150,18 +153,18 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
             f"a spec should be a mapping (`key: value`) at the top level, not {value_text(data)}", file=file, line=1
         )
     try:
-        document.data = copied(data)  # checks the depth
+        document.data = copied(data)  # also checks the depth
     except SpecError as error:
         raise error.located(file=file) from None
     return document
 
 
 _SEPARATORS = {".json": ",:[{", ".toml": ",=[{."}
-"""Characters that occur at least once per value in a document (in YAML, in usual documents)."""
+"""Characters of which at least one occurs per value in a document; in YAML, in ordinary documents."""
 
 
 def _check_size(text: str, suffix: str, file: str) -> None:
-    """Raise SpecError if a document has too many values; counting characters is cheaper than parsing."""
+    """Raise SpecError if a document has too many values; counting separators is cheaper than parsing."""
     if len(text) > LARGEST_FILE:
         raise SpecError(f"this is larger than {LARGEST_FILE >> 20} MiB, the limit for a spec", file=file)
     if sum(text.count(separator) for separator in _SEPARATORS.get(suffix, ",\n")) > LARGEST:
@@ -219,7 +222,7 @@ def _json(text: str) -> Any:
 
 _WORD = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"(?<![\w.-]){_WORD}(?:[ \t]*+\.[ \t]*+{_WORD}){{{DEEPEST}}}")
-"""A dotted key that is so long that reading it takes time and memory that are quadratic in its length."""
+"""A dotted key with too many parts; time and memory for reading it would be quadratic in its length."""
 
 
 def _toml(text: str) -> Any:
@@ -236,12 +239,12 @@ def _toml(text: str) -> Any:
         raise SpecError(message, line=int(where[1]) if where else None) from None
     except RecursionError:
         raise SpecError("this TOML is nested too deeply") from None
-    except ValueError as error:  # such as an integer with thousands of digits
+    except ValueError as error:  # for example, an integer with thousands of digits
         raise SpecError(f"this is not valid TOML: {error}") from None
 
 
 def _toml_lines(text: str) -> dict[Path, int]:
-    """Return the line number of each key at the start of a line; keys inside inline tables have none of their own."""
+    """Return the line number of each key at the start of a line; keys inside inline tables have no line number."""
     lines: dict[Path, int] = {}
     table: Path = ()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -297,7 +300,7 @@ def read_assignment(assignment: str) -> tuple[Path, Any]:
 
 
 def read_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return the plain data that assignments ``key.path=value`` from the command line define."""
+    """Return plain data with the values that assignments ``key.path=value`` from the command line set."""
     document = Document({})
     for assignment in assignments:
         set_value(document, assignment)
@@ -333,7 +336,7 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
 
 
 def parse_key(key: str) -> Path:
-    """Return the parts of a dotted key; an empty tuple if it is not a valid dotted key, or deeper than any spec."""
+    """Return the parts of a dotted key; an empty tuple if it is not valid, or has more parts than any spec allows."""
     bare = re.sub(QUOTED, "name", key)
     path = () if not key or ".." in f".{bare}." else parse_path(key)
     return path if len(path) <= DEEPEST else ()

@@ -40,20 +40,20 @@ if TYPE_CHECKING:
 
 
 SMALLEST_ACCURACY, LARGEST_ACCURACY = 1e-12, 0.1
-"""Limits of `accuracy`: rounding errors dominate below the first, and no digit is correct above the second."""
+"""Limits of `accuracy`: below the first, rounding errors dominate; above the second, no digit is correct."""
 
 FIRST_EXPLICIT: Mapping[str, Any] = {"name": "dop853", "adaptive": True}
-"""First method to try for `accuracy` if a spec names none; for stiff mechanisms another one is chosen."""
+"""Method tried first for `accuracy` if the spec names none. For stiff mechanisms, another one is chosen later."""
 
 FIRST_IMPLICIT: Mapping[str, Any] = {"name": "radau-iia", "stages": 5, "adaptive": True}
-"""First method to try for formulations that solve for multipliers, which explicit methods do not support."""
+"""Method tried first for formulations that solve for multipliers, which explicit methods do not support."""
 
 FIRST_SYMMETRIC: Mapping[str, Any] = {"name": "gauss", "stages": 3}
-"""First method to try for symmetric projection, which needs fixed steps."""
+"""Method tried first with symmetric projection, which needs fixed steps."""
 
 
 def _with_accuracy(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data of a run spec with the keys that follow from `accuracy`.
+    """Return the data of a run spec with the keys that `accuracy` implies added.
 
     Raises
     ------
@@ -152,7 +152,7 @@ class RunSpec(ModelSpec):
     _watched: Any = PrivateAttr(default=None)
     _settings: Any = PrivateAttr(default=None)
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
-    """The canonical JSON before and after the value of `model`, once it is needed."""
+    """The canonical JSON before and after the value of `model`; None until it is needed."""
 
     def __init__(self, **data: Any):
         super().__init__(**_with_accuracy(data))
@@ -226,7 +226,7 @@ class RunSpec(ModelSpec):
 
     @property
     def has_rigid_contacts(self) -> bool:
-        """Whether the mechanism has contacts, which the run treats as contacts of rigid bodies."""
+        """Whether the mechanism has contacts, and the run treats the bodies in contact as rigid."""
         return self.contact.treatment != "compliant" and bool(self.mechanism().contacts)
 
     @property
@@ -236,7 +236,7 @@ class RunSpec(ModelSpec):
 
     @property
     def is_to_be_chosen(self) -> bool:
-        """Whether method or step are still to be chosen for the requested accuracy."""
+        """Whether method or step have yet to be chosen for the requested accuracy."""
         return self.accuracy is not None and self.choose != "nothing"
 
     def with_choice(self, integrator: dict[str, Any], step: float | None) -> RunSpec:
@@ -260,9 +260,9 @@ class RunSpec(ModelSpec):
     """Earlier name of `with_choice`."""
 
     def with_model(self, model: BaseModel) -> RunSpec:
-        """Return this spec with other parameters of its model, which are valid.
+        """Return this spec with other valid parameters of its model.
 
-        This spec must have no expressions of parameters: no other section then depends on the model, and none is
+        This spec must have no expressions of parameters. No other section then depends on the model, so that none is
         validated again.
         """
         assert not self.written
@@ -284,10 +284,10 @@ class RunSpec(ModelSpec):
         return stabilization_of(self.stabilization)
 
     def _able(self, can: Callable[[Claims], bool]) -> str:
-        """Return a phrase that lists the installed integrators whose claims satisfy `can`."""
+        """Return a phrase that lists the installed integrators for whose claims `can` is true."""
         able = []
         for item in choice_of(type(self), "integrator").registry.of_kind("integrator"):
-            with suppress(Exception, SystemExit):  # options without defaults, or a plugin that raises any exception
+            with suppress(Exception, SystemExit):  # the options have no defaults, or the plugin raises any exception
                 plugin = item.plugin
                 assert isinstance(plugin, IntegratorPlugin)
                 if can(plugin.claims(plugin.options())):
@@ -318,7 +318,7 @@ class RunSpec(ModelSpec):
         return claims
 
     def watched(self) -> dict[str, RunExpression]:
-        """Return the parsed expressions of the events by name; raises the errors of `mechanism`."""
+        """Return the parsed expressions of the events by name. Raises the errors of `mechanism`."""
         self.mechanism()
         watched: dict[str, RunExpression] = self._watched
         return watched
@@ -328,7 +328,7 @@ class RunSpec(ModelSpec):
         return tuple(defined(self.measures, ("measures",)))
 
     def settings(self) -> dict[str, dict[str, RunExpression]]:
-        """Return the parsed expressions by event and state that events set; raises the errors of `mechanism`."""
+        """Return the parsed expressions of new state values, by event and state. Raises the errors of `mechanism`."""
         self.mechanism()
         settings: dict[str, dict[str, RunExpression]] = self._settings
         return settings

@@ -25,7 +25,7 @@ _NORMAL = {"mean": "loc", "std": "scale"}
 """Parameters of `normal`, which scipy.stats calls norm."""
 _LOCATION = ("loc", "scale")
 _SLOW = ("ksone", "kstwo")
-"""Distributions whose quantiles take milliseconds each, although scipy.stats implements them explicitly."""
+"""Distributions whose quantiles take milliseconds each, although scipy.stats implements them by formulas."""
 
 
 def check_distribution(given: Any) -> Any:
@@ -39,7 +39,7 @@ def check_distribution(given: Any) -> Any:
     Raises
     ------
     SpecError
-        If it is not a distribution, with the key within it.
+        If this is not a valid distribution. The error has the key within it.
     """
     frozen(given)
     return given
@@ -51,7 +51,7 @@ def frozen(given: Any) -> Any:
     Raises
     ------
     SpecError
-        If it is not a distribution, with the key within it.
+        If this is not a valid distribution. The error has the key within it.
     """
     if not isinstance(given, Mapping) or len(given) != 1:
         raise SpecError(f"should be {FORM}, not {value_text(given)}")
@@ -115,7 +115,7 @@ def _values(name: str, given: Any, names: Sequence[str], needed: Sequence[str]) 
 
 
 def _in_si(values: Mapping[str, Any]) -> tuple[dict[str, Any], Unit | None]:
-    """Return parameters in SI units, and the unit of the variable; shapes of a distribution have none.
+    """Return parameters in SI units, and the unit of the variable; shape parameters have no unit.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def _in_si(values: Mapping[str, Any]) -> tuple[dict[str, Any], Unit | None]:
 
 
 def unit_of(given: Any) -> Unit | None:
-    """Return the unit in which a distribution, which is valid, has its parameters; None if they are plain numbers."""
+    """Return the unit of the parameters of a valid distribution; None if they are plain numbers."""
     (parameters,) = given.values()
     if isinstance(parameters, Mapping):
         return _in_si(parameters)[1]
@@ -203,11 +203,13 @@ Distribution = Annotated[
 
 
 MOST_VARIABLES = 1000
-"""Maximum number of variables; the Sobol sequence of scipy.stats.qmc has 21201 dimensions, two for each variable."""
+"""Largest number of variables. The Sobol sequence of scipy.stats.qmc has 21201 dimensions; each variable may need
+two.
+"""
 
 
 def _check_number(variables: Any) -> Any:
-    """Refuse too many variables before their distributions, each of which takes a third of a millisecond."""
+    """Refuse too many variables before their distributions are checked, which takes 0.3 ms for each."""
     if isinstance(variables, Mapping) and len(variables) > MOST_VARIABLES:
         raise SpecError(f"has {len(variables)} variables; a sample has at most {MOST_VARIABLES}")
     return variables
@@ -234,7 +236,7 @@ def _check_variables(variables: dict[str, Any]) -> dict[str, Any]:
 
 
 def comparable(path: Path) -> tuple[str, ...]:
-    """Return a path in which ``angles.0`` and ``angles[0]`` are the same."""
+    """Return a path in a form in which ``angles.0`` and ``angles[0]`` are equal."""
     return tuple(str(part) for part in path)
 
 

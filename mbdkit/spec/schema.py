@@ -69,7 +69,7 @@ def _model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
 
 
 def _allow_expressions(schema: dict[str, Any]) -> None:
-    """Let every number of the model also be an expression, in a schema of run specs; limits hold for numbers only."""
+    """Allow expressions for all numbers of the model in a schema of run specs; limits apply to plain numbers only."""
     definitions = schema["$defs"]
     reached: set[str] = set()
     pending: list[Any] = [schema["properties"]["model"]]
@@ -90,7 +90,9 @@ def _allow_expressions(schema: dict[str, Any]) -> None:
 
 
 def allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
-    """Let the numbers of keys whose descriptions name a unit, and of some `sections`, have one, all others %."""
+    """Allow units for numbers of keys whose descriptions name a unit, and for some `sections`; allow % for all other
+    numbers.
+    """
     for name, part in [("", schema), *schema.get("$defs", {}).items()]:
         for info in part.get("properties", {}).values():
             has_unit = name in sections or described_units(info.get("description", ""))
@@ -99,9 +101,9 @@ def allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
 
 
 def _allow_text(part: Any, pattern: str) -> None:
-    """Let the numbers in a part of a schema be texts as well, which match a pattern."""
+    """Allow texts that match a pattern for the numbers in a part of a schema."""
     if isinstance(part, dict) and {"type": "string"} in part.get("anyOf", ()):
-        return  # any text is accepted already
+        return  # any text is already allowed
     if isinstance(part, dict) and part.get("type") == "number":
         part |= {"type": ["number", "string"], "pattern": pattern}
     for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():

@@ -25,7 +25,7 @@ QUANTITIES = get_args(ChosenGroup)
 
 
 def whole(value: Any) -> Any:
-    """Convert a float with an integer value to int, because large counts are often written as 1e6."""
+    """Convert floats with integer values to int, because large counts are often written as 1e6."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
@@ -275,7 +275,7 @@ NAMES = ("none", "baumgarte", "projection")
 
 
 class _OrName:
-    """Adds the name without options to the JSON schema."""
+    """Adds the name alone, without options, to the JSON schema."""
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return {"anyOf": [{"enum": list(NAMES), "type": "string"}, handler(core)]}
@@ -296,7 +296,7 @@ def _named(given: Any) -> Any:
 
 
 def _plainly(chosen: Any) -> Any:
-    """Replace `NoStabilization` by the string ``none``."""
+    """Replace `NoStabilization` by the string ``none`` in the serialized form."""
     return "none" if isinstance(chosen, NoStabilization) else chosen
 
 

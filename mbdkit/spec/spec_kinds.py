@@ -1,4 +1,4 @@
-"""Tell run specs from specs of inverse dynamics, without importing the models of either."""
+"""Distinguishes run specs from specs of inverse dynamics, without importing the models of either."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from mbdkit.base.errors import SpecError
 
 
 def is_inverse(data: Mapping[str, Any]) -> bool:
-    """Return whether plain data are a spec of inverse dynamics: only these have a section `motion`."""
+    """Return whether plain data are a spec of inverse dynamics; only such specs have a section `motion`."""
     return "motion" in data
 
 

@@ -48,11 +48,11 @@ installed; `mbdkit plugins show NAME` prints the options of one model, integrato
 """
 
 PARTS = ("model", "integrator", "stabilization")
-"""Keys of a run spec that have sections of their own."""
+"""Keys of a run spec that are described in separate sections."""
 
 
 def page(installed: Registry) -> str:
-    """Return the page on the specs that a registry allows, as Markdown."""
+    """Return the page, as Markdown, on specs with the plugins of a registry."""
     run = run_schema(installed)
     first = [f"- `{key}`: {_flat(run['properties'][key]['description'])} See below." for key in PARTS]
     study, design = StudySpec.model_json_schema(), DesignSpec.model_json_schema()
@@ -131,13 +131,13 @@ def _without(schema: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
 
 
 def _version(key: str, schema: dict[str, Any]) -> str:
-    """Return the line of the key that identifies the kind of a spec and its version."""
+    """Return the line on the key that identifies the kind of a spec and its version."""
     info = schema["properties"][key]
     return f"- `{key}` ({info['const']}, required): {_flat(info['description'])}"
 
 
 def _types(models: Iterable[type[BaseModel]], level: str = "####") -> list[str]:
-    """Return the sections of element types, whose names are the defaults of their key `type`."""
+    """Return sections for types of elements; the name of a type is the default of its key `type`."""
     return [
         part
         for model in models

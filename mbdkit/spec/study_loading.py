@@ -33,8 +33,8 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
         A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, a document
         that was read, or a `StudySpec`. The file name of a base is relative to the folder of the study file.
     assignments
-        Assignments with values in YAML. Those of keys of runs, such as ``"time.end=5"``, are set in the base of every
-        run, after the `overrides` of the study; those such as ``"sample.n=64"`` are set in the sample.
+        Assignments with values in YAML. Keys of runs, as in ``"time.end=5"``, are set in the base of every run, after
+        the `overrides` of the study. Keys of the sample, as in ``"sample.n=64"``, are set in the sample.
 
     Returns
     -------
@@ -78,9 +78,11 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
 
 
 def _override(document: Document, assignment: str) -> None:
-    """Set a key of the sample, or one in the base of every run: in the overrides of the study and of its families."""
+    """Set a key of the sample, or a key of the base of every run; the latter in the overrides of the study and its
+    families.
+    """
     path, value = read_assignment(assignment)
-    if path[0] == "sample":  # no key of runs
+    if path[0] == "sample":  # not a key of runs
         set_value(document, assignment)
         return
     key = path_text(path)
@@ -88,7 +90,7 @@ def _override(document: Document, assignment: str) -> None:
     _check_sample(document.data.get("sample"), path, assignment)
     families = document.data.get("families")
     for name, family in families.items() if isinstance(families, Mapping) else ():
-        if isinstance(family, dict):  # validation reports others
+        if isinstance(family, dict):  # validation reports other types
             holders["families", name] = family
     for place, holder in holders.items():
         _check_axes(holder.get("axes"), path, assignment)
@@ -120,7 +122,7 @@ def _check_axes(axes: Any, path: Path, assignment: str) -> None:
 
 
 def recognized(source: str) -> tuple[str | Document, bool]:
-    """Return a source for `load_study_spec` or `load_spec`, and whether it is the spec of a study.
+    """Return a source for `load_study_spec` or `load_spec`, and whether it is a study spec.
 
     Parameters
     ----------
@@ -140,7 +142,7 @@ def recognized(source: str) -> tuple[str | Document, bool]:
 
 
 def _is_study_name(name: str) -> bool:
-    """Whether a name is that of a packaged study, and of no packaged spec of runs or of inverse dynamics."""
+    """Whether a name is that of a packaged study, but not of a packaged spec of runs or of inverse dynamics."""
     return name not in {*example_names("run"), *example_names("inverse")} and _packaged(name) is not None
 
 
@@ -150,7 +152,7 @@ def study_names() -> list[str]:
 
 
 def _packaged(name: str) -> Registered | None:
-    """Return the packaged study with this short or long name, or None; raise SpecError if the name is ambiguous."""
+    """Return the packaged study with this short or full name, or None; raise SpecError if the name is ambiguous."""
     installed = registry()
     known = any(name in (item.name, item.id) for item in installed.of_kind("study"))
     return installed.get("study", name) if known else None
@@ -168,13 +170,13 @@ def document_of(
     Parameters
     ----------
     words
-        What the source is called, in singular and plural.
+        Words for the source in messages, singular and plural.
     packaged
-        Returns document and folder of the packaged one with a name; None if there is none.
+        Function that returns document and folder of the packaged study or design with a name; None if there is none.
     names
-        Returns the names of the packaged ones.
+        Function that returns the names of the packaged studies or designs.
     advice
-        Returns a clause for an error about a name.
+        Function that returns a clause of advice for an error about a name.
     """
     if isinstance(source, Mapping):
         return Document(copied(source)), FilePath()
@@ -199,7 +201,10 @@ def document_of(
 
 
 def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
-    """Return the document of a packaged study and its folder; its own verdict is used unless the spec names one."""
+    """Return the document of a packaged study, and its folder.
+
+    The verdict function of the study is used unless the spec names another one.
+    """
     item = _packaged(name)
     if item is None:
         return None
@@ -213,7 +218,9 @@ def _packaged_document(name: str) -> tuple[Document, FilePath] | None:
 
 
 def _write_out_bases(data: dict[str, Any], folder: FilePath) -> dict[Path, Document]:
-    """Replace each base that is a name or a Python object by its data; return their documents by key path."""
+    """Replace each base that is a name or a Python object by its data; return the documents of the bases by key
+    path.
+    """
     documents: dict[Path, Document] = {}
     holders: dict[Path, dict[str, Any]] = {(): data}
     families = data.get("families")

@@ -1,4 +1,4 @@
-"""The key `measures` of runs and studies: definitions by expressions or measures of plugins; of studies, also names."""
+"""The key `measures` of runs and studies: definitions by expressions or plugins and, for studies, also names."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ from mbdkit.registry.catalogue import Registered, named_options
 from mbdkit.registry.manager import registry
 
 REFERENCE, SECOND_RUN = "reference", "second run"
-"""What a built-in measure may need beside the run; those that need a second run are computed only if listed."""
+"""What a built-in measure may need in addition to the run; measures with a second run are computed only if listed."""
 
 
 def built_in_measures() -> Mapping[str, str]:
-    """Return the names of the built-in measures, each with what it needs beside the run; empty for most."""
+    """Return the names of the built-in measures, each with what it needs in addition to the run; an empty text for
+    most.
+    """
     known: Mapping[str, str] = higher_layers.built_in_measures()
     return known
 
@@ -42,16 +44,16 @@ class DefinedMeasure:
     Parameters
     ----------
     name
-        Name of its column.
+        Name of the measure and of its column.
     place
-        Key path of its definition in the spec.
+        Key path of the definition in the spec.
     expression, unit
-        Expression of a run, and the unit of its value; an empty unit follows from the expression.
+        Expression of a run, and the unit of its value; if the unit is empty, it follows from the expression.
     item, options
         Measure of a plugin and its options, instead of an expression.
     of_base
-        Whether it is defined in the base of a study instead of the study itself. It is then computed for the runs whose
-        spec contains it, because other families may have other bases.
+        Whether the measure is defined in the base of a study instead of the study itself. It is then computed only for
+        the runs whose spec contains it, because other families may have other bases.
     """
 
     name: str
@@ -68,8 +70,8 @@ class DefinedMeasure:
 
 
 def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
-    """Return the expressions of measures that a study defines itself; those of its bases are part of the specs of
-    runs.
+    """Return the expressions of the measures that a study itself defines; those of its bases are part of the run
+    specs.
     """
     return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)
 
@@ -87,12 +89,12 @@ def defined(measures: Any, above: Path = ()) -> Iterator[DefinedMeasure]:
     Parameters
     ----------
     above
-        Key path of `measures`, with which the places of measures and the keys of errors begin.
+        Key path of `measures`; the key paths of measures and of errors begin with it.
 
     Raises
     ------
     SpecError
-        If one is not valid.
+        If a measure is not valid.
     """
     if isinstance(measures, Mapping):
         yield from _defined_in(measures, above)
@@ -155,7 +157,7 @@ def _of_plugin(name: str, definition: Mapping[str, Any], place: Path) -> Defined
         raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(place))
     try:
         item = installed.get("measure", wanted)
-    except SpecError as error:  # several distributions use the name
+    except SpecError as error:  # several distributions use this name
         raise SpecError(error.message, key=path_text(place)) from None
     model = named_options(item)
     with blaming(f"measure {item.id} failed to check its options"):

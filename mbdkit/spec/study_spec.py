@@ -65,7 +65,7 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_axes(axes: tuple[dict[str, Any], ...]) -> tuple[dict[str, Any], ...]:
-    taken: dict[Path, tuple[str, int]] = {}  # keys and the sections that contain them
+    taken: dict[Path, tuple[str, int]] = {}  # keys, with the sections that contain them
     names: dict[str, int] = {}
     for number, axis in enumerate(axes):
         for name, values in axis.items():
@@ -92,7 +92,7 @@ def _keys_set(name: str, values: Any) -> list[str]:
 
 
 def check_axes_of_sample(sample: Sample, axes: tuple[dict[str, Any], ...], place: Path) -> None:
-    """Raise SpecError if an axis sets a variable of a sample, or a part of one."""
+    """Raise SpecError if an axis sets a variable of a sample, or a part of such a variable."""
     variables = {comparable(parse_key(key)): key for key in sample.variables}
     for number, axis in enumerate(axes):
         for key in [key for name, values in axis.items() for key in _keys_set(name, values)]:
@@ -114,7 +114,7 @@ Repeats = Annotated[int, Field(ge=1, le=1000)]
 Storing = Literal["files", "all", "histories", "summary", "hashes"]
 
 LARGEST_TABLE = 1_000_000
-"""Maximum number of runs in a study that is stored in blocks."""
+"""Largest number of runs in a study that is stored in blocks."""
 
 
 class Family(Section):
@@ -157,7 +157,10 @@ class StudySpec(StrictSpec):
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("sample", "store", "block", "compress", "members")
-    """Keys that the canonical form omits by default, so that studies written before they existed keep their hash."""
+    """Keys that the canonical form omits if they have their default values.
+
+    Studies written before these keys existed therefore keep their hash.
+    """
 
     mbdkit_study: Literal[1]
     """Version of the spec format."""
@@ -203,7 +206,7 @@ class StudySpec(StrictSpec):
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
     _folder: FilePath = PrivateAttr(default_factory=FilePath)
-    _columns: Any = PrivateAttr(default=None)  # folder of the table of members, once it has been read
+    _columns: Any = PrivateAttr(default=None)  # folder of the table of members, after it has been read
 
     @model_validator(mode="after")
     def _consistent(self) -> StudySpec:
@@ -246,7 +249,7 @@ class StudySpec(StrictSpec):
         return self
 
     def _check_sample(self) -> None:
-        """Check that no axis sets a variable of the sample, or a part of it."""
+        """Check that no axis sets a variable of the sample, or a part of such a variable."""
         if self.sample is None:
             return
         if self.members is not None and self.members.runs != self.sample.runs:
@@ -258,7 +261,7 @@ class StudySpec(StrictSpec):
 
     @property
     def has_table(self) -> bool:
-        """Whether the values that distinguish the runs are in a table: that of `members`, or that of a sample."""
+        """Whether the values that distinguish the runs are in a table, that of `members` or that of a sample."""
         return self.members is not None or self.sample is not None
 
     @property
@@ -268,7 +271,7 @@ class StudySpec(StrictSpec):
 
     @property
     def needs_files(self) -> str:
-        """Names of the keys that require a file for each run, as text; empty if there are none."""
+        """Names of the keys that require a file for each run, as text; empty if none is set."""
         families = self.families.values()
         if any(
             reference not in ("none", None)
@@ -284,13 +287,13 @@ class StudySpec(StrictSpec):
         return self if store == self.store else self._changed("store", store)
 
     def with_members(self, members: Members | None) -> StudySpec:
-        """Return this spec with another table of members, which is to be read from its folder."""
+        """Return this spec with another table of members, which will be read from its folder."""
         spec = self._changed("members", members)
         spec._columns = None
         return spec
 
     def _changed(self, key: str, value: Any) -> StudySpec:
-        """Return this spec with another value of a key, which is left out if the value is None."""
+        """Return this spec with another value of a key; if the value is None, the key is left out."""
         sections = self.sections() | {key: value}
         given = (self.model_fields_set | {key}) - ({key} if value is None else set())
         spec = type(self)(**{name: section for name, section in sections.items() if name in given})
@@ -300,12 +303,12 @@ class StudySpec(StrictSpec):
 
     @property
     def built_in_measures(self) -> tuple[str, ...] | None:
-        """Names of the built-in measures to take; None for all that are computed from the archive."""
+        """Names of the built-in measures to compute; None for all that are computed from the archive."""
         return built_in(self.measures)
 
     @property
     def second_run_measures(self) -> tuple[str, ...]:
-        """Names of the measures to take that need a second run."""
+        """Names of the measures to compute that need a second run."""
         second = [name for name, needed in built_in_measures().items() if needed == SECOND_RUN]
         return tuple(name for name in second if name in (self.built_in_measures or ()))
 
@@ -340,7 +343,7 @@ class StudySpec(StrictSpec):
                     base, place = family.base, ("families", name, "base")
                 keys |= {("families", name, "overrides", key): value for key, value in family.overrides.items()}
             if not isinstance(base, Mapping):
-                continue  # a name or a file that is not read yet
+                continue  # a name or a file that has not been read yet
             yield from _measures_of(base, place, keys)
 
     def placed(self, error: SpecError) -> SpecError:
@@ -358,7 +361,7 @@ def _measures_of(base: Mapping[str, Any], place: Path, overrides: Mapping[Path, 
     Parameters
     ----------
     overrides
-        Values to set in the base, by their places in the study; the last part of a place is the dotted key.
+        Values to set in the base, by key path in the study; the last part of a key path is the dotted key.
     """
     data = {"measures": copied(base.get("measures") or {})}
     above = dict.fromkeys(data["measures"], place) if isinstance(data["measures"], Mapping) else {}
@@ -369,7 +372,7 @@ def _measures_of(base: Mapping[str, Any], place: Path, overrides: Mapping[Path, 
             names = data["measures"] if len(path) == 1 and isinstance(value, Mapping) else path[1:2]
             above |= dict.fromkeys(map(str, names), where[:-1])
     if not isinstance(data["measures"], Mapping):
-        return  # refused in the spec of each run
+        return  # the error is raised for the spec of each run
     for name, definition in data["measures"].items():
         found = defined({name: definition}, (*above[name], "measures"))
         yield from (replace(measure, of_base=True) for measure in found)

@@ -21,7 +21,7 @@ from mbdkit.base.plain_data import LARGEST_NUMBER, Path, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import QUANTITY, Unit, read_quantity
 
-#: Larger sets are assumed to be mistakes.
+#: Sets with more values are assumed to be mistakes.
 LARGEST_SET = 10_000
 
 SPACED = ("geomspace", "linspace")
@@ -46,11 +46,11 @@ class Value:
     label
         Label in tables and figures: the value itself if it is a number or text.
     place
-        Indices and keys of the value in its set.
+        Indices and keys that lead to the value in its set.
     together
         Whether `value` is a mapping of several dotted keys; the axis then has a name instead of a key.
     if_installed
-        The value is skipped if this distribution is not installed; empty if it needs none.
+        Distribution without which the value is skipped; empty if none is needed.
     unit
         SI unit, if the value is written with a unit; empty otherwise.
     """
@@ -69,7 +69,7 @@ def check_values(given: Any) -> Any:
     Raises
     ------
     SpecError
-        If it is not a value set, with the key within it.
+        If this is not a valid value set. The error has the key within it.
     """
     match given:
         case list():
@@ -115,7 +115,7 @@ def _check_labelled(entry: Any, key: str) -> None:
 
 
 def is_labelled(entry: Any) -> bool:
-    """Return whether an entry of a list is a value with a label: it has the key `label`, and `value` or `set`."""
+    """Return whether an entry of a list is a value with a label: it has the keys `label`, and `value` or `set`."""
     return isinstance(entry, Mapping) and "label" in entry and ("value" in entry or "set" in entry)
 
 
@@ -160,7 +160,7 @@ def _is_number(value: Any) -> bool:
 
 
 def size(values: Any) -> int:
-    """Return the number of values of a set, which is not expanded for that."""
+    """Return the number of values of a set without expanding it."""
     if isinstance(values, Mapping):
         _, (_, _, count) = next(iter(values.items()))
         return int(count)
@@ -168,7 +168,7 @@ def size(values: Any) -> int:
 
 
 def sets_together(values: Any) -> list[tuple[Path, Mapping[str, Any]]]:
-    """Return the values of a set that set several keys together: their places in the set, and the keys they set."""
+    """Return the values that set several keys together: their indices in the set, and the keys that they set."""
     if isinstance(values, Mapping):
         return []
     return [((i, "set"), entry["set"]) for i, entry in enumerate(values) if is_labelled(entry) and "set" in entry]
@@ -243,7 +243,7 @@ def _short(value: Any) -> str:
 
 
 def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
-    """Append a number to labels shared by different values, so that labels are unique."""
+    """Append numbers to labels that different values share, so that labels are unique."""
     taken: set[int | float | str] = {entry.label for entry in entries}
     labels: dict[int | float | str, dict[Hashable, int | float | str]] = {}
     numbers: dict[int | float | str, Iterator[int]] = defaultdict(lambda: itertools.count(2))
@@ -261,7 +261,7 @@ def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
 
 
 def _hashable(value: Any) -> Hashable:
-    """Return a hashable object; those of equal values are equal."""
+    """Return a hashable object that is equal for equal values."""
     match value:
         case Mapping():
             return frozenset((key, _hashable(item)) for key, item in value.items())

@@ -1,4 +1,4 @@
-"""Specs of many runs that differ in a few values: what these values do not concern is validated once."""
+"""Specs of many runs that differ in a few values; parts that do not depend on these values are validated once."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from mbdkit.spec.run_spec import RunSpec
 class VariedSpecs:
     """Makes run specs from a base by setting values in it.
 
-    If the values are parameters of the model, only the model is validated again: no other section of a valid spec
-    depends on them. All other values, and those that the model refuses, go through the validation of whole specs, whose
-    errors are raised.
+    If the values are parameters of the model, only the model is validated again, because no other section of a valid
+    spec depends on them. For other values, and if the model refuses a value, the whole spec is validated, and the
+    errors of this validation are raised.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class VariedSpecs:
         Raises
         ------
         SpecError
-            If it is not valid.
+            If the spec is not valid.
         """
         in_model = all(path[:1] == ("model",) and len(path) > 1 and path[1] != "name" for path, _ in values)
         if self._pattern is not None and in_model:

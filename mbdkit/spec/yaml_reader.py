@@ -1,7 +1,7 @@
 """Reading of YAML 1.2 as plain data with line numbers; rejects object tags, duplicate keys and alias bombs.
 
-libyaml splits the text into events, and this module builds the data from them: the limits hold before anything large
-exists, and the types of scalars are those of YAML 1.2.
+libyaml splits the text into events, from which this module builds the data. Limits are checked before large data are
+created, and scalars have the types of YAML 1.2.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def read_yaml(text: str) -> tuple[Any, dict[Path, int]]:
     Raises
     ------
     SpecError
-        If the text is not YAML, or not plain data, with the line number.
+        If the text is not YAML, or not plain data. The error has the line number.
     """
     reader = _Reader(text, {})
     return reader.document(), reader.lines
@@ -77,7 +77,8 @@ def read_data(text: str) -> Any:
 class _Reader:
     """Builds plain data from events.
 
-    `count` and `length` are the numbers of values and of characters in scalars so far, after expansion of aliases.
+    `count` is the number of values so far, and `length` the number of characters in scalars so far, both after
+    expansion of aliases.
     """
 
     def __init__(self, text: str, lines: dict[Path, int] | None):
@@ -314,7 +315,7 @@ class _Dumper(_DUMPER):  # type: ignore[misc]
     """Dumper without aliases that puts text in quotes if it would otherwise be read as another type."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Write equal values again instead of aliases."""
+        """Write repeated values in full instead of as aliases."""
         return True
 
 

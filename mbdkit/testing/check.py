@@ -35,7 +35,7 @@ class Check(Generic[UnderTest]):
     name
         ``group.check``.
     function
-        Takes the plugin under test and returns a `Result` or raises `Skip`; any other exception is a failure.
+        Function of the plugin under test that returns a `Result` or raises `Skip`; any other exception is a failure.
     slow
         Whether a quick verification omits the check, because it takes more than a second or two.
     """
@@ -70,7 +70,7 @@ class Check(Generic[UnderTest]):
 
 
 def _supported_mechanisms(under_test: Any) -> str:
-    """Return what mechanisms a plugin claims to support; empty: all."""
+    """Return a description of the mechanisms that a plugin claims to support; empty if it supports all."""
     return getattr(getattr(under_test, "claims", None), "mechanisms", "")
 
 
@@ -85,7 +85,7 @@ def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]
 
 @contextmanager
 def _time_limit(seconds: float) -> Iterator[None]:
-    """Raise `_TimeLimitError` in the block after `seconds`, if the platform has timers and none is set."""
+    """Return a decorator that turns a function into a check with this name."""
     usable = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
     if not usable or signal.getitimer(signal.ITIMER_REAL)[0] > 0:
         yield

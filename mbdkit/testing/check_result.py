@@ -19,7 +19,7 @@ REQUIRED_GROUP: dict[Kind, str] = {
     "study": "study",
     "measure": "measure",
 }
-"""Group of checks, for each kind of plugin, of which at least one must have run for the plugin to be verified."""
+"""For each kind of plugin, the group of checks of which at least one must have run for the plugin to be verified."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Result:
         return self.name.partition(".")[0]
 
     def within(self, limits: Mapping[str, float | str]) -> Result:
-        """Return the result with the limits that the measured values were compared with."""
+        """Return the result with the limits to which the measured values are compared."""
         return replace(self, limits=dict(limits))
 
 
@@ -113,11 +113,11 @@ class Report:
     results: tuple[Result, ...]
 
     def of(self, outcome: Outcome) -> list[Result]:
-        """Return the results with this outcome."""
+        """Return the results with the given outcome."""
         return [result for result in self.results if result.outcome == outcome]
 
     def __getitem__(self, name: str) -> Result:
-        """Return the result of the check of this name."""
+        """Return the result of the check with this name."""
         return next(result for result in self.results if result.name == name)
 
     @property
@@ -127,14 +127,14 @@ class Report:
 
     @property
     def missing(self) -> str:
-        """The required group, if all its checks were skipped; else empty."""
+        """The required group, if all checks of it were skipped; otherwise empty."""
         group = REQUIRED_GROUP[self.kind]
         done = any(result.group == group and result.outcome != "skip" for result in self.results)
         return "" if done else group
 
     @property
     def verified(self) -> bool:
-        """Whether no check failed and a check of the required group was run."""
+        """Whether no check failed, and at least one check of the required group was run."""
         return not self.of("fail") and not self.missing
 
     @property
@@ -169,7 +169,9 @@ class Report:
         return f"{head}\n\n{table(rows, indent='  ')}\n\n{self.verdict()}, in {self.seconds:.0f} s"
 
     def _first_told(self) -> list[str]:
-        """Return, for each result, the name of the earlier check that failed for the same reason, or an empty text."""
+        """Return, for each result, the name of the earlier check that failed for the same reason; otherwise an empty
+        text.
+        """
         first: dict[str, str] = {}
         names = []
         for result in self.results:
@@ -201,9 +203,9 @@ class Report:
 
 
 def _told(result: Result, first: str) -> str:
-    """Return cause and measured values of a result, or the earlier check with the same cause, and the criterion.
+    """Return cause and measured values of a result, or the earlier check with the same cause; and the criterion.
 
-    The criterion is included where the meaning of the values is otherwise unclear: if there are no limits, and for
+    The criterion is included if the meaning of the values is otherwise unclear: for results without limits, and for
     properties that are not claimed.
     """
     if first:

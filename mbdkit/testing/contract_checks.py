@@ -21,10 +21,12 @@ from mbdkit.testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, forced
 
 STEPS = 23
 START_TIMES = 0.0, 3.0, 1000.0, -8.0
-"""Start times of runs that should be the same [s]."""
+"""Start times for which runs should give the same results [s]."""
 SAME, SAME_ADAPTIVE = 1e-9, 1e-4
-"""Largest change of the final state with the start time that counts as rounding, for methods with fixed steps and for
-adaptive methods, whose steps depend on rounding."""
+"""Largest change of the final state with the start time that counts as rounding.
+
+The first is for fixed steps, the second for adaptive methods, whose step sizes depend on rounding.
+"""
 
 
 @check("contract.options")
@@ -85,7 +87,8 @@ _PARTS = ("q", "v", "multipliers", "memory")
 
 
 class _Watched(StepMethod):
-    """A method that records which parts of the passed state, and of the state returned before, a step modifies.
+    """A method that records which parts a step modifies: of the state passed to it, and of the state it returned
+    before.
 
     The arrays passed to the method are writable, so that all modifications are detected.
     """
@@ -160,7 +163,7 @@ def end_time(integrator: IntegratorUnderTest) -> Result:
             if run.status != "complete":
                 if integrator.claims.adaptive or step <= 0.1:
                     return failed(f"a run of {end:g} s did not complete: {run.status_reason}")
-                continue  # steps this large may fail
+                continue  # steps of this size may fail
             last = float(run.time[-1])
             expected = int(np.ceil(end / step - 1e-9))
             if last != 0.25 + end:
@@ -216,7 +219,7 @@ def other_options(integrator: IntegratorUnderTest) -> Result:
                 with other.run(FORCED_PENDULUM, time) as run:
                     if run.status_reason.startswith("plugin-error"):
                         result = failed(run.status_reason.rstrip("."))
-        except SpecError:  # values that are refused
+        except SpecError:  # the values are refused
             continue
         tried += 1
         if result.outcome == "fail":

@@ -18,16 +18,18 @@ from mbdkit.testing.order_checks import BELOW, BELOW_HIGH, HIGH
 from mbdkit.testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
 
 EXACT = 1e-11
-"""Misalignment [m, m/s] up to which rounding and converged residuals count as zero."""
+"""Misalignment [m, m/s] that counts as zero because of rounding and the tolerance of iterations."""
 HELD = {name: one.holds for name, one in FORMULATIONS.items() if one.solves_multipliers} | {
     name: ("position", "velocity") for name, one in FORMULATIONS.items() if one.coordinates == "joint"
 }
-"""Levels, of position and velocity, at which states satisfy the constraints of trial models without closed loops."""
+"""Levels at which the states of trial models without closed loops satisfy the constraints exactly: position,
+velocity.
+"""
 ROUNDING = 1e-15
 COARSE = 0.1
-"""Misalignment [m, m/s] too large to follow a power of the step: a tenth of the mechanism."""
+"""Misalignment [m, m/s] above which it no longer follows a power of the step: a tenth of the mechanism's size."""
 REFINEMENTS, FINEST = 24, 120
-"""Largest number of refinements, and largest ratio of coarsest to finest step."""
+"""Largest number of refinements of the step, and largest ratio of the coarsest to the finest step."""
 FEWEST = 5
 """Number of step sizes over which the order must be observed."""
 
@@ -69,7 +71,7 @@ def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:
 
 
 def _must_hold(integrator: IntegratorUnderTest, level: str) -> str:
-    """Return the reason why the constraints should hold to round-off at a level; empty if there is none."""
+    """Return the reason why the constraints should hold to round-off at a level; empty if they need not."""
     claims = integrator.claims
     if level in HELD.get(integrator.formulation, ()):
         return f"{integrator.formulation} enforces them"

@@ -51,7 +51,7 @@ def not_a_number(integrator: IntegratorUnderTest) -> Result:
 
 
 def _refuse_to_step(integrator: IntegratorUnderTest) -> None:
-    """Call `step` of a method where accelerations are undefined; raise `_NoStepError` if it returns."""
+    """Call `step` of a method at a state with undefined accelerations; raise `_NoStepError` if it returns."""
     method = integrator.method()
     if not isinstance(method, StepMethod):
         return
@@ -151,9 +151,7 @@ def interrupt(integrator: IntegratorUnderTest) -> Result:
             signal.raise_signal(signal.SIGINT)
 
     time = {"end": 1e6, "step": 0.01}
-    endless = {
-        "misalignment": 1e300
-    }  # with a method of low order, a run may stop because of misalignment before the interrupt
+    endless = {"misalignment": 1e300}  # with a method of low order, misalignment may stop a run before the interrupt
     with integrator.run(SWINGING, time, progress=ring, output={"every": 1000}, limits=endless) as run:
         if run.status != "interrupted":
             return failed(f"after Ctrl-C its status is {run.status}: {run.status_reason}")

@@ -11,19 +11,25 @@ from mbdkit.testing.order_checks import ENDS, HIGH, NEAR_ROUNDING, PROBLEMS, err
 from mbdkit.testing.trial_models import COASTING_BODY, FORCED_PENDULUM, RESTING
 
 FALL, FALL_ADAPTIVE, FALL_STEPS = 1e-10, 1e-3, 100
-"""Largest errors of free fall [m, rad, per s]: one that counts as rounding, and one for adaptive methods, which may
-begin with order 1. Number of steps before the last one."""
+"""Largest errors of free fall [m, rad, per s], and number of steps before the last one.
+
+The first error counts as rounding; the second is for adaptive methods, which may begin with order 1.
+"""
 LAST_STEPS = (0.97, 0.6, 0.3, 0.04, 1e-3, 1e-6)
-"""Sizes of a last, shorter step, as shares of the others."""
+"""Sizes of a shorter last step, relative to the other steps."""
 LAST_COUNT, LAST_TIMES = 24, 10.0
 """Number of the other steps, and largest factor by which a shorter last step may increase the error."""
 RESTING_TOLERANCES, RESTING_TIMES = (1e-4, 1e-7), 1e3
-"""Tolerances of adaptive methods in runs from starts at rest, and largest error as a multiple of the tolerance."""
+"""Tolerances of adaptive methods in runs from rest, and largest error as a multiple of the tolerance."""
 FINER_RESTING = (1, 2, 4, 8, 16)
-"""Factors of the number of steps; the last two are used only if the order does not show before."""
+"""Factors by which the number of steps is multiplied; the last two are used only if smaller ones do not show the
+order.
+"""
 FIRST_RESTING, STARTS_OF_FIXED = 24, 3
-"""For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried; not all, because
-these methods have no error control."""
+"""For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried.
+
+Only some of the starts are tried, because these methods have no error control.
+"""
 
 
 @check("state.free-fall")
@@ -96,7 +102,7 @@ def resting_starts(integrator: IntegratorUnderTest) -> Result:
         else:
             first = FIRST_RESTING if integrator.order < HIGH else FIRST_RESTING // 2
             model, end, errors = PROBLEMS[problem], ENDS[problem], list[float]()
-            for finer in FINER_RESTING:  # until the order shows; large steps of a method of low order hide it
+            for finer in FINER_RESTING:  # until the order is visible; large steps of a method of low order hide it
                 final = integrator.final_state(model, end, end / (first * finer))
                 errors.append(float(np.max(np.abs(final - state))))
                 error = errors[-1]

@@ -26,29 +26,30 @@ from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.testing.options_under_test import options_result, validated, variants
 
 FAR = 10.0
-"""Largest length or angle, rate and time at which a law without a bound is tested [m or rad, and per s; s]."""
+"""Largest length or angle, rate and time at which a law without bounds is tested [m or rad, per s, s]."""
 GRID = 25, 9, 4
 """Numbers of lengths, rates and times of the grid of samples."""
 RANDOM = 8000
-"""Number of further samples at random; half of them are close to the ends of the range, zero and the law's
-parameters."""
+"""Number of further random samples; half of them are close to the ends of the range, zero, or the law's parameters."""
 RANDOM_OF_VARIANTS = 2000
 """Number of random samples for each other value of an option."""
 DECADES = 7.0
-"""Samples close to these places are at distances of 1 to ``10**-DECADES`` of the range from them."""
+"""Distances of samples from these places are between 1 and ``10**-DECADES`` times the range."""
 FINE = 4000
-"""Intervals of the length in which the change of the potential is compared with the force."""
+"""Number of intervals of the length over which the change of the potential is compared with the force."""
 CLIMBERS, ROUNDS = 16, 40
-"""Number of samples from which a random search for a supply of energy starts, and number of its rounds."""
+"""Number of samples from which a random search for a gain of energy starts, and number of rounds of the search."""
 AGREE = 1e-5
 """Largest relative difference between a derivative and finite differences."""
 SMALL = 2e-4
-"""Derivatives below this share of the largest value divided by the range are compared as if they had this size, because
-rounding may dominate smaller ones."""
+"""Smallest size of derivatives in comparisons, relative to the largest value divided by the range.
+
+Rounding may dominate smaller derivatives.
+"""
 STEPS = 1e-6, 1e-7, 1e-8, 1e-9, 1e-10
 """Steps of the finite differences, as shares of the range of the argument."""
 ROUNDING = 1e-9
-"""Share of the force that counts as rounding in the test of passivity."""
+"""Power, as a share of the force, that counts as rounding in the test of passivity."""
 ARGUMENTS = ("length", "rate", "time")
 
 
@@ -59,7 +60,7 @@ class ForceLawUnderTest:
     Parameters
     ----------
     options
-        Its options, as in an element of type ``law``.
+        Options of the law, as in an element of type ``law``.
     random
         Number of samples at random places.
     """
@@ -78,7 +79,7 @@ class ForceLawUnderTest:
 
     @property
     def claims(self) -> dict[str, bool]:
-        """Whether it claims a potential and passivity."""
+        """Whether the law claims a potential, and whether it claims passivity."""
         law = self.plugin.law
         return {"potential": law.potential not in (None, False), "passive": law.passive}
 
@@ -112,7 +113,7 @@ class ForceLawUnderTest:
         return self._values(places, *self.compiled)
 
     def rates(self, places: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the rates (N,) of its first-order states at their initial values, by name; see `__call__`."""
+        """Return the rates (N,) of the first-order states at their initial values, by name; see `__call__`."""
         found = {}
         for state in self.plugin.law.states:
             bound, numbers = bind_law(state.rate, self.element, self.item.id)
@@ -130,7 +131,9 @@ class ForceLawUnderTest:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """(N, 3) lengths, rates and times within the range: a grid, and random ones, the same in each call."""
+        """(N, 3) lengths, rates and times within the range: a grid, and random samples, which are the same in each
+        call.
+        """
         low, high = self.span.T
         axes = [a + (b - a) * (np.arange(n) + 0.5) / n for a, b, n in zip(low, high, GRID, strict=True)]
         axes[1] = np.append(axes[1], 0.0) if low[1] <= 0.0 <= high[1] else axes[1]
@@ -214,27 +217,27 @@ def _defects(
 ) -> np.ndarray:
     """Return the relative differences (N,) between given derivatives and the closest of several finite differences.
 
-    Central, forward and backward differences are taken, because either side is correct where the slope is
-    discontinuous, and smaller steps where they disagree, because the slope may change quickly.
+    Where the slope is discontinuous, the derivative of either side is correct, so that central, forward and backward
+    differences are used. Where they disagree, smaller steps are tried, because the slope may change quickly.
 
     Parameters
     ----------
     argument
-        Number of the argument.
+        Index of the argument.
     values, given
         (N,) values at `places`, and their derivatives by the argument.
     of
-        Number of the result of the law: 0 for the force, 3 for the potential.
+        Index of the result of the law: 0 for the force, 3 for the potential.
     """
     width = float(np.ptp(law.span[argument]))
-    smallest = SMALL * np.max(np.abs(values)) / width  # of smaller slopes, rounding may dominate
+    smallest = SMALL * np.max(np.abs(values)) / width  # rounding may dominate smaller slopes
     size = np.maximum(np.maximum(np.abs(given), np.abs(values) / width), max(smallest, 1e-300))
     defects = np.full(len(places), np.inf)
     for step in STEPS:
         rows = np.flatnonzero(~(defects <= AGREE))
         slopes = np.array(_slopes(law, places[rows], argument, values[rows], step * width, of))
         found = np.abs(slopes - given[rows]) / size[rows]
-        found[~np.isfinite(found)] = np.inf  # beyond the range, values may be undefined
+        found[~np.isfinite(found)] = np.inf  # values may be undefined outside the range
         defects[rows] = np.minimum(defects[rows], found.min(axis=0, initial=np.inf))
     return defects
 
@@ -242,8 +245,11 @@ def _defects(
 def _slopes(
     law: ForceLawUnderTest, places: np.ndarray, argument: int, values: np.ndarray, step: float, of: int
 ) -> list[np.ndarray]:
-    """Return central differences of order 2 and 4, forward and backward ones of order 2, and two without the value at
-    the place itself, which may be the middle of a jump, (N,).
+    """Return several finite differences, each (N,).
+
+    They are central differences of order 2 and 4, forward and backward ones of order 2, and two that do not use the
+    value at
+    the place itself, where the function may jump.
     """
     moved = {}
     for steps in (-2, -1, 1, 2):
@@ -290,7 +296,7 @@ def potential(law: ForceLawUnderTest) -> Result:
 
 
 def _jump(law: ForceLawUnderTest) -> float | None:
-    """Return a length at which the potential is discontinuous: it changes there by more than the force allows."""
+    """Return a length at which the potential changes by more than the force allows, so that it is discontinuous."""
     low, high = law.span[0].tolist()
     lengths = np.linspace(low, high, 2 * FINE + 1)[1:-1]
     places = np.column_stack([lengths, np.zeros(len(lengths)), np.full(len(lengths), law.span[2, 0])])
@@ -312,7 +318,7 @@ def passivity(law: ForceLawUnderTest) -> Result:
         raise Skip("it does not give finite numbers")
 
     def supplied(places: np.ndarray) -> np.ndarray:
-        """Return the supplied power by the rate, as a share of the force (N,)."""
+        """Return the power supplied by the rate, as a share of the force, (N,)."""
         at_rest = places * [1.0, 0.0, 1.0]
         force, stored = law(places)[:, 0], law(at_rest)[:, 0] if law.claims["potential"] else np.zeros(len(places))
         share = (stored - force) * np.sign(places[:, 1]) / np.maximum(np.abs(force) + np.abs(stored), 1e-300)
@@ -325,7 +331,9 @@ def passivity(law: ForceLawUnderTest) -> Result:
 
 
 def _climb(merit: Callable[[np.ndarray], np.ndarray], places: np.ndarray, span: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the largest value of a function and its place, over samples (N, 3) and random steps from the best ones."""
+    """Return the largest value of a function and its place, from samples (N, 3) and random steps starting at the best
+    ones.
+    """
     values = merit(places)
     best = np.argsort(-values)[:: max(1, len(values) // (8 * CLIMBERS))][:CLIMBERS]
     best[0] = np.argmax(values)
@@ -372,7 +380,7 @@ STATE_STEPS = 0.01, 0.005, 0.0025
 
 
 def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:
-    """Return the run of a mass on a law."""
+    """Return the run of a mass to which a force with this law is applied."""
     (low, high), (slowest, fastest), (start, _) = law.span.tolist()
     length = 0.8 if low < 0.8 - 0.1 * (high - low) and 0.8 + 0.1 * (high - low) < high else 0.5 * (low + high)
     speed = 0.9 if slowest < -0.9 and fastest > 0.9 else 0.3 * max(abs(slowest), abs(fastest))
@@ -420,7 +428,7 @@ def other_options(law: ForceLawUnderTest) -> Result:
             if not other.is_finite:
                 undefined.append(name)
                 continue
-        except SpecError:  # values that the law refuses
+        except SpecError:  # the law refuses the values
             continue
         tried += 1
         for one in (by_length, by_rate, potential, passivity):

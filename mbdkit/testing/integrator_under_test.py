@@ -27,7 +27,7 @@ from mbdkit.testing.options_under_test import validated
 
 Value = TypeVar("Value")
 WALL_TIME = 40.0
-"""Time limit of a run in a check [s]."""
+"""Limit of the wall time of a run in a check [s]."""
 
 
 @dataclass
@@ -107,9 +107,9 @@ class IntegratorUnderTest:
     def run(
         self, model: Mapping[str, Any], time: Mapping[str, Any], *, progress: Progress | None = None, **sections: Any
     ) -> Run:
-        """Run a model in memory and return the run whatever its status.
+        """Run a model in memory, and return the run even if it failed.
 
-        An interrupt raises KeyboardInterrupt, unless `progress` is given: a check may use it to interrupt the run.
+        An interrupt raises KeyboardInterrupt, unless `progress` is given; a check may interrupt the run by `progress`.
         """
         run = simulate(self.spec(model, time, **sections), progress=progress)
         if run.status == "interrupted" and progress is None:
@@ -145,7 +145,7 @@ class IntegratorUnderTest:
         steps
             Number of steps of a method with fixed steps; an adaptive method chooses its own.
         every
-            Rows are recorded every so many steps.
+            Number of steps between recorded rows.
         method
             The method; by default a new one.
         single
@@ -164,7 +164,7 @@ class IntegratorUnderTest:
         return q, v
 
     def cached(self, key: str, compute: Callable[[], Value]) -> Value:
-        """Return a value that several checks use, computed once."""
+        """Return a value that several checks use; it is computed once."""
         if key not in self._cache:
             self._cache[key] = compute()
         value: Value = self._cache[key]

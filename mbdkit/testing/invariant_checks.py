@@ -15,11 +15,11 @@ from mbdkit.testing.integrator_under_test import IntegratorUnderTest
 from mbdkit.testing.trial_models import FREE_FOUR_BAR, HARMONIC, ORBIT, SWINGING, Model
 
 REVERSED = 1e-9
-"""Distance from the start, after integrating forward and back, that counts as rounding."""
+"""Distance from the start, after integrating forward and backward, that counts as rounding."""
 CONSERVED = 1e-10
 """Relative change of a quadratic invariant that counts as rounding."""
 SYMPLECTIC = 1e-7
-"""Defect of the symplectic form that counts as error of the finite differences."""
+"""Defect of the symplectic form that counts as an error of the finite differences."""
 STEPS_OF_ORDER = {1: 0.01, 2: 0.02, 3: 0.04, 4: 0.05, 5: 0.08, 6: 0.1, 7: 0.14, 8: 0.2}
 """Step sizes [s] by order at which errors are well above rounding."""
 
@@ -141,9 +141,7 @@ def energy_jointed(integrator: IntegratorUnderTest) -> Result:
 
 
 def energy_trend(integrator: IntegratorUnderTest, model: Model) -> tuple[Trend, float]:
-    """Return the trend of the energy balance over 1000 steps, half as large as `coarse_step`, and their duration
-    [s].
-    """
+    """Return the trend of the energy balance over 1000 steps of half the size `coarse_step`, and their duration [s]."""
     step = coarse_step(integrator) / 2
     duration = 1000 * step
     time = {"end": duration} if integrator.claims.adaptive else {"steps": 1000, "step": step}

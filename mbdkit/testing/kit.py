@@ -63,7 +63,7 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, Any], install
     Raises
     ------
     SpecError
-        There is no such plugin, or its options are invalid.
+        If there is no such plugin, or its options are invalid.
     """
     installed = installed or registry()
     item = installed.get(kind, name)
@@ -95,7 +95,8 @@ def verify(
     name
         Short or long name.
     options
-        Its options. An option without default or value gets an example value; see `plain_options`.
+        Options of the plugin. An option with neither a default nor a given value gets an example value; see
+        `plain_options`.
     quick
         Whether to leave out the slow checks.
     installed
@@ -103,12 +104,12 @@ def verify(
     watch
         Called before each check with its index, the number of checks, and its name.
     notify
-        Receives messages about long operations.
+        Called with messages about long operations.
 
     Raises
     ------
     SpecError
-        There is no such plugin, or its options are invalid.
+        If there is no such plugin, or its options are invalid.
     """
     under_test = plugin_under_test(kind, name, options or {}, installed)
     checks = list(checks_of(kind, quick=quick))

@@ -18,7 +18,7 @@ from mbdkit.testing.check_result import Result, failed, passed, warned
 from mbdkit.testing.options_under_test import options_result, validated
 
 EXAMPLES = ("double-pendulum", "knee", "slider-crank")
-"""Packaged examples whose runs of a few steps a measure is tried on."""
+"""Packaged examples to whose runs, of a few steps, a measure is applied."""
 
 
 @dataclass
@@ -68,7 +68,7 @@ def value(measure: MeasureUnderTest) -> Result:
     for name, run in measure.runs():
         try:
             first, second = measure.take(run), measure.take(run)
-        except MbdkitError as error:  # such as a body that the example does not have
+        except MbdkitError as error:  # for example, the measure needs a body that the example does not have
             refused = refused or f"{name}: {error}"
             continue
         if not isinstance(first, int | float | np.number) or isinstance(first, bool):

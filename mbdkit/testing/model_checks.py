@@ -24,9 +24,9 @@ from mbdkit.testing.options_under_test import options_result, validated, variant
 
 END = 1.0
 START = 1e-10
-"""Largest residual of a start [m, rad, m/s, rad/s]."""
+"""Largest residual of an initial state [m, rad, m/s, rad/s]."""
 DERIVATIVE = 1e-6
-"""Share of its size by which a derivative may differ from finite differences."""
+"""Largest relative difference between a derivative and finite differences."""
 
 
 @dataclass
@@ -220,7 +220,7 @@ def other_options(model: ModelUnderTest) -> Result:
         other = ModelUnderTest(model.item, chosen, model.installed)
         try:
             result = mass.function(other)
-        except SpecError:  # values that make no mechanism
+        except SpecError:  # the values do not define a mechanism
             continue
         tried += 1
         if result.outcome == "fail":

@@ -12,7 +12,7 @@ from mbdkit.testing.order_checks import NEAR_ROUNDING
 from mbdkit.testing.trial_models import FORCED_PENDULUM
 
 SAME = 0.01
-"""Share of the error by which further iterations may change the result."""
+"""Largest change of the result by further iterations, as a share of the error of the result."""
 
 
 @check("newton.tolerance")
@@ -21,7 +21,7 @@ def tolerance(integrator: IntegratorUnderTest) -> Result:
     _require_iterations(integrator)
     steps = 50
     own = integrator.method()
-    if own.traits.tableau is not None:  # those of explicit methods are skipped above
+    if own.traits.tableau is not None:  # explicit methods are skipped above
         exact: Method = ImplicitRungeKutta(own.traits.tableau)
     elif "tolerance" in integrator.plugin.options.model_fields:
         exact = integrator.method(tolerance=1e-13)

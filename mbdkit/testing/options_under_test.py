@@ -1,4 +1,4 @@
-"""Options of a plugin under test: given values, and example values for options without default."""
+"""Options of a plugin under test: given values, and example values for options without defaults."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def options_result(options_type: type[BaseModel], given: Mapping[str, Any], word
     words
         Word for the options of this kind of plugin, in the plural.
     """
-    if not options_type.model_fields:  # of BaseModel itself, which has no schema
+    if not options_type.model_fields:  # BaseModel itself has no schema
         return passed(**{words: 0})
     chosen = validated(options_type, given)
     again = options_type.model_validate_json(chosen.model_dump_json())
@@ -49,15 +49,15 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return valid options of an item: `given`, and an example value for each other option without default.
 
     An example is the first of ``examples`` in the option's JSON schema, the first of its choices, or a number within
-    its bounds, 1 if that is one.
+    its bounds (1 if possible).
 
     Raises
     ------
     SpecError
-        The options are invalid, or one has neither default nor example value.
+        If the options are invalid, or an option has neither a default nor an example value.
     """
     model: type[BaseModel] = item.plugin.options
-    schema = model.model_json_schema() if model.model_fields else {}  # none of BaseModel itself
+    schema = model.model_json_schema() if model.model_fields else {}  # BaseModel itself has no schema
     chosen = dict(given)
     missing = []
     for name in schema.get("required", ()):
@@ -86,8 +86,8 @@ def plain_options(item: Registered, given: Mapping[str, Any]) -> dict[str, Any]:
 def variants(item: Registered, chosen: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield valid options of an item in which one option has another value, with a name such as ``damping = -1``.
 
-    The values depend on type and bounds only and are the same in every call: numbers smaller and larger than the
-    present one, of both signs if the bounds allow it, the other truth value, and the other choices.
+    The values depend only on type, bounds and present value: smaller and larger numbers, of both signs if the bounds
+    allow it; the other truth value; and the other choices.
     """
     model: type[BaseModel] = item.plugin.options
     if not model.model_fields:
@@ -118,7 +118,7 @@ def _others(schema: Mapping[str, Any], now: Any) -> list[Any]:
     size = abs(now) if isinstance(now, int | float) and now else 1
     if (
         limits["type"] == "number"
-    ):  # excludes the bounds themselves, such as a tolerance of 0, which may be special cases
+    ):  # the bounds themselves, such as a tolerance of 0, are excluded because they may be special cases
         found = [-size, size / 2, 2 * size]
     else:
         found = [-size, size - 1, size + 1, *(limits[key] for key in ("minimum", "maximum") if key in limits)]
