@@ -25,10 +25,12 @@ def run(model: dict[str, Any], end: float, step: float, treatment: str = "event-
     )
 
 
-def test_the_woodpecker_toy_pecks_as_in_siconos() -> None:
+@pytest.mark.parametrize(("treatment", "step"), [("event-driven", 5e-3), ("time-stepping", 1e-4)])
+def test_the_woodpecker_toy_pecks_as_in_siconos(treatment: str, step: float) -> None:
     """Woodpecker/Woodpecker.ref, steps of 2e-5 s (C. Glocker, Set-Valued Force Laws, 2001). The reference is linear in
     the angles; a mechanism whose levers are 1000 times longer, and whose angles are 1000 times smaller, is linear
-    within about 1e-3.
+    within about 1e-3. The angles of time-stepping, of order 1, have the rates of both bodies before impacts, up to
+    20 rad/s, for up to a step too long.
     """
     long, pole, sleeve_x, sleeve_y = 1000.0, 0.0025, 0.0031, 0.0058
     pivot, arm, beak_x, beak_y = 0.010, 0.015, 0.0201, 0.02
@@ -66,7 +68,8 @@ def test_the_woodpecker_toy_pecks_as_in_siconos() -> None:
             "high": touch("sleeve", [sleeve_x, sleeve_y], wall, 0.0),
         },
     }  # fmt: skip
-    found = run(model, 0.15, 0.005)
+    found = run(model, 0.15, step, treatment)
+    late = 20.0 * step if treatment == "time-stepping" else 0.0
     reference = {  # time: height of the sleeve, angles of sleeve and bird
         0.02: (-0.004374, -0.10360, -0.45231), 0.05: (-0.004407, -0.10360, -0.39298),
         0.07: (-0.004697, -0.09038, -0.05316), 0.085: (-0.007208, 0.10291, 0.09421),
@@ -76,9 +79,10 @@ def test_the_woodpecker_toy_pecks_as_in_siconos() -> None:
     for t, values in reference.items():
         row = int(np.argmin(np.abs(found.time - t)))
         state = found["sleeve"].position[row, 1], long * found["sleeve"].angle[row], long * found["bird"].angle[row]
-        assert np.abs(np.subtract(state, values)) == pytest.approx(np.zeros(3), abs=2.5e-3 if t > 0.1 else 1.2e-3)
-    assert found.impacts.contact.tolist() == ["high", "beak", "high", "low", "low"]
-    assert np.all(found.impacts.energy_lost > 0.0)
+        assert state == pytest.approx(values, rel=0.0, abs=(2.5e-3 if t > 0.1 else 1.2e-3) + late)
+    if treatment == "event-driven":
+        assert found.impacts.contact.tolist() == ["high", "beak", "high", "low", "low"]
+        assert np.all(found.impacts.energy_lost > 0.0)
 
 
 @pytest.mark.parametrize(("treatment", "step"), [("event-driven", 1e-3), ("time-stepping", 2.5e-5)])
