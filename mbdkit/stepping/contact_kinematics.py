@@ -127,7 +127,8 @@ class ContactKinematics:
         for number, alike in enumerate(self._alike):
             self._place[alike.places], self._kind[alike.places] = np.arange(len(alike.places)), number
         self._polygons = shape_pairs(contacts, self._exact)
-        self._near = NearContacts(features, NEAR * length) if len(contacts) > FEW and not self._polygons else None
+        self._reach = NEAR * length if len(contacts) > FEW else math.inf
+        self._near = NearContacts(features, self._reach) if len(contacts) > FEW and not self._polygons else None
         self.held = self.none_held()
 
     def none_held(self) -> np.ndarray:
@@ -139,47 +140,62 @@ class ContactKinematics:
         position `q`.
         """
         if self._polygons:
-            self.held = np.where(closed, self._chosen(self._states(q, 0.0 * q))[0], -1)
+            held, some = self.none_held(), np.flatnonzero(closed)
+            held[some] = self._chosen(self._states(q, 0.0 * q), some)[0]
+            self.held = held
 
     def margins(self, q: np.ndarray) -> np.ndarray:
         """Return the distances [m] by which contacts (C,) may still slide until they leave their fixed features;
         infinite for contacts without one.
         """
-        states, margins = self._states(q, 0.0 * q), np.full(len(self._first), np.inf)
-        for pair in self._polygons:
-            for i, row in enumerate(pair.rows):
-                if self.held[row] >= 0:
-                    margins[row] = pair.margin(states, i, int(self.held[row])) + 2.0 * self._exact
+        margins = np.full(len(self._first), np.inf)
+        if np.all(self.held < 0):
+            return margins
+        states = self._states(q, 0.0 * q)
+        for alike in self._polygons:
+            for pair, i in np.argwhere(self.held[alike.rows] >= 0).tolist():
+                row = alike.rows[pair, i]
+                margins[row] = alike.margin(states, pair, i, int(self.held[row])) + 2.0 * self._exact
         return margins
 
-    def _chosen(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the index of the feature of each contact (C,), and lower bounds of the gaps (C,) of those whose
-        feature does not act.
+    def _chosen(self, states: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the indices of the features of the contacts with the indices `some` (k,), and lower bounds (k,) of
+        the gaps of those whose feature does not act.
 
         The bound is -inf for a contact whose feature acts.
         """
+        if not self._polygons:
+            return np.zeros(len(some), dtype=int), np.full(len(some), -np.inf)
         features, least = np.zeros(len(self._first), dtype=int), np.full(len(self._first), -np.inf)
-        for pair in self._polygons:
-            found = pair.chosen(states)
-            features[pair.rows] = found.features
-            least[pair.rows] = np.where(found.acts, -np.inf, np.maximum(found.distances, self._exact))
-        is_held = self.held >= 0
-        return np.where(is_held, self.held, features), np.where(is_held, -np.inf, least)
+        held = self.held[some]
+        is_open = np.zeros(len(self._first), dtype=bool)
+        is_open[some] = held < 0
+        for alike in self._polygons:
+            which = is_open[alike.rows].any(axis=1).nonzero()[0]
+            if not len(which):
+                continue
+            found, rows = alike.chosen(states, which), alike.rows[which]
+            features[rows] = found.features
+            least[rows] = np.where(found.acts, -np.inf, np.maximum(found.distances, self._exact))
+        return np.where(held < 0, features[some], held), np.where(held < 0, least[some], -np.inf)
 
     @property
     def reach(self) -> float:
         """Largest gap that `gaps` always computes exactly [m]."""
-        return math.inf if self._near is None else self._near.reach
+        return self._reach
 
     def gaps(self, q: np.ndarray, within: float = 0.0) -> np.ndarray:
         """Return the gaps (C,) of all contacts at a position [m].
 
         Gaps above both `within` and `reach` may be replaced by lower bounds that are above them, too.
         """
-        if self._near is None:
+        if len(self._first) <= FEW:
             return self.rows(q, 0.0 * q).gap
-        known = self._near.bounds(q) if within <= self._near.reach else None
         states = self._states(q, 0.0 * q)[:4]
+        if self._polygons:
+            return self._gaps_of_polygons(states, max(within, self._reach))
+        assert self._near is not None
+        known = self._near.bounds(q) if within <= self._reach else None
         if known is None:
             gaps = np.empty(len(self._first))
             self._evaluate(states, np.arange(len(gaps)), gaps)
@@ -189,18 +205,30 @@ class ContactKinematics:
         self._evaluate(states, near, gaps)
         return gaps
 
-    def _evaluate(self, states: np.ndarray, some: np.ndarray, gaps: np.ndarray) -> None:
-        """Compute the gaps of the contacts with indices `some` (K,), each with one feature, and write them into `gaps`
-        (C,).
+    def _gaps_of_polygons(self, states: np.ndarray, within: float) -> np.ndarray:
+        """Return the gaps (C,) of all contacts; for pairs of shapes with a polygon, the distance between circles around
+        both shapes where it is larger than `within`.
         """
+        gaps = np.full(len(self._first), -np.inf)
+        for alike in self._polygons:
+            apart = alike.bounds(states)
+            gaps[alike.rows] = np.where(apart > within, apart, -np.inf)[:, None]
+        near = np.flatnonzero(gaps < within)
+        self._evaluate(states, near, gaps)
+        return gaps
+
+    def _evaluate(self, states: np.ndarray, some: np.ndarray, gaps: np.ndarray) -> None:
+        """Compute the gaps of the contacts with the indices `some` (k,), and write them into `gaps` (C,)."""
         from mbdkit.symbolic.contact_rows import gap_function  # loads SymPy
 
-        none = (0.0,) * 3
+        features, least = self._chosen(states, some)
+        none, own = (0.0,) * 3, self._first[some] + features
         for number, alike in enumerate(self._alike):
-            which = some[self._kind[some] == number]
-            places = self._place[which]
+            which = self._kind[own] == number
+            places = self._place[own[which]]
             first, second = (states[:, side[places]] for side in alike.bodies)
-            gaps[which] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers[:, places])
+            gaps[some[which]] = gap_function(alike.kind)(*first, *none, *second, *none, *alike.numbers[:, places])
+        gaps[some] = np.maximum(gaps[some], least)
 
     def rows(self, q: np.ndarray, v: np.ndarray, some: np.ndarray | None = None) -> Rows:
         """Return gaps, slips and derivatives of all contacts in a state, or of those with the indices `some`."""
@@ -208,8 +236,8 @@ class ContactKinematics:
 
         states = self._states(q, v)
         chosen = np.arange(len(self._first)) if some is None else some
-        features, least = self._chosen(states)
-        own = self._first[chosen] + features[chosen]
+        features, least = self._chosen(states, chosen)
+        own = self._first[chosen] + features
         values = np.empty((16, len(chosen)))
         for number, alike in enumerate(self._alike):
             which = np.flatnonzero(self._kind[own] == number)
@@ -224,7 +252,7 @@ class ContactKinematics:
             for row, computed in enumerate(row_function(alike.kind, is_of_arrays=True)(*given, *numbers)):
                 values[row, which] = computed
         gradients = np.ascontiguousarray(values[2:14].reshape(2, 6, len(chosen)).transpose(0, 2, 1))
-        gap = np.maximum(values[0], least[chosen])
+        gap = np.maximum(values[0], least)
         return Rows(gap, values[1], values[14], values[15], self._bodies[chosen], gradients, self._n)
 
     def _states(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -207,9 +207,9 @@ class _Step:
 
     def _rate(self, t: float, q: np.ndarray, v: np.ndarray) -> _Rate:
         """Return accelerations, power of loads and drivers, and dissipated power."""
-        forced = self.contacts.accelerations(t, q, v, self.modes)
+        forced = self.contacts.accelerations(t, q, v, self.modes, only_closed=True)
         work, lost = self.p.powers(t, q, v, forced.multipliers)
-        return forced.a, work, lost - float(forced.tangent @ forced.rows.slip)
+        return forced.a, work, lost - float(forced.tangent[self.modes != OPEN] @ forced.rows.slip)
 
     def _moved(self, h: float) -> _Point:
         """Return the state after one step of the explicit method, projected so that joints and closed contacts are

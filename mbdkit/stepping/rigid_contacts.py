@@ -33,7 +33,7 @@ class Forced(NamedTuple):
     normal, tangent
         (C,) forces of the contacts on the second body [N].
     rows
-        Gaps, slips and derivatives of the contacts.
+        Gaps, slips and derivatives of the contacts, or of those that are closed.
     """
 
     a: np.ndarray
@@ -76,8 +76,11 @@ class RigidContacts:
         count = len(self.contacts)
         return ContactState(np.zeros(count, dtype=int), np.zeros(count), np.zeros(count), np.zeros(self.p.n))
 
-    def accelerations(self, t: float, q: np.ndarray, v: np.ndarray, modes: np.ndarray) -> Forced:
-        """Return the accelerations with contacts in given modes (C,).
+    def accelerations(
+        self, t: float, q: np.ndarray, v: np.ndarray, modes: np.ndarray, *, only_closed: bool = False
+    ) -> Forced:
+        """Return the accelerations with contacts in given modes (C,); with the rows of all of them, or only of those
+        that are closed, which take less time.
 
         Raises
         ------
@@ -85,31 +88,34 @@ class RigidContacts:
             ``painleve`` if a slipping contact would be pulled together by its own friction.
         """
         a, multipliers = self.p.accelerations(t, q, v)
-        rows, count = self.kinematics.rows(q, v), len(modes)
-        normal, tangent = np.zeros(count), np.zeros(count)
-        closed, sticking = np.flatnonzero(modes != OPEN), np.flatnonzero(modes == STICK)
+        normal, tangent = np.zeros((2, len(modes)))
+        closed = np.flatnonzero(modes != OPEN)
+        rows = self.kinematics.rows(q, v, closed if only_closed else None)
         if not len(closed):
             return Forced(a, multipliers, normal, tangent, rows)
-        share = np.where(np.abs(modes) == SLIP, -np.sign(modes) * self.kinetic, 0.0)  # friction force over normal force
-        held = np.vstack([rows.normal[closed], rows.tangent[sticking]])
-        pushed = np.vstack([rows.normal[closed] + share[closed, None] * rows.tangent[closed], rows.tangent[sticking]])
+        slips, sticks = np.sign(modes[closed]) * (np.abs(modes[closed]) == SLIP), np.flatnonzero(modes[closed] == STICK)
+        share = -slips * self.kinetic[closed]  # friction force over normal force
+        places = np.arange(len(closed)) if only_closed else closed
+        along, across = rows.normal[places], rows.tangent[places]
+        held = np.vstack([along, across[sticks]])
+        pushed = np.vstack([along + share[:, None] * across, across[sticks]])
         moved, loaded = self.answers(t, q, pushed)
-        right = np.concatenate([rows.normal_right[closed], rows.tangent_right[sticking]]) - held @ a
+        right = np.concatenate([rows.normal_right[places], rows.tangent_right[places[sticks]]]) - held @ a
         matrix = held @ moved
         own = np.diag(matrix)[: len(closed)]
-        if np.any((own <= 0.0) & (share[closed] != 0.0)):
+        if np.any((own <= 0.0) & (share != 0.0)):
             name = self.names[closed[int(np.argmin(own))]]
             raise StepError("painleve", f"the friction of contact '{name}' presses it together more than it is pressed")
         forces, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=SINGULAR)
-        normal[closed] = forces[: len(closed)]
+        pushes = forces[: len(closed)]
         # redundant contacts that stick share the friction force in proportion to their normal forces
-        if rank < len(forces) and len(sticking):
+        if rank < len(forces) and len(sticks):
             weights = np.ones(len(forces))
-            weights[len(closed) :] = np.sqrt(np.maximum(normal[sticking], 1e-9 * np.max(np.abs(normal))))
+            weights[len(closed) :] = np.sqrt(np.maximum(pushes[sticks], 1e-9 * np.max(np.abs(pushes))))
             forces = weights * np.linalg.lstsq(matrix * weights, right, rcond=SINGULAR)[0]
-            normal[closed] = forces[: len(closed)]
-        tangent[closed] = share[closed] * normal[closed]
-        tangent[sticking] = forces[len(closed) :]
+            pushes = forces[: len(closed)]
+        normal[closed], tangent[closed] = pushes, share * pushes
+        tangent[closed[sticks]] = forces[len(closed) :]
         return Forced(a + moved @ forces, multipliers + loaded @ forces, normal, tangent, rows)
 
     def pushed(
@@ -167,6 +173,8 @@ class RigidContacts:
 
     def answers(self, t: float, q: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accelerations (n, k) and multipliers (m, k) that each of k forces (k, n) causes alone."""
+        if self.p.m == 0:
+            return np.asarray(forces / self.p.mass).T, np.zeros((0, len(forces)))
         none = np.zeros(self.p.m)
         found = [self.p.solve(t, q, one, none) for one in forces]
         return np.stack([x for x, _ in found], axis=1), np.stack([mu for _, mu in found], axis=1)

@@ -133,7 +133,7 @@ class TimeStepping(StepMethod):
         lost = 0.0
         struck = np.zeros(len(contacts.names), dtype=bool)
         while len(some):
-            kinematics.hold(end, np.ones(len(contacts.names), dtype=bool))
+            kinematics.hold(end, np.isin(np.arange(len(contacts.names)), some))
             rows = kinematics.rows(smooth.middle, v, some)
             kinematics.held = kinematics.none_held()
             guess = h * np.stack([held.normal, held.tangent])[:, some]
@@ -172,8 +172,7 @@ class TimeStepping(StepMethod):
 
         The gap of a contact at rest may be as large as the distance that a body falls in a step, so the contact may be
         predicted to stay open. Without an impulse at such a contact, the impact of others would have a wrong result,
-        however
-        small the step. Contacts with larger gaps are left to the next step, whose impulses include restitution.
+        however small the step. Contacts with larger gaps are left to the next step, whose impulses include restitution.
         """
         gaps = contacts.kinematics.gaps(smooth.positions(after))
         gaps[some] = 0.0
