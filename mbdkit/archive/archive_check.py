@@ -188,7 +188,7 @@ class _Checker:
         if self.status == "complete" and code and (code != "event" or not sentence):
             self.say(f"a complete run has the status_reason {code!r}")
         if self.status == "failed" and (code not in layout.REASONS or not sentence):
-            self.say("status_reason of a failed run is not one of the codes, a colon and a sentence")
+            self.say("status_reason of a failed run should be a known code, a colon and a sentence")
         try:
             if not values["created_utc"].endswith("Z"):
                 raise ValueError
@@ -204,7 +204,7 @@ class _Checker:
         if isinstance(spec, dict):
             self.spec = spec
         else:
-            self.say("the attribute spec does not hold a spec in JSON")
+            self.say("the attribute spec does not contain a spec in JSON")
 
     def verdict(self) -> None:
         """Check the verdict, which archives of earlier versions and of crashed runs lack."""

@@ -58,7 +58,9 @@ class Block:
                     raise SpecError("this is not a block of a study", file=path)
                 version = str(self.file.attrs["format_version"])
                 if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-                    raise SpecError(f"this block has format version {version}, this mbdkit reads 1.x", file=path)
+                    raise SpecError(
+                        f"this block has format version {version}, but this version of mbdkit reads 1.x", file=path
+                    )
                 self.study_sha256 = str(self.file.attrs["study_sha256"])
                 self.created_utc = str(self.file.attrs["created_utc"])
                 self.store = next(name for name in STORES if name == str(self.file.attrs["store"]))
@@ -307,7 +309,7 @@ def _has_scales(item: h5py.Dataset) -> bool:
     )
 
 
-_HINT = "run `mbdkit study` again to compute its block anew"
+_HINT = "run `mbdkit study` to compute its block again"
 
 
 def _at(item: h5py.Dataset, row: int) -> Any:

@@ -176,7 +176,9 @@ class Checkpoint:
         except OSError as error:
             raise SpecError(f"{path.name} cannot be read ({error.strerror})", file=part) from error
         if checkpoint is None:
-            raise SpecError(f"{path.name} is damaged, so that this run cannot be resumed; run it anew", file=part)
+            raise SpecError(
+                f"{path.name} is damaged, so this run cannot be resumed; start it again from the beginning", file=part
+            )
         return checkpoint
 
 

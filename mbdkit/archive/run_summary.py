@@ -67,7 +67,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("gravity", _gravity(spec)),
         (
             "redundancy",
-            run.redundancy and f"{run.redundancy}; reactions are not unique, those of least norm recorded",
+            run.redundancy and f"{run.redundancy}; reactions are not unique; those of least norm are recorded",
         ),
         ("start", _start(run)),
         ("integrator", _method(spec) if run.kind == "forward" else ""),

@@ -257,7 +257,7 @@ class _Inspection:
     def compressed(self, path: str, item: h5d.DatasetID, plan: h5py.h5p.PropDCID, size: int, is_text: bool) -> None:
         filters = [plan.get_filter(number)[0] for number in range(plan.get_nfilters())]
         if len(set(filters)) < len(filters) or not _FILTERS.issuperset(filters):
-            raise self.refused(f"{path} is compressed by other means than deflate")
+            raise self.refused(f"{path} is not compressed by deflate")
         if is_text:
             raise self.refused(f"the strings of {path} are compressed")
         chunk = int(np.prod(plan.get_chunk(), dtype=object)) * item.get_type().get_size()

@@ -76,7 +76,7 @@ Workers = Annotated[
         "--workers",
         min=1,
         metavar="N",
-        help="Number of processes, by default one per core; with submitit, of jobs, by default up to 100.",
+        help="Number of processes (by default one per core) or, with submitit, of jobs (by default up to 100).",
     ),
 ]
 ExecutorName = Annotated[
@@ -92,9 +92,8 @@ Scheduler = Annotated[
         "--scheduler",
         metavar="ADDRESS",
         help=(
-            "With dask: the address of the scheduler, or its scheduler file; by default, one on this machine. With "
-            "submitit: slurm (default), or "
-            "local, to test with jobs on this machine."
+            "With dask: address of the scheduler, or its scheduler file; by default, Dask runs on this machine. "
+            "With submitit: slurm (default), or local, which runs the jobs on this machine for tests."
         ),
     ),
 ]

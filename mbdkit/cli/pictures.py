@@ -76,7 +76,9 @@ def plot(
     ] = None,
     x_limits: Annotated[
         tuple[float, float] | None,
-        typer.Option("--x-limits", metavar="LOW HIGH", help="Ends of the horizontal axis: a time window [s], usually."),
+        typer.Option(
+            "--x-limits", metavar="LOW HIGH", help="Range of the horizontal axis, usually a time interval [s]."
+        ),
     ] = None,
     y_limits: Annotated[
         tuple[float, float] | None,

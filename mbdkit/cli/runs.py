@@ -102,7 +102,7 @@ def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Print
     from mbdkit.base.errors import SpecError
 
     if superfluous:
-        raise SpecError(f"--resume takes everything from {part.name}: leave out {', '.join(superfluous)}")
+        raise SpecError(f"--resume reads all settings from {part.name}: omit {', '.join(superfluous)}")
     from mbdkit.runs.resuming import continue_run, final_path
 
     with progress_bar(final_path(part).name, printing.quiet) as progress:

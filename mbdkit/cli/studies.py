@@ -45,7 +45,7 @@ class Stored:
         typer.Option(
             "--store",
             help=(
-                "What is stored of each run: `files`, an archive of its own (some 140 kB); or, in blocks of runs, "
+                "What is stored of each run: one archive per run, `files` (about 140 kB); or, in files of many runs, "
                 "`all` arrays (84 kB), `histories`: positions and reactions over time (26 kB), `summary`: counters, "
                 "times and misalignments (0.8 kB), or `hashes`. Every choice keeps spec, verdict and measures of each "
                 "run, which can be computed again (`study.remake`). By default `files` for up to 500 runs and for "

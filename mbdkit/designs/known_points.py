@@ -168,4 +168,4 @@ class KnownPoints:
 
 
 def _refused(error: OSError, path: Path) -> Exception:
-    return file_error(error.errno, f"the points of the design cannot be kept: {error.strerror or error}", file=path)
+    return file_error(error.errno, f"the points of the design cannot be stored: {error.strerror or error}", file=path)

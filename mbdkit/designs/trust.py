@@ -58,7 +58,7 @@ class Trust:
         for name, real in self.is_gain.items():
             gain = f"The gain of {name}, {self.gain[name]:.3g},"
             if real is None:
-                told.append(f"{gain} may be an error of the runs: there is no estimate of their errors.")
+                told.append(f"{gain} may be due to errors of the runs, which were not estimated.")
             elif not real and self.gain[name] < 0:
                 told.append(f"There is no gain of {name}, which grows by {-self.gain[name]:.3g}.")
             elif not real:

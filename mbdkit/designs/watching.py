@@ -51,7 +51,7 @@ class Work:
         if self.is_complete:
             parts.append("complete")
         elif not self.owners:
-            parts.append("nothing computes it now; the same command continues it")
+            parts.append("no process is computing it; the same command continues it")
         else:
             parts.append(f"computed by {listed(self.owners, 'and')}")
             made = self.done - before.done if before is not None else 0

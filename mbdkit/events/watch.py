@@ -318,8 +318,8 @@ class Watch:
             )
         elif since < REPEATED * max(1.0, abs(t)):
             self._failure = Failure(
-                "zeno", f"{what} sets states again after less than {REPEATED:.0g} s at t = {t:.10g} s; its crossings "
-                "follow each other without end."
+                "zeno", f"{what} sets states again after less than {REPEATED:.0g} s at t = {t:.10g} s; its "
+                f"crossings would repeat without end."
             )  # fmt: skip
         return stretch
 

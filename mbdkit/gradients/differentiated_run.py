@@ -186,12 +186,10 @@ def refuse(spec: RunSpec, method: Method) -> None:
     if spec.settings():
         raise SpecError("runs in which events set states have no derivatives", key="events")
     if spec.is_to_be_chosen:
-        raise SpecError(
-            "gradients need a given method and step, which a requested accuracy would choose", key="accuracy"
-        )
+        raise SpecError("gradients are not available with `accuracy`; give an integrator and a step", key="accuracy")
     if spec.output.interval is not None:
         raise SpecError(
-            "states recorded by `interval` have no derivatives; record every k-th step by `every`",
+            "gradients are not available with `interval`; use `every` to record every k-th step",
             key="output.interval",
         )
 
@@ -344,7 +342,7 @@ class _Pass:
         sided = None if self._sided is not None else with_sides(mechanism)
         passed = () if sided is None else sided.passed(rows.observed.forces[..., 0])
         unknown = tuple(
-            f"the law of the force '{name}' is a function, whose discontinuities are not known: if the run passes "
+            f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
             f"one, the derivatives lack its contribution; write the law as a SymPy expression"
             for name in with_unknown_corners(mechanism)
         )

@@ -189,7 +189,7 @@ def check_gradients(spec: RunSpec, method: Method) -> None:
     """Raise SpecError, with the key, if the gradients requested by a spec cannot be computed."""
     try:
         if not spec.measures:
-            raise SpecError("gradients are those of measures, and the spec has no `measures`", key="gradients")
+            raise SpecError("gradients are derivatives of measures, but the spec has no `measures`", key="gradients")
         for index, name in enumerate(spec.gradients):
             try:
                 resolved(spec, [name])

@@ -60,7 +60,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     if name in spec.parameters:
         value = spec.parameters[name]
         if isinstance(value, str):
-            raise _refused(f"'{name}' is the expression '{value}'; name the parameters in it")
+            raise _refused(f"'{name}' is the expression '{value}'; use the parameters that it contains")
         return Parameter(name, ("parameters", name), float(value))
     path = parse_key(name)
     if path[:1] == ("parameters",) and len(path) == 2:
@@ -69,7 +69,8 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
         return _unknown(spec, name)
     if path[0] != "model":
         raise _refused(
-            f"'{name}' is not a parameter of the model; gradients are those by `parameters` and by numbers of `model`"
+            f"'{name}' cannot be a parameter of a gradient; give the name of one of the `parameters` or the key of "
+            f"a number of `model`"
         )
     holder: Any = data
     for i, key in enumerate(path):

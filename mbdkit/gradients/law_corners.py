@@ -141,7 +141,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             continue
         if np.sum(top.laws[:, 1] == begin) > 1:
             raise SpecError(
-                f"the law of the force '{name}' has first-order states and a discontinuity, and has no derivatives",
+                f"the law of the force '{name}' has first-order states and a discontinuity; gradients of such laws "
+                f"are not available",
                 key="gradients",
             )
         rows[row, 1] = len(values)

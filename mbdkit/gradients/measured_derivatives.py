@@ -311,7 +311,9 @@ class _Evaluation:
         self._largest_term = max(self._largest_term, float(np.max(np.abs(here.slope), initial=0.0)))
         for place, one in enumerate(switches):
             if place != peak.switch and one.slope.any() and np.abs(one.value) <= AT_ZERO * np.abs(here.value):
-                self._note_sides("the operand of 'abs' is zero, or those of 'min' or 'max' are equal, at an extremum")
+                self._note_sides(
+                    "the operand of 'abs' is zero, or the operands of 'min' or 'max' are equal, at an extremum"
+                )
         begin, end = part.span
         is_last = number == len(self.run.motions[0].parts) - 1
         moved = np.zeros(self.count)
@@ -375,7 +377,7 @@ class _Evaluation:
         inside = [number for number, part in enumerate(parts) if part.span[0] <= at <= part.span[1]]
         sides = [self._on_part(number, at, index, moved) for number in inside]
         if any(not np.allclose(one.slope, sides[0].slope, rtol=1e-6, atol=1e-9 * self.size) for one in sides[1:]):
-            self._note_sides("the time of 'at' is that of a discontinuity")
+            self._note_sides("the time in 'at' is the time of a discontinuity")
         found = sides[0]
         if at in rows:  # as in runs
             k = int(np.searchsorted(rows, at))

@@ -152,8 +152,8 @@ class Preparation(ABC):
         """Raise SpecError if expressions contain other numbers than those of the spec; see `numbers_of`."""
         if any(x.shape != self.base[name].shape for name, x in arrays.items()):
             raise SpecError(
-                f"the form of an expression depends on '{parameter.name}', as with one in an exponent; there are "
-                "no derivatives by such a parameter",
+                f"the form of an expression depends on '{parameter.name}', for example because it is an exponent; "
+                f"derivatives with respect to such a parameter are not available",
                 key="gradients",
             )
 

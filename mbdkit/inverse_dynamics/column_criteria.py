@@ -131,7 +131,7 @@ def _of_times(measured: Measured) -> Iterator[Doubt]:
     cause = "they probably have jitter" if grid is None else f"they are probably rounded to {grid:g} s"
     yield Doubt(
         "times",
-        f"the columns belong to evenly spaced times rather than to the given ones, whose intervals vary from "
+        f"the columns fit evenly spaced times better than the given times, whose intervals vary from "
         f"{steps.min():.6g} to {steps.max():.6g} s (share {product / square:.2g}, doubtful above {EVEN:g}; certain to "
         f"{product / np.sqrt(square):.3g} standard deviations, doubtful above {certain:g}): {cause}; derivatives "
         "depend on them.",
@@ -222,8 +222,9 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
     if not measured.has_unit[index] and largest > TURNS and not turning:
         yield Doubt(
             "units",
-            f"column of {name}: the values reach {largest:.4g} rad (doubtful above {TURNS:.4g} for an angle that does "
-            "not turn on and on), and no `unit` is given: they look like degrees; write `unit: deg`.",
+            f"column of {name}: the values reach {largest:.4g} rad (doubtful above {TURNS:.4g} for an angle that "
+            f"does not turn mostly in one direction), and no `unit` is given: they look like degrees; write `unit: "
+            f"deg`.",
         )
     elif change.size and np.max(np.abs(change)) > TURN:
         at = int(np.argmax(np.abs(change)))
@@ -249,7 +250,7 @@ def _fit(result: Inverse) -> Iterator[Doubt]:
             "fit",
             f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is {rms.max():.2g} rad "
             f"or longest links (doubtful above {RESIDUAL:g}); columns with large residuals: {listed(worst, 'and')}. "
-            "Exchanged or mirrored columns, wrong units, another frame, or wrong lengths.",
+            "Likely causes: exchanged or mirrored columns, wrong units, another frame, or wrong lengths.",
         )
         return
     usual = np.maximum(SUDDEN * TO_DEVIATION * np.nanmedian(share, axis=0), LEAST_SUDDEN)

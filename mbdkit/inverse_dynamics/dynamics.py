@@ -157,8 +157,8 @@ def _require_regular(directions: Directions, motion: Motion) -> None:
     singular = np.flatnonzero(directions.singular())
     if singular.size:
         raise RunError(
-            f"the mechanism is in a singular position at t = {motion.time[singular[0]]:.6g} s, where the forces of its "
-            "joints are not determined; leave it out with `time.start` and `time.end`"
+            f"the mechanism is in a singular position at t = {motion.time[singular[0]]:.6g} s, where the forces of "
+            f"its joints are not determined; exclude this time with `time.start` and `time.end`"
         )
 
 

@@ -112,7 +112,8 @@ def _point(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iter
     cause = (
         f"it is on the outline of {bodies[nearest]}: does the load act on that body?"
         if distance[nearest] < OFTEN * OUTSIDE
-        else "is it in another frame (that of the laboratory, while the model hangs elsewhere) or unit, or late?"
+        else "is its point in another frame, such as that of the laboratory, or in another unit, or is the load "
+        "delayed?"
     )
     yield Doubt(
         "load-point",
@@ -129,9 +130,9 @@ def _sign(result: Inverse, index: int, name: str) -> Iterator[Doubt]:
     if np.sum(up) < 0:
         yield Doubt(
             "load-sign",
-            f"load '{name}' pulls its body down on average, by {-np.mean(up):.4g} N: plates often give the force on "
-            "themselves, whose sign must be turned with `scale: -1`; or the y axis points down. (`kind: other` is for "
-            "loads that are not those of a plate.)",
+            f"load '{name}' pulls its body down on average, by {-np.mean(up):.4g} N: force plates often give the "
+            f"force on the plate, whose sign must be reversed with `scale: -1`; or the y axis points down. (If this "
+            f"is not the load of a force plate, set `kind: other`.)",
         )
 
 

@@ -31,7 +31,7 @@ def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
     rates = Quantities([own, *joints, *names.candidates().values()]).jacobian(q) @ free
     rows = _independent(rates[len(time) // 2])
     if 0 not in rows:
-        raise SpecError(f"'{coordinate}' cannot change, so that muscles have no moment arms about it", key="coordinate")
+        raise SpecError(f"'{coordinate}' cannot change, so muscles have no moment arms for it", key="coordinate")
     one = np.zeros((len(time), len(rows), 1))
     one[:, 0] = 1.0
     alone = (free @ np.linalg.solve(rates[:, rows], one))[..., 0]

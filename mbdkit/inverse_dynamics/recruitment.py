@@ -151,7 +151,7 @@ class Recruiter:
         if balance.effect.shape[1] != balance.effect.shape[2] or dynamics.surplus:
             raise SpecError(
                 f"recruitment needs one actuator for each of the {counted(balance.effect.shape[1], 'degree')} of "
-                f"freedom, whose moments the muscles produce; there are {balance.effect.shape[2]}",
+                f"freedom, but there are {balance.effect.shape[2]}",
                 key="actuators",
             )
         own = self.contraction(motion)
@@ -335,7 +335,9 @@ class Recruiter:
         times = listed([f"{time[row]:.6g}" for row in rows[:TIMES_NAMED]], "" if len(rows) > TIMES_NAMED else "and")
         more = ", ..." if len(rows) > TIMES_NAMED else ""
         if not told:
-            return RunError(f"recruitment was not solved at t = {times}{more} s; use another `exponent`, or reserves")
+            return RunError(
+                f"no optimal activations were found at t = {times}{more} s; use another `exponent`, or reserves"
+            )
         fast = "" if by_frames else " with activations that change as fast as their dynamics allow"
         about = "about " if self.is_elastic else ""  # computed for the lengths of the tendons in the last iteration
         return RunError(

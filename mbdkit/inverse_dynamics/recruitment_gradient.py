@@ -51,11 +51,11 @@ def require_derivatives_of(recruiter: Recruiter) -> None:
     """Raise SpecError if the solution of recruitment cannot be differentiated."""
     if recruiter.asked.dynamics == "activation":
         raise SpecError(
-            "gradients exist only for frames that are independent of each other, without activation dynamics",
+            "gradients are not available with `dynamics: activation`",
             key="recruitment.dynamics",
         )
     if recruiter.is_elastic:
-        raise SpecError("gradients take the tendons of muscles as rigid so far", key="recruitment")
+        raise SpecError("gradients are not available with elastic tendons", key="recruitment")
     if recruiter.exponent == 1 or math.isinf(recruiter.exponent):
         raise SpecError(
             f"gradients need an exponent of 2 or more, not {recruiter.asked.exponent}: the solution of a linear "

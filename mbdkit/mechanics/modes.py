@@ -387,7 +387,7 @@ def _few(prepared: PreparedMechanism, state: State, count: int) -> tuple[np.ndar
         )
     if 2 * count + 8 > prepared.freedoms:  # ARPACK finds only a part of the spectrum
         raise prepared.error(
-            f"at most {prepared.freedoms // 2 - 4} modes can be found of a mechanism this large", key=""
+            f"at most {prepared.freedoms // 2 - 4} modes can be computed for a mechanism of this size", key=""
         )
     values, shapes = lowest(prepared, state, 2 * count + 2)
     # A real part this small is rounding error of the iteration; without this, undamped modes would seem to grow.

@@ -70,7 +70,7 @@ def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     """Return a mechanism for statics: its first-order states, if there are any, follow from its position."""
     mechanism = prepared.workspace.mechanism
     if mechanism.contact_treatment.is_rigid:
-        message = "an analysis of a mechanism at rest needs compliant contacts; rigid ones have no forces by themselves"
+        message = "an analysis of a mechanism at rest needs compliant contacts: use `treatment: compliant`"
         raise SpecError(message, key="contact.treatment")
     if not mechanism.states:
         return prepared

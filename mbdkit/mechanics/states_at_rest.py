@@ -113,8 +113,8 @@ class StatesAtRest:
         names = ", ".join(self.names)
         raise StepError(
             "newton-failed",
-            f"the first-order states ({names}) have no values at rest that follow from the position, as is the case "
-            "if the rate of a state does not depend on the states",
+            f"the first-order states ({names}) have values at rest that the position does not determine; this "
+            f"happens if the rate of a state does not depend on the states",
         )
 
     def by_states(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

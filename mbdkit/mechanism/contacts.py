@@ -292,12 +292,12 @@ class Contact(Element):
         of_speed = own.law in ("flores", "lankarani-nikravesh")
         if own.dissipation is not None and of_speed:
             raise SpecError(
-                f"the law {own.law} computes it from `restitution` and `impact_speed`; leave it out",
+                f"the law {own.law} computes it from `restitution` and `impact_speed`; omit it",
                 key="compliance.dissipation",
             )
         if of_speed and own.impact_speed is None:
             raise SpecError(
-                f"is missing: the law {own.law} needs the speed at which an impact has the `restitution`",
+                f"is missing: the law {own.law} needs the impact speed to which `restitution` refers",
                 key="compliance.impact_speed",
             )
         if own.impact_speed is not None and own.law in ("linear", "smooth-sphere-half-space"):
@@ -310,7 +310,7 @@ class Contact(Element):
             kinds = sorted(shape.kind for shape in self._shapes())
             if any(pair != ("circle", "line") for pair in combinations(kinds, 2)):
                 raise SpecError(
-                    f"the law smooth-sphere-half-space is that of a circle on a line, not of {listed(kinds, 'and')}",
+                    f"the law smooth-sphere-half-space needs a circle and a line, not {listed(kinds, 'and')}",
                     key="compliance.law",
                 )
 
@@ -394,8 +394,8 @@ class Contact(Element):
             if holds and set(joint.bodies) == set(self.bodies):
                 first, second = self.bodies
                 raise SpecError(
-                    f"joint '{name}' holds '{first}' and '{second}' together, so that a contact between them would "
-                    "work against it; remove one of the two",
+                    f"joint '{name}' holds '{first}' and '{second}' together, so a contact between them would act "
+                    f"against the joint; remove the joint or the contact",
                     key=f"{key}.bodies",
                 )
 
@@ -419,10 +419,10 @@ def _check_kinds(first: Shape, second: Shape, key: str) -> None:
     kinds = {first.kind, second.kind}
     if kinds == {"line"}:
         raise SpecError(
-            "two lines have no ends, so that they cross wherever they are; give one body a polygon", key=key
+            "two lines cannot touch each other, because they have no ends; use a polygon for one of the bodies", key=key
         )
     if kinds == {"point"}:
-        raise SpecError("two points do not touch; give one of them a radius, {circle: {center, radius}}", key=key)
+        raise SpecError("two points cannot touch; give one of them a radius, {circle: {center, radius}}", key=key)
     if "hole" in kinds:
         _check_hole(first, second, key)
 

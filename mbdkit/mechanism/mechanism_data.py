@@ -92,7 +92,7 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
     if one.relative_to is None:
         return
     if quantity != "angle" or owner not in bodies or owner == GROUND:
-        raise SpecError(f"'{one.of}' is not BODY.angle, from which the angle of a body could be subtracted", key=key)
+        raise SpecError(f"'{one.of}' is not the angle of a body; `relative_to` needs BODY.angle", key=key)
     if one.relative_to not in bodies or one.relative_to == owner:
         raise SpecError(f"'{one.relative_to}' is not another body", key=key)
 

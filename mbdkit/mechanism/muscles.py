@@ -197,9 +197,9 @@ class Muscle(Element):
             if self.path[index].wrap is not None:
                 raise SpecError(f"the {end} item of a path is a point, not a circle", key=f"path[{index}].wrap")
             if self.path[index].when is not None:
-                raise SpecError(f"the {end} point of a path is always there", key=f"path[{index}].when")
+                raise SpecError(f"the {end} point of a path cannot have `when`", key=f"path[{index}].when")
         if len({item.on for item in self.path}) == 1:
-            raise SpecError(f"is on '{self.path[0].on}' alone, so that the muscle moves nothing", key="path")
+            raise SpecError(f"has all its points on '{self.path[0].on}', so the muscle has no effect", key="path")
         if isinstance(self.excitation, int | float) and not 0 <= self.excitation <= 1:
             raise SpecError(f"should be between 0 and 1, not {self.excitation:g}", key="excitation")
         if self.pennation >= TOO_STEEP:

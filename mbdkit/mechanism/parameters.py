@@ -242,7 +242,7 @@ class _NumberCompiler(Compiler):
     def compile(self, node: ast.expr, nesting: int) -> Code:
         """Return the program of a node, in which time is not an operand."""
         if isinstance(node, ast.Name) and node.id == "t":
-            self.refuse("only motions and loads depend on the time t, this is a number", node)
+            self.refuse("this number cannot depend on the time t; only motions and loads can", node)
         return super().compile(node, nesting)
 
     def operand(self, node: ast.expr) -> Code:

@@ -134,7 +134,8 @@ def _consistent(table: Table) -> Table:
     times, values = table.table
     if table.interpolation == "linear" and table.ends in ("natural", "clamped"):
         raise SpecError(
-            f"the ends of lines cannot be {table.ends}; use `interpolation: cubic` or quintic, or leave `ends` out",
+            f"linear interpolation does not support the ends {table.ends}; use `interpolation: cubic` or quintic, "
+            f"or omit `ends`",
             key="ends",
         )
     if table.interpolation == "quintic" and table.ends == "not-a-knot" and len(times) < 6:

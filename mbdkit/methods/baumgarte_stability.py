@@ -40,7 +40,7 @@ def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabiliza
     most = alpha * _limit(growth, step)
     return (
         f"Baumgarte's alpha = {alpha:g} and beta = {beta:g} 1/s are too large for the step of {step:g} s: "
-        f"with '{name}' {does} by {growth(step):.3g} instead of reducing them; "
+        f"with '{name}' {does} by {growth(step):.3g} instead of reducing them. "
         f"alpha times the step is {alpha * step:.4g}, with beta / alpha = {beta / alpha:g} it should be "
         f"below {most:.4g}: take a smaller step or a smaller alpha"
     )

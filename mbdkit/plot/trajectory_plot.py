@@ -72,7 +72,7 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     of_markers = run.records("markers/position") and all(name in run.markers for name in names)
     caption = f"Paths of {'markers' if of_markers else 'points'} in the plane."
     if run.accuracy is not None:
-        caption += " Bands show estimated errors; those narrower than a line are hidden by it."
+        caption += " Bands show estimated errors; a line hides bands that are narrower than itself."
     lines = [line for k, name in enumerate(names) for line in _lines(name, paths[:, k], found[k][1])]
     return Figure(
         "trajectory",

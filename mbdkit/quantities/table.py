@@ -313,7 +313,7 @@ KINDS = (
         _of_ground("center_of_pressure", "m",
             "mean of the points of contact with the normal forces as weights, global frame; nan where none is closed",
             vector="center_of_pressure", components=("center_of_pressure_x", "center_of_pressure_y")),
-        since="1.1", optional=True, word="ground_reactions", one="body that touches the ground", example="force_y",
+        since="1.1", optional=True, word="ground_reactions", one="ground reaction", example="force_y",
         axis="foot", is_optional=True, may_be_unknown=True,
     ),
     _kind(

@@ -140,7 +140,7 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
         elif corner.jumps[1] and spec.impacts == "refuse":
             raise SpecError(
                 f"the rate of this motion jumps from {corner.before[1]:.6g} to {corner.after[1]:.6g} {unit}/s "
-                f"at t = {corner.time:.6g} s, which takes an impulse; smooth the motion there, for example by a "
+                f"at t = {corner.time:.6g} s, which needs an impulse; smooth the motion there, for example by a "
                 "ramp such as 0.5*(1 - cos(pi*t)) or a table with a few points around the jump, or set "
                 "`impacts: allow` to change the velocities there by an impulse",
             )

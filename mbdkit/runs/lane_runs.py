@@ -104,7 +104,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         (FORMULATIONS[spec.formulation].solves_multipliers, f"their formulation is {spec.formulation}"),
         (spec.stabilized.kind != "none", f"their stabilization is {spec.stabilized.kind}"),
         (bool(spec.events), "they have events"),
-        (spec.is_to_be_chosen, "their method or step is chosen for each"),
+        (spec.is_to_be_chosen, "`accuracy` chooses a method or step for each of them"),
         (spec.estimates_errors, "their errors are estimated"),
         (spec.limits.wall_time is not None, "their wall time is limited"),
     )

@@ -164,10 +164,10 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
         message = "rigid contacts need the coordinates of the bodies; use index-1, or compliant contacts"
         raise spec.placed(SpecError(message, key="formulation"))
     if spec.stabilized.kind != "none":
-        message = "rigid contacts are projected with the joints in every step; leave `stabilization` out"
+        message = "with rigid contacts, every step projects joints and contacts; omit `stabilization`"
         raise spec.placed(SpecError(message, key="stabilization"))
     if spec.accuracy is not None:
-        message = "methods and steps of runs with rigid contacts are not chosen; give `time.step` and `check: true`"
+        message = "`accuracy` is not available for runs with rigid contacts; give `time.step` and `check: true`"
         raise spec.placed(SpecError(message, key="accuracy"))
 
 

@@ -272,7 +272,7 @@ class DesignSpec(StrictSpec):
                     key=path_text(("scenarios", name, "base")),
                 )
         if self.sums_squares and self.subject_to:
-            raise SpecError("keeps no limits (`subject_to`); use slsqp or trust-constr", key="optimizer.name")
+            raise SpecError("does not support limits (`subject_to`); use slsqp or trust-constr", key="optimizer.name")
         if len(self.totals) > 3:
             raise SpecError(
                 f"has {len(self.goals)} goals; a Pareto front has two or three. Combine some of them in one expression",
@@ -291,7 +291,7 @@ class DesignSpec(StrictSpec):
 
     def _check_comparisons(self) -> None:
         if self.compare and len(self.totals) > 1:
-            raise SpecError("compares the best point of a single goal, not Pareto fronts; omit it", key="compare")
+            raise SpecError("is not available for Pareto fronts, only for a single goal; omit it", key="compare")
         for name, settings in self.compare.items():
             if not name.strip() or not name.isprintable():
                 raise SpecError(f"needs printable text as the name of settings, not {name!r}", key="compare")

@@ -75,13 +75,12 @@ class InverseSpec(ModelSpec):
     def _accept(self, mechanism: Mechanism) -> None:
         if mechanism.contacts:
             raise SpecError(
-                "contacts have no place in inverse dynamics: leave them out, and give forces of the ground as `loads`",
+                "inverse dynamics does not support contacts: omit them, and give the forces of the ground as `loads`",
                 key=f"model.contacts.{quoted(next(iter(mechanism.contacts)))}",
             )
         if name := joint_with_friction(mechanism.joints):
             raise SpecError(
-                "friction in joints is not part of inverse dynamics, whose actuators would have to overcome it; leave "
-                "it out",
+                "inverse dynamics does not support friction in joints; omit it",
                 key=f"model.joints.{quoted(name)}.friction",
             )
 

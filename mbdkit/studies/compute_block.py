@@ -271,7 +271,7 @@ class _Mark:
                 fcntl.flock(self.handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 if time.monotonic() > until:
-                    message = "another process is computing this block; call again when it has ended"
+                    message = "another process is computing this block; repeat the command when it has ended"
                     raise ResourceError(message, file=self.block) from None
                 time.sleep(0.05)
             except OSError:  # the file system does not support locks

@@ -152,7 +152,7 @@ class Asked:
             raise SpecError("--scheduler is for --executor dask or submitit")
         if self.name == "dask" and self.scheduler and self.workers is not None:
             raise SpecError(
-                "--workers is not for --executor dask with --scheduler, whose workers are started by `dask worker`"
+                "--workers cannot be combined with --scheduler and --executor dask: start the workers by `dask worker`"
             )
         if self.name == "submitit" and self.scheduler not in (None, "slurm", "local"):
             raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(self.scheduler)}")

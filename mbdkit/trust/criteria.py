@@ -254,20 +254,23 @@ def _energies(evidence: Evidence) -> Found:
     if not share <= ENERGY_JUMP:
         jump = f"by {evidence.energy_jump:.3g} J in one step at t = {evidence.energy_jump_time:.6g} s"
         limit = f"{share:.2g} of the largest kinetic energy (bad above {ENERGY_JUMP:g})"
-        yield "bad", f"The energy balance changes {jump}, {limit}: this step is wrong; use smaller steps."
+        yield "bad", f"The energy balance changes {jump}, {limit}. This step is wrong; use smaller steps."
     share = _share(evidence.balance, evidence)
     if level := ENERGY.level(share):
         off = f"by up to {evidence.balance:.3g} J, {share:.2g} of the largest kinetic energy ({ENERGY})"
-        yield level, f"The energy balance is off {off}; use smaller steps or a method of higher order."
+        yield level, f"The energy balance is violated {off}; use smaller steps or a method of higher order."
 
 
 def _branches(evidence: Evidence) -> Found:
     limits = f"bad from {BRANCH_ANGLE:g} rad and {BRANCH_RATIO:g} times the path"
-    advice = "it has probably continued on another branch; compare it with a run with `stabilization: projection`"
+    advice = "the run has probably left its branch; compare it with a run with `stabilization: projection`"
     for one in evidence.branch:
         if one.counts:
             turn = f"by {one.angle:.2g} rad on a path of {one.path:.2g} of the longest link ({limits})"
-            yield "bad", f"The motion turns in a singular position at t = {one.time:.6g} s, {turn}: {advice}."
+            yield (
+                "bad",
+                f"The motion changes its direction in a singular position at t = {one.time:.6g} s, {turn}: {advice}.",
+            )
 
 
 def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
@@ -275,15 +278,15 @@ def _errors(evidence: Evidence, accuracy: EstimatedErrors) -> Found:
     if unconfirmed or accuracy.reached > accuracy.asked:
         known = "unknown" if unconfirmed else f"{accuracy.reached:.2g}"
         because = f": {accuracy.missed}" if accuracy.missed else ""
-        what = f"positions accurate to {accuracy.asked:g} of the mechanism's size"
-        yield "doubtful", f"The run was to have {what}; their estimated error is {known}{because}."
+        what = f"accuracy of positions is {accuracy.asked:g} of the mechanism's size"
+        yield "doubtful", f"The requested {what}, but their estimated error is {known}{because}."
     if math.isnan(accuracy.known_until):
         yield "doubtful", "The error could not be estimated: the comparison runs do not converge."
         return
     if accuracy.known_until < evidence.end:
         yield (
             "doubtful",
-            f"The error is known until t = {accuracy.known_until:.6g} s only, of {evidence.end:.6g} s.",
+            f"The error is known only until t = {accuracy.known_until:.6g} s of {evidence.end:.6g} s.",
         )
     for what, value, limits in (
         ("positions", accuracy.position, KNOWN_POSITION),

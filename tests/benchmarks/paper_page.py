@@ -29,7 +29,7 @@ ANSWERS = {Answer.YES: "Confirmed", Answer.NO: "Not confirmed", Answer.PARTLY: "
 OUTLINE = """\
 # The source paper, re-run
 
-The claims of the source paper on explicit and implicit methods, and what a study of {runs} runs says about each.
+The claims of the source paper on explicit and implicit methods, compared with a study of {runs} runs.
 
 <!-- Written by `python -m tests.benchmarks.paper_page FOLDER`; do not edit. -->
 
@@ -37,14 +37,14 @@ The source paper is
 
 > {title}.
 
-It asks which integrator keeps the joints of a mechanism together, and at what cost, as a step towards the design of
-devices that support human joints. Its *misalignment* is the distance between the two points of a pinned joint, which
-numerical error makes drift apart. The paper measures the misalignment of pendulums of one and two rods, and predicts
-that of a knee linkage with four joints.
+The paper asks which integrator keeps the joints of a mechanism closed, and at what cost, as a step towards the design
+of devices that support human joints. The *misalignment* of a revolute joint is the distance between its two points,
+which should coincide but drift apart because of numerical error. The paper measures the misalignment for pendulums of
+one and two rods, and predicts it for a knee linkage with four joints.
 
-`mbdkit study paper -o paper --report` repeats the comparison within one to three minutes on two cores. The sentences
-below are those of its report, which also has tables and figures; "this machine" is the one that made this page. In
-BibTeX, with no author and no DOI known to us:
+`mbdkit study paper -o paper --report` repeats the comparison within one to three minutes on two cores. Its report
+contains the claims below, with tables and figures. "This machine" is the machine on which this page was generated. The
+BibTeX entry of the paper, whose author and DOI are not known to us, is:
 
 ```bibtex
 {bibtex}

@@ -250,7 +250,7 @@ def test_redundant_joints_are_named_by_validate_run_and_info(mbdkit, in_tmp_path
     result = mbdkit("run", "spec.yaml")
     assert result.exit_code == 0, result.stderr
     assert (
-        "redundancy    1 redundant row: joint D; reactions are not unique, those of least norm recorded\n"
+        "redundancy    1 redundant row: joint D; reactions are not unique; those of least norm are recorded\n"
         in result.stdout
     )
     result = mbdkit("archive", "info", "spec.h5")

@@ -210,7 +210,7 @@ def test_a_folder_is_watched_while_it_is_computed_and_afterwards(mbdkit, in_tmp_
     assert re.fullmatch(r"(\d+) of \1 runs; complete\n", told)
     (in_tmp_path / "sweep" / "index.h5").unlink()
     next((in_tmp_path / "sweep" / "runs").glob("*.h5")).unlink()
-    assert "nothing computes it now; the same command continues it" in mbdkit("watch", "sweep").output
+    assert "no process is computing it; the same command continues it" in mbdkit("watch", "sweep").output
     with StudyFolder(in_tmp_path / "sweep").locked():
         assert f"computed by process {os.getpid()} on " in mbdkit("watch", "sweep", "--once").output
     assert "contains no study" in mbdkit("watch", ".").output

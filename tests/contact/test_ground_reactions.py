@@ -84,5 +84,5 @@ def test_measures_events_and_archives_have_ground_reactions(tmp_path: Any) -> No
     found.save(tmp_path / "run.h5")
     with mbdkit.load(tmp_path / "run.h5") as again:
         assert np.array_equal(again.ground_reactions["box"].center_of_pressure, foot.center_of_pressure, equal_nan=True)
-    with pytest.raises(KeyError, match="the run has no body that touches the ground 'bax'"):
+    with pytest.raises(KeyError, match="the run has no ground reaction 'bax'"):
         found.ground_reactions["bax"]

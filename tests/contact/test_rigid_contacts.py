@@ -300,8 +300,8 @@ def test_stronges_impact_never_gains_energy() -> None:
     [
         ({"integrator": {"name": "gauss"}}, "event-driven needs an explicit Runge-Kutta method with fixed steps"),
         ({"contact": {"treatment": "time-stepping"}}, "time-stepping needs the integrator moreau-jean"),
-        ({"accuracy": 1e-6}, "methods and steps of runs with rigid contacts are not chosen"),
-        ({"stabilization": "projection"}, "rigid contacts are projected with the joints in every step"),
+        ({"accuracy": 1e-6}, "`accuracy` is not available for runs with rigid contacts"),
+        ({"stabilization": "projection"}, "every step projects joints and contacts"),
     ],
 )
 def test_what_rigid_contacts_need_is_said(change: dict[str, Any], sentence: str) -> None:

@@ -82,7 +82,7 @@ def test_wrong_comparisons_are_refused(case: str) -> None:
 
 def test_fronts_are_not_compared() -> None:
     goals = {"a": distance(0, 0), "b": distance(1, 0)}
-    with pytest.raises(SpecError, match="compare: compares the best point of a single goal"):
+    with pytest.raises(SpecError, match="compare: is not available for Pareto fronts"):
         load_design_spec(moved(goals, compare={"a": {"time.step": 0.02}}))
 
 

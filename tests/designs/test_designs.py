@@ -41,7 +41,7 @@ def test_a_design_of_inverse_dynamics_without_known_noise_has_no_estimate_of_its
     assert np.isnan(found.trust.errors["goal"])
     assert found.trust.is_gain["goal"] is None
     assert found.to_dict()["trust"]["is_gain"]["goal"] is None
-    assert "may be an error of the runs: there is no estimate" in found.summary()
+    assert "may be due to errors of the runs, which were not estimated" in found.summary()
 
 
 def test_scenarios_are_summed_by_their_weights() -> None:

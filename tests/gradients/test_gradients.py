@@ -216,7 +216,7 @@ def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
         ("model.bodies.rodd.mass", "no key 'model.bodies.rodd.mass': there is no 'rodd' in model.bodies"),
         ("model.forces.s.stiffness", "is the text or expression 'k'"),
         ("model.bodies.rod", "should be the key of a number"),
-        ("time.step", "is not a parameter of the model"),
+        ("time.step", "cannot be a parameter of a gradient"),
     ],
 )
 def test_wrong_parameters_are_refused(parameter: str, message: str) -> None:
@@ -228,7 +228,7 @@ def test_wrong_parameters_are_refused(parameter: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("sections", "message"),
     [
-        ({"output": {"interval": 0.1}}, "states recorded by `interval` have no derivatives"),
+        ({"output": {"interval": 0.1}}, "gradients are not available with `interval`"),
     ],
 )
 def test_runs_without_derivatives_are_refused(sections: dict[str, Any], message: str) -> None:

@@ -120,8 +120,8 @@ def test_the_spec_at_rest_stays_at_rest() -> None:
 @pytest.mark.parametrize(
     ("spec", "sentence"),
     [
-        (leg("states.e", e={"rate": "0.1 - leg.angle"}), "no values at rest that follow from the position"),
-        (leg("states.e", e={"rate": "1 + states.e**2"}), "no values at rest that follow from the position"),
+        (leg("states.e", e={"rate": "0.1 - leg.angle"}), "values at rest that the position does not determine"),
+        (leg("states.e", e={"rate": "1 + states.e**2"}), "values at rest that the position does not determine"),
     ],
 )
 def test_states_without_values_at_rest_are_refused(spec: dict[str, Any], sentence: str) -> None:

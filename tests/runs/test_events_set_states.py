@@ -158,7 +158,7 @@ def test_errors_name_the_key(event: dict[str, Any], key: str, sentence: str) -> 
 def test_a_method_is_not_chosen() -> None:
     spec = spec_of(RK4) | {"accuracy": 1e-6}
     del spec["integrator"]
-    with pytest.raises(SpecError, match="not chosen for runs in which events set states; give both"):
+    with pytest.raises(SpecError, match="`accuracy` is not available for runs in which events set states"):
         mbdkit.run(spec)
 
 

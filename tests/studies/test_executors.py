@@ -303,7 +303,7 @@ def test_what_is_no_executor_is_refused(tmp_path):
     ("options", "words"),
     [
         ("--executor dask --scheduler x://y", "no Dask scheduler answers at x://y"),
-        ("--executor dask --scheduler tcp://127.0.0.1:9 --workers 2", "--workers is not for --executor dask"),
+        ("--executor dask --scheduler tcp://127.0.0.1:9 --workers 2", "--workers cannot be combined with --scheduler"),
         ("--executor submitit --scheduler there", "--scheduler is slurm or local, not there"),
         ("--executor submitit --scheduler local --slurm time", "needs an option of sbatch as K=V"),
         ("--executor submitit --scheduler local --slurm time=1:00", "needs a whole number of minutes"),

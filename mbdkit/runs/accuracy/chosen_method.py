@@ -232,7 +232,7 @@ def choose_method(
         Called with (time reached, end time) [s] of each pilot.
     """
     if spec.settings():
-        message = "method and step are not chosen for runs in which events set states; give both"
+        message = "`accuracy` is not available for runs in which events set states; give an integrator and a step"
         raise spec.placed(SpecError(message, key="accuracy"))
     first = Candidate.of(spec)
     search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)

@@ -292,7 +292,7 @@ def test_run_with_a_damaged_checkpoint_is_refused(part: Path) -> None:
     content = bytearray(checkpoint_path(part).read_bytes())
     content[100] ^= 1
     checkpoint_path(part).write_bytes(content)
-    assert "run.h5.part.checkpoint is damaged, so that this run cannot be resumed; run it anew" in refusal(part)
+    assert "run.h5.part.checkpoint is damaged, so this run cannot be resumed; start it again" in refusal(part)
 
 
 def test_run_without_checkpoint_is_refused(part: Path) -> None:
