@@ -24,7 +24,8 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_velocities
 from mbdkit.methods.kinds import StepState
-from mbdkit.stepping.time_stepping import SmoothStep, TimeStepping, answer
+from mbdkit.stepping.step_impulses import SmoothStep
+from mbdkit.stepping.time_stepping import TimeStepping, answer
 
 MOST_ITERATIONS = 20
 """Largest number of Newton iterations in a step."""

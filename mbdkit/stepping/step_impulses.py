@@ -1,0 +1,229 @@
+"""Impulses of contacts in a step of a time-stepping method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mbdkit.mechanism.contacts import OPEN, SLIP, STICK
+from mbdkit.stepping.complementarity import Pushed, stronge
+from mbdkit.stepping.contact_impacts import SMALL_RESTITUTION
+from mbdkit.stepping.contact_kinematics import Rows
+from mbdkit.stepping.contact_state import ContactState
+from mbdkit.stepping.rigid_contacts import RigidContacts
+
+MANY = 40
+"""Number of overlaps above which less accurate results are accepted: contacts at rest that others press together get no
+impulse in this step, and positions are projected only once. The next steps reduce the remaining overlap."""
+AT_REST = 4.0
+"""A contact is at rest if its gap, rate and impulse are smaller than this many times those that accelerations cause in
+one step; otherwise it has an impact.
+"""
+SMALL = 1e-12
+"""Overlap, relative to the length of the mechanism, that counts as zero."""
+
+
+@dataclass(frozen=True)
+class SmoothStep:
+    """A step without impulses of contacts.
+
+    Attributes
+    ----------
+    v
+        (n,) velocities at its end.
+    multipliers
+        (m,) multipliers of the joints.
+    middle
+        (n,) positions at which the gradients of the gaps are evaluated.
+    solve
+        Function that returns the change of the velocities (n,) by an impulse (n,).
+    positions
+        Function that returns the positions (n,) at the end, before projection, from the velocities (n,) at the end.
+    accelerations
+        Accelerations that the method passes to its next step.
+    """
+
+    v: np.ndarray
+    multipliers: np.ndarray
+    middle: np.ndarray
+    solve: Callable[[np.ndarray], np.ndarray]
+    positions: Callable[[np.ndarray], np.ndarray]
+    accelerations: tuple[np.ndarray, ...] = ()
+
+
+@dataclass(frozen=True)
+class StepImpulses:
+    """The impulses of all contacts in a step.
+
+    Attributes
+    ----------
+    contacts, held
+        The contacts, and their state at the end of the last step.
+    smooth
+        The step without impulses of contacts.
+    v, h
+        (n,) velocities at its start, and its size [s].
+    """
+
+    contacts: RigidContacts
+    held: ContactState
+    smooth: SmoothStep
+    v: np.ndarray
+    h: float
+
+    def applied(self) -> tuple[np.ndarray, ContactState, float]:
+        """Return the velocities (n,) after the impulses, the state of the contacts, and the energy lost [J]."""
+        held, smooth, h = self.held, self.smooth, self.h
+        memory = replace(
+            self.contacts.all_open(),
+            residual=held.residual,
+            changed=held.changed,
+            is_over_step=True,
+            accelerations=smooth.accelerations,
+        )
+        kinematics = self.contacts.kinematics
+        kinematics.held = kinematics.none_held()
+        some = np.flatnonzero(kinematics.gaps(smooth.positions(smooth.v)) <= SMALL * self.contacts.p.length)
+        if not len(some):
+            return smooth.v, memory, 0.0
+        some, rows, (after, found, changed) = self._of_all_pressed(some)
+        forces = np.stack([found.normal, found.tangent]) / h
+        slip = SLIP * np.sign(rows.rates(after)[1]).astype(int)
+        memory = replace(memory, residual=max(held.residual, found.residual), changed=held.changed.union(changed))
+        memory.normal[some], memory.tangent[some] = forces
+        memory.modes[some] = np.where(found.is_closed, np.where(found.is_slipping, slip, STICK), OPEN)
+        memory.force[:] = rows.force(forces)
+        return after, memory, -0.5 * h * float(np.sum(forces * rows.rates(self.v + after)))
+
+    def _of_all_pressed(self, some: np.ndarray) -> tuple[np.ndarray, Rows, _Solved]:
+        """Return the contacts that have impulses in the step, their rows, and the impulses.
+
+        These are the contacts `some`, which would overlap, and others at rest that they press together. If there are
+        impacts, contacts that are struck by them have kinetic friction.
+        """
+        contacts, smooth, v = self.contacts, self.smooth, self.v
+        struck = np.zeros(len(contacts.names), dtype=bool)
+        while True:
+            rows = self._rows(some)
+            guess = self.h * np.stack([self.held.normal, self.held.tangent])[:, some]
+            sticks = self._sticks(rows.rates(v)[1], some) & ~struck[some]
+            friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
+            solved = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess).solved()
+            after, found, _ = solved
+            # with more contacts, the order of impacts has larger effects, and this search takes long
+            if len(some) > MANY:
+                return some, rows, solved
+            more = self._pressed(after, some)
+            strikes = (found.normal > 0.0) & (rows.rates(v)[0] < -AT_REST * self._gained(rows))
+            new = sticks & (friction > contacts.kinetic[some]) & (found.normal > AT_REST * guess[0])
+            if len(more):
+                some = np.union1d(some, more)
+            elif np.any(strikes) and np.any(new):  # impacts have kinetic friction
+                struck[some[new]] = True
+            else:
+                return some, rows, solved
+
+    def _rows(self, some: np.ndarray) -> Rows:
+        """Return the rows of the contacts `some`, whose features are those at the end of the step without impulses."""
+        kinematics = self.contacts.kinematics
+        kinematics.hold(self.smooth.positions(self.smooth.v), np.isin(np.arange(len(self.contacts.names)), some))
+        rows = kinematics.rows(self.smooth.middle, self.v, some)
+        kinematics.held = kinematics.none_held()
+        return rows
+
+    def _pressed(self, after: np.ndarray, some: np.ndarray) -> np.ndarray:
+        """Return the indices of other contacts at rest that the impulses of the contacts `some` press together.
+
+        The gap of a contact at rest may be as large as the distance that a body falls in a step, so the contact may be
+        predicted to stay open. Without an impulse at such a contact, the impact of others would have a wrong result,
+        however small the step. Contacts with larger gaps are left to the next step, whose impulses include restitution.
+        """
+        kinematics = self.contacts.kinematics
+        gaps = kinematics.gaps(self.smooth.positions(after))
+        gaps[some] = 0.0
+        others = np.flatnonzero(gaps < -SMALL * self.contacts.p.length)
+        if not len(others):
+            return others
+        rows = kinematics.rows(self.smooth.middle, self.v, others)
+        return others[rows.gap <= AT_REST * self.h * self._gained(rows)]
+
+    def _gained(self, rows: Rows) -> np.ndarray:
+        """Return the absolute changes of the gap rates (k,) in the step without impulses [m/s]."""
+        changes = rows.rates(self.smooth.v - self.v)[0]
+        return np.asarray(np.abs(changes) + self.h * np.abs(rows.normal_right))
+
+    def _sticks(self, slip: np.ndarray, some: np.ndarray) -> np.ndarray:
+        """Return which of the contacts `some` stuck in the last step.
+
+        At the start, return those whose slip velocity is zero.
+        """
+        if len(self.held.modes):
+            return np.asarray(self.held.modes[some] == STICK)
+        return np.abs(slip) <= SMALL * np.max(np.abs(self.v), initial=0.0)
+
+
+_Solved = tuple[np.ndarray, Pushed, list[str]]
+"""Velocities after impulses, the impulses, and the names of contacts with another law of impact."""
+
+
+@dataclass(frozen=True)
+class _Impact:
+    """Impulses of the contacts of a step.
+
+    Attributes
+    ----------
+    contacts, rows, some
+        All contacts, and the rows and indices of those that would overlap.
+    friction
+        (k,) coefficients of friction.
+    v, free
+        (n,) velocities at the start, and at the end without impulses.
+    solve, guess
+        See `RigidContacts.pushed`.
+    """
+
+    contacts: RigidContacts
+    rows: Rows
+    some: np.ndarray
+    friction: np.ndarray
+    v: np.ndarray
+    free: np.ndarray
+    solve: Callable[[np.ndarray], np.ndarray]
+    guess: np.ndarray
+
+    def solved(self) -> _Solved:
+        """Return velocities after the impulses, the impulses, and the names of contacts with another law of impact.
+
+        As in `RigidContacts.struck`, no impact gains energy.
+        """
+        contacts, some = self.contacts, self.some
+        e = contacts.restitution[some]
+        after, found = self._with(e)
+        if not np.any(e * self._approach) or not self._gains(after, found):
+            return after, found, []
+        normal, tangent = self.rows.rates(self.free)
+        if len(some) == 1 and normal[0] < 0.0:
+            both = np.vstack([self.rows.normal, self.rows.tangent])
+            moved = np.stack([self.solve(row) for row in both], axis=1)
+            before = np.concatenate([normal, tangent])
+            impulses = stronge(both @ moved, before, float(self.friction[0]), float(e[0]))
+            found = found._replace(normal=impulses[:1], tangent=impulses[1:])
+            after = self.free + moved @ impulses
+        while self._gains(after, found) and np.any(e):
+            e = np.where(e > SMALL_RESTITUTION, 0.9 * e, 0.0)
+            after, found = self._with(e)
+        return after, found, [contacts.names[i] for i in some[found.normal > 0.0].tolist()]
+
+    @property
+    def _approach(self) -> np.ndarray:
+        return np.minimum(self.rows.rates(self.v)[0], 0.0)
+
+    def _with(self, e: np.ndarray) -> tuple[np.ndarray, Pushed]:
+        return self.contacts.pushed(self.rows, self.free, e * self._approach, self.friction, self.solve, self.guess)
+
+    def _gains(self, after: np.ndarray, found: Pushed) -> bool:
+        """Return whether the impulses increase the kinetic energy by more than the errors of the impulses explain."""
+        work = np.stack([found.normal, found.tangent]) * self.rows.rates(self.v + after)
+        return bool(np.sum(work) > max(1e-12, found.residual) * np.sum(np.abs(work)))
