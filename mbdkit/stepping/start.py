@@ -120,7 +120,7 @@ def require_derivatives(method: Method, stabilization: Stabilization) -> None:
     if not method.traits.has_derivatives:
         raise NoDerivativeError(
             "steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives; "
-            "methods of SciPy, methods in Python and Lobatto pairs have none"
+            "taylor, methods of SciPy, methods in Python and Lobatto pairs have none"
         )
     if stabilization.symmetric:
         raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")

@@ -15,7 +15,7 @@ from mbdkit.base.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
 from . import beams, chain, ensemble, executors, gradients, inverse_frames, plugins, python_steps, race, scale, startup
-from .precision.race import precision
+from .precision.race import precision, series
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
     "beams": beams.beams,
@@ -31,6 +31,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "python": python_steps.python_steps,
     "race": race.race,
     "scale": scale.scale,
+    "series": series,
     "startup": startup.startup,
 }
 

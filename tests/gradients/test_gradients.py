@@ -229,6 +229,10 @@ def test_wrong_parameters_are_refused(parameter: str, message: str) -> None:
     ("sections", "message"),
     [
         ({"output": {"interval": 0.1}}, "gradients are not available with `interval`"),
+        (
+            {"integrator": {"name": "taylor"}, "formulation": "joint-coordinates"},
+            "taylor, methods of SciPy, methods in Python and Lobatto pairs have none",
+        ),
     ],
 )
 def test_runs_without_derivatives_are_refused(sections: dict[str, Any], message: str) -> None:

@@ -48,12 +48,15 @@ class Contender:
         From a setting, number of steps or tolerance, to the outcome.
     ladder
         Settings, each finer than the one before.
+    has_forces
+        Whether all joint forces after every step are part of what is timed.
     """
 
     code: str
     method: str
     run: Callable[[float], Outcome]
     ladder: tuple[float, ...]
+    has_forces: bool = False
 
     @property
     def name(self) -> str:

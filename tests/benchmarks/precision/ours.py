@@ -74,7 +74,7 @@ def ours(motion: Motion) -> tuple[list[Contender], list[str]]:
         except SpecError:
             missing.append(f"{OURS} {method}")
         else:
-            found.append(Contender(OURS, method, run, ladder))
+            found.append(Contender(OURS, method, run, ladder, has_forces=with_forces))
     return found, missing
 
 

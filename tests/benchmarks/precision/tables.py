@@ -26,12 +26,19 @@ AGREES = 1e-4
 PACKAGES = ("mbdkit", "exudyn", "mujoco", "casadi", "scipy", "scikit-sundae", "heyoka", "numpy", "numba")
 
 
-def winner(curves: Sequence[Curve], target: float, ours: bool) -> tuple[Curve, float] | None:
-    """Return the fastest of ours, or of the others, at an error, with its seconds; None where none reaches it."""
+def winner(
+    curves: Sequence[Curve], target: float, *, ours: bool, with_forces: bool = False
+) -> tuple[Curve, float] | None:
+    """Return the fastest of ours, or of the others, at an error, with its seconds; None where none reaches it.
+
+    If `with_forces`, only those are compared whose time includes all joint forces.
+    """
     times = [
         (curve, seconds)
         for curve in curves
-        if (curve.contender.code == OURS) == ours and (seconds := curve.time_at(target)) is not None
+        if (curve.contender.code == OURS) == ours
+        and (not with_forces or curve.contender.has_forces)
+        and (seconds := curve.time_at(target)) is not None
     ]
     return min(times, key=lambda pair: pair[1]) if times else None
 
@@ -58,6 +65,8 @@ def show(console: Console, motion: Motion, curves: Sequence[Curve], missing: Seq
     table.add_section()
     ratios = [ratio(curves, target) for target in TARGETS]
     table.add_row("best of the others / ours", *("" if r is None else f"{r:.2f}  " for r in ratios))
+    ratios = [ratio(curves, target, with_forces=True) for target in TARGETS]
+    table.add_row("best of the others / ours with joint forces", *("" if r is None else f"{r:.2f}  " for r in ratios))
     table.caption = (
         "* fastest of ours and of the others; least seconds of the processor of several turns, on a line between "
         f"measured neighbours; -: not reached by runs of up to about {motion.limit:g} s"
@@ -71,9 +80,10 @@ def show(console: Console, motion: Motion, curves: Sequence[Curve], missing: Seq
         console.print(f"not here: {', '.join(missing)}")
 
 
-def ratio(curves: Sequence[Curve], target: float) -> float | None:
-    """Return by what factor our best is faster than the best of the others."""
-    ours, others = winner(curves, target, ours=True), winner(curves, target, ours=False)
+def ratio(curves: Sequence[Curve], target: float, *, with_forces: bool = False) -> float | None:
+    """Return by what factor our best is faster than the best of the others, which need not compute joint forces."""
+    ours = winner(curves, target, ours=True, with_forces=with_forces)
+    others = winner(curves, target, ours=False)
     return None if ours is None or others is None else others[1] / ours[1]
 
 
@@ -98,6 +108,7 @@ def as_mapping(motion: Motion, curves: Sequence[Curve], missing: Sequence[str]) 
         "title": motion.title,
         "missing": list(missing),
         "ratios": {f"{target:.0e}": ratio(curves, target) for target in TARGETS},
+        "ratios_with_joint_forces": {f"{target:.0e}": ratio(curves, target, with_forces=True) for target in TARGETS},
         "contenders": [
             {
                 "code": curve.contender.code,

@@ -13,6 +13,10 @@ from .contender import TOLERANCES, Contender, Outcome, lost, timed
 from .motions import Motion
 from .rods import GRAVITY
 
+COARSE = (1e-1, 1e-2, 1e-4, 1e-6, 1e-9)
+"""Tolerances for the chain, whose errors are between 1e-5 and 1e-12 m: each one takes a minute to compile at first, and
+a few seconds from heyoka's cache on the disk."""
+
 SECONDS: list[float] = []
 """Seconds that each compilation took; they are not part of the time of the steps."""
 
@@ -21,7 +25,7 @@ def taylor(motion: Motion) -> tuple[list[Contender], list[str]]:
     """Return heyoka if it is installed."""
     if not importlib.util.find_spec("heyoka"):
         return [], ["heyoka"]
-    ladder = TOLERANCES if motion.rods.count == 2 else TOLERANCES[8::6]  # the chain takes a minute to compile
+    ladder = TOLERANCES if motion.rods.count == 2 else COARSE
     return [Contender("heyoka", "Taylor", functools.partial(_heyoka, motion), ladder)], []
 
 
@@ -38,13 +42,14 @@ def _two(angles: list[Any], rates: list[Any], length: float) -> list[Any]:
 
 
 def _many(angles: list[Any], rates: list[Any], length: float) -> list[Any]:
-    """Return theta'' of many rods of mass 1 by articulated bodies: O(n) operations.
+    """Return theta'' of many rods of length 1 and mass 1 by articulated bodies: O(n) operations.
 
-    The force at the inner end of a rod is K A + f, A being the acceleration of that end.
+    The force at the inner end of a rod is K A + f, A being the acceleration of that end. Other equal lengths only scale
+    gravity.
     """
     import heyoka as hy
 
-    half, inertia, n = length / 2, length * length / 3, len(angles)
+    gravity, n = GRAVITY / length, len(angles)
     biases: list[Any] = [None] * n
     kxx: Any = 0.0
     kxy: Any = 0.0
@@ -53,24 +58,24 @@ def _many(angles: list[Any], rates: list[Any], length: float) -> list[Any]:
     fy: Any = 0.0
     for i in reversed(range(n)):
         c, s, square = hy.cos(angles[i]), hy.sin(angles[i]), rates[i] * rates[i]
-        # A of the outer end: A + length (theta'' (-s, c) - theta'^2 (c, s))
-        gx, gy = fx - length * square * (kxx * c + kxy * s), fy - length * square * (kxy * c + kyy * s)
-        nx, ny = length * (kxy * c - kxx * s), length * (kyy * c - kxy * s)  # K times the lever
-        hx, hy_ = nx - half * s, ny + half * c
-        turn = inertia + length * (ny * c - nx * s)
-        torque = half * c * GRAVITY + length * (gy * c - gx * s)
-        mx, my, mz = kxx + 1.0, kxy, kyy + 1.0
-        bx, by = gx - half * square * c, gy - half * square * s + GRAVITY
-        biases[i] = (hx / turn, hy_ / turn, torque / turn, c, s, square)
-        kxx, kxy, kyy = mx - hx * hx / turn, my - hx * hy_ / turn, mz - hy_ * hy_ / turn
-        fx, fy = bx - hx * torque / turn, by - hy_ * torque / turn
+        # A of the outer end: A + theta'' (-s, c) - theta'^2 (c, s)
+        gx, gy = fx - square * (kxx * c + kxy * s), fy - square * (kxy * c + kyy * s)
+        nx, ny = kxy * c - kxx * s, kyy * c - kxy * s  # K times the lever
+        hx, hy_ = nx - 0.5 * s, ny + 0.5 * c
+        inverse = 1.0 / (1 / 3 + ny * c - nx * s)
+        torque = 0.5 * c * gravity + gy * c - gx * s
+        bx, by = gx - 0.5 * square * c, gy - 0.5 * square * s + gravity
+        x, y, z = hx * inverse, hy_ * inverse, torque * inverse
+        biases[i] = (x, y, z, c, s, square)
+        kxx, kxy, kyy = kxx + 1.0 - hx * x, kxy - hx * y, kyy + 1.0 - hy_ * y
+        fx, fy = bx - hx * z, by - hy_ * z
     accelerations = []
     ax: Any = 0.0
     ay: Any = 0.0
     for x, y, z, c, s, square in biases:
         alpha = -(x * ax + y * ay + z)
         accelerations.append(alpha)
-        ax, ay = ax - length * (alpha * s + square * c), ay + length * (alpha * c - square * s)
+        ax, ay = ax - (alpha * s + square * c), ay + (alpha * c - square * s)
     return accelerations
 
 
