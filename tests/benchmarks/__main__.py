@@ -15,12 +15,14 @@ from mbdkit.base.files import check_suffix
 from mbdkit.plot.style import FORMATS
 
 from . import beams, chain, ensemble, executors, gradients, inverse_frames, plugins, python_steps, race, scale, startup
+from .precision.evaluations import evaluations
 from .precision.race import precision, series
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
     "beams": beams.beams,
     "chain": chain.explicit,
     "ensemble": ensemble.ensemble,
+    "evaluations": evaluations,
     "executors": executors.executors,
     "gradients": gradients.gradients,
     "implicit": chain.implicit,

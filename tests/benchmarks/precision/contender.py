@@ -29,11 +29,14 @@ class Outcome:
         Seconds from the first step to the last.
     centres
         Of all rods at the end (n, 2) [m]; NaN where the run stopped early.
+    evaluations
+        Number of evaluations of the equations of motion, or of series of `taylor`; 0 where nothing counts them.
     """
 
     wall: float
     cpu: float
     centres: Array
+    evaluations: int = 0
 
 
 @dataclass(frozen=True)

@@ -125,4 +125,5 @@ def _run(
     count = motion.rods.count
     if stepper.failure is not None or not states:
         return lost(count, wall, cpu)
-    return Outcome(wall, cpu, centres_of(states[-1][: 3 * count], count))
+    ends = centres_of(states[-1][: 3 * count], count)
+    return Outcome(wall, cpu, ends, stepper.counters.rhs_evaluations)
