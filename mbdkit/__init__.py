@@ -165,7 +165,7 @@ _HOME = {
 }
 
 
-if not TYPE_CHECKING:  # type checkers know the names above, and nothing else
+if not TYPE_CHECKING:  # type checkers see only the names above
     _lazy = lazy(globals(), _HOME)
 
     def __getattr__(name):
@@ -181,7 +181,7 @@ def __dir__() -> list[str]:
 
 
 def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
-    """Return a function that imports another one when it is called, and calls it."""
+    """Return a function that, when called, imports a function of another module and calls it."""
 
     def imported(*arguments: Any, **named: Any) -> Any:
         return getattr(importlib.import_module(module), name)(*arguments, **named)
@@ -189,7 +189,7 @@ def _of_higher_layer(module: str, name: str) -> Callable[..., Any]:
     return imported
 
 
-# Importing any module of the package runs this file first, so these functions are always available below.
+# Importing any module of the package first runs this file, so that these functions are always available below.
 higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
 higher_layers.symbolic_system = _of_higher_layer("mbdkit.symbolic.build", "build_system")
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")

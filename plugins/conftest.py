@@ -1,4 +1,4 @@
-"""Lets the tests of a plugin run in a clone as they run where it is installed."""
+"""Lets the tests of a plugin run in a clone of the repository in the same way as where the plugin is installed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ _METADATA = tempfile.TemporaryDirectory()
 
 
 def _announce(folder: Path) -> None:
-    """Put a distribution that is not installed on the path, with the metadata that an installation would write."""
+    """Put a distribution that is not installed on the path, together with the metadata that an installation would
+    write.
+    """
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     name, number = project["name"], project["version"]
     try:

@@ -60,7 +60,7 @@ def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float)
     Returns
     -------
     float
-        Interpolated result; nan if `wanted` lies outside the range of `work`, since nothing is extrapolated.
+        Interpolated result; nan if `wanted` lies outside the range of `work`, because nothing is extrapolated.
     """
     pairs = sorted((w, r) for w, r in zip(work, result, strict=True) if w > 0 and r > 0 and math.isfinite(r))
     if not pairs or not pairs[0][0] <= wanted <= pairs[-1][0]:

@@ -1,4 +1,6 @@
-"""Cycles of a motion, such as steps: where they begin, and quantities over 0 to 100 % of them."""
+"""Cycles of a motion, such as steps: the times at which they begin, and quantities as functions of 0 to 100 % of a
+cycle.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 POINTS = 101
-"""Points of a normalized cycle: every percent, both ends included."""
+"""Number of points of a normalized cycle: one per percent, both ends included."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,9 @@ def normalized(time: np.ndarray, values: np.ndarray, starts: np.ndarray) -> Norm
 
 
 def crossings(time: np.ndarray, values: np.ndarray, threshold: float, *, rising: bool = True) -> np.ndarray:
-    """Return the times [s] at which a quantity (T,) rises through a threshold, or falls, linearly interpolated."""
+    """Return the times [s] at which a quantity (T,) rises through a threshold, or falls through it, interpolated
+    linearly.
+    """
     above = values >= threshold
     change = np.flatnonzero(~above[:-1] & above[1:] if rising else above[:-1] & ~above[1:])
     before, after = values[change], values[change + 1]

@@ -11,7 +11,7 @@ from mbdkit.analysis.growth import BLOCKS, block_means, independent
 from mbdkit.archive.run import Run
 
 SURE = 3.0
-"""Minimum ratio of a slope to its standard error for the slope to count as a trend."""
+"""A slope counts as a trend if its ratio to its standard error is at least this."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Trend:
 def trend(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Trend:
     """Fit a straight line to the block means of a time series.
 
-    The standard error is computed from the effective number of independent blocks, because the correlation of
-    neighbouring rows would make it too small.
+    The standard error is computed from the effective number of independent blocks; correlation of neighbouring rows
+    would otherwise make it too small.
 
     Parameters
     ----------

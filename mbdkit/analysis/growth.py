@@ -16,16 +16,18 @@ from mbdkit.archive.run import Run
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 
 BLOCKS = 24
-"""Default number of blocks: enough to distinguish growth laws, and few enough for each to span an oscillation."""
+"""Default number of blocks: enough to distinguish growth laws, but few enough that each block spans an oscillation."""
 FEWEST = 6
 """Minimum number of blocks needed to determine a law."""
 CLEAR = 4.0
-"""Difference in AICc above which a law counts as worse; Burnham and Anderson call 4 to 7 "considerably less
-support"."""
+"""Difference in AICc above which a law counts as worse than the best one.
+
+Burnham and Anderson describe differences of 4 to 7 as "considerably less support".
+"""
 LOOSE = math.log(2.0)
 """The law is unclear if the logarithms of the block maxima scatter about the best law by more than this."""
 STEADY = 1.5
-"""Minimum factor by which a law must rise over the series to count as growth; otherwise it counts as bounded."""
+"""A law counts as growth if it rises over the series by at least this factor; otherwise, it counts as bounded."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ class Growth:
     law
         The law with the most support; ``none`` if all values are zero, ``unclear`` if none of the four laws fits.
     candidates
-        All laws that the data do not distinguish from the best one, best first; a single law if it is certain.
+        All laws that the data do not distinguish from the best one, beginning with the best; only one law if it is
+        certain.
     exponent, exponent_error
         Exponent p of the power law s^p fitted to the maxima, and its standard error; nan if all values are zero.
     independent
@@ -110,11 +113,11 @@ class Growth:
 def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> Growth:
     """Determine the growth law of a time series.
 
-    The series is divided into blocks of equal duration. The maxima of the blocks, which oscillation within a block does
-    not affect, are fitted by least squares of their logarithms with the laws c, c + a s, c + a s^2 (c, a >= 0) and
-    c exp(r s), where s is the time since the start. The laws are ranked by the corrected Akaike criterion. Its sample
-    size is the effective number of independent maxima, from the correlation of their residuals, so that a slow
-    oscillation is not mistaken for growth. All laws that the data do not distinguish are returned as candidates.
+    The series is divided into blocks of equal duration. The maxima of the blocks are not affected by oscillation within
+    a block. Their logarithms are fitted by least squares with the laws c, c + a s, c + a s^2 (c, a >= 0) and c exp(r
+    s), where s is the time since the start. The laws are ranked by the corrected Akaike criterion. Its sample size is
+    the effective number of independent maxima, from the correlation of their residuals, so that a slow oscillation is
+    not mistaken for growth. All laws that the data do not distinguish are returned as candidates.
 
     Parameters
     ----------
@@ -133,7 +136,7 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     Raises
     ------
     ValueError
-        For a history of fewer than 24 rows, of negative numbers, or that is not finite.
+        If there are fewer than 24 rows, or if values are negative or not finite.
 
     References
     ----------
@@ -187,7 +190,8 @@ def _power(p: int) -> Callable[[np.ndarray, np.ndarray], _Found]:
         def spread(log_offset: float) -> float:
             return float(np.var(y - shape(log_offset)))
 
-        # The variance may have two local minima, one of them towards a zero offset: start from a coarse grid search.
+        # The variance may have two local minima, one of them at small offsets. Therefore the search starts with a
+        # coarse grid.
         grid = np.linspace(-18.0, 6.0, 49)
         start = float(grid[int(np.argmin([spread(x) for x in grid]))])
         best = float(minimize_scalar(spread, bounds=(start - 0.5, start + 0.5), method="bounded").x)
@@ -242,14 +246,14 @@ def _exponent(s: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 
 def edges(time: np.ndarray, number: int = BLOCKS) -> np.ndarray:
-    """Return the row numbers (K + 1,) that separate up to `number` blocks of equal duration.
+    """Return the row indices (K + 1,) that separate up to `number` blocks of equal duration.
 
     Parameters
     ----------
     time
         (T,) increasing times [s].
     number
-        Maximum number of blocks; reduced so that each has at least four rows on average.
+        Largest number of blocks; it is reduced so that each block has at least four rows on average.
     """
     count = max(1, min(number, len(time) // 4))
     borders = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1], side="left")

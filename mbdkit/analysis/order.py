@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 AGREE = 0.25
-"""Maximum difference of the slopes between neighbouring steps within the asymptotic window."""
+"""Largest difference of the slopes between neighbouring steps within the asymptotic window."""
 ABOVE_FLOOR = 20.0
-"""Minimum ratio of an error to the round-off floor; at this ratio, round-off shifts a slope by about 0.07."""
+"""Smallest ratio of an error to the round-off floor; at this ratio, round-off changes a slope by about 0.07."""
 SLOPE_AT_FLOOR = 0.5
-"""The error at the finest steps counts as round-off if its slope is below this; every method has a higher order."""
+"""The error at the finest steps counts as round-off if its slope is below this, because every method has a higher
+order.
+"""
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ def observed_order(
     """Determine the asymptotic window from the errors, and return the observed order in it.
 
     The window is the longest sequence of neighbouring steps in which the error decreases, lies well above the round-off
-    floor, and has slopes that agree with each other. Of several such sequences of equal length, the one with the finest
-    steps is taken.
+    floor, and has slopes that agree with each other. If several sequences have the same length, the one with the finest
+    steps is used.
 
     Parameters
     ----------

@@ -97,7 +97,9 @@ def multiplier_error(run: Run, reference: Run) -> float:
 
 
 def carries_multipliers(run: Run) -> bool:
-    """Return whether a run recorded multipliers of its method, besides those that follow from the recorded states."""
+    """Return whether a run recorded multipliers of its method, in addition to those that follow from the recorded
+    states.
+    """
     return run.records("constraints/method_multiplier")
 
 

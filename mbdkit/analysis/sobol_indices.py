@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 RESAMPLES = 1000
-"""Number of bootstrap samples; with 1000, 25 values lie beyond each end of a 95 % interval."""
+"""Number of bootstrap samples. With 1000 samples, 25 values lie beyond each end of a 95 % interval."""
 
 ROUND_OFF = 1e-13
 """Largest range of values, relative to their magnitude, that counts as rounding errors."""
@@ -33,7 +33,9 @@ class SobolIndices:
     total_high: np.ndarray
 
     def informative(self) -> SobolIndices:
-        """Return the indices with nan in place of those whose intervals cover 0 to 1, and so contain no information."""
+        """Return the indices; those whose intervals cover 0 to 1, and therefore contain no information, are replaced by
+        nan.
+        """
         first, total = (
             np.where((low <= 0.0) & (high >= 1.0), np.nan, value)
             for value, low, high in (
@@ -53,8 +55,8 @@ def sobol_indices(
     are those of `scipy.stats.sobol_indices`. Intervals are bootstrap quantiles over the rows, which are treated as
     independent; for a Sobol or Halton sequence, the actual errors are smaller.
 
-    `scipy.stats.sobol_indices` itself requires that the number of rows is a power of 2, which it is not once members
-    with a failed run are left out, and returns 0 instead of nan where all values are equal.
+    `scipy.stats.sobol_indices` itself cannot be used. It requires that the number of rows is a power of 2, which is not
+    the case if members with a failed run are left out, and it returns 0 instead of nan if all values are equal.
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ def sobol_indices(
 
 def _terms(values: np.ndarray) -> np.ndarray:
     """Return the terms whose means give the indices, (n, 2 + 2 d)."""
-    centred = values - np.mean(values[:, :2])  # the first-order estimator has large errors with a large mean
+    centred = values - np.mean(values[:, :2])  # a large mean would cause large errors of the first-order estimator
     a, b, mixed = centred[:, :1], centred[:, 1:2], centred[:, 2:]
     return np.hstack([(a + b) / 2, (a * a + b * b) / 2, b * (mixed - a), (a - mixed) ** 2 / 2])
 

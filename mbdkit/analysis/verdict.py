@@ -1,4 +1,4 @@
-"""Verdicts as sentences, with the claims, tables and figures that support them; reports print and draw these.
+"""Verdicts as sentences, with the claims, tables and figures that support them, for use in reports.
 
 Answers are based on ranges and factors. Within a margin around each limit the answer is open, so that it does not
 depend on the last digits, which differ between machines.
@@ -40,7 +40,7 @@ __all__ = [
 # Re-exported, so that a study imports all parts of its verdict from here.
 
 MARGIN = 1.05
-"""Within this factor of a limit the answer is open; the factor is larger than differences between machines."""
+"""The answer is open within this factor of a limit; the factor is larger than differences between machines."""
 
 
 class Answer(StrEnum):
@@ -85,7 +85,7 @@ class Range:
 
 
 def exceeds(value: float, other: float, *, margin: float = MARGIN) -> Answer:
-    """Return whether `value` is larger than `other`: open if either is not finite or they are nearly equal."""
+    """Return whether `value` is larger than `other`; open if either is not finite, or if they are nearly equal."""
     if not (math.isfinite(value) and math.isfinite(other)):
         return Answer.OPEN
     if value > other * margin:
@@ -94,7 +94,7 @@ def exceeds(value: float, other: float, *, margin: float = MARGIN) -> Answer:
 
 
 def together(answers: Sequence[Answer]) -> Answer:
-    """Combine answers: the common one if all agree, open if some are open and the rest agree, else partly."""
+    """Combine answers: the common answer if all agree; open if some are open and the others agree; otherwise partly."""
     decided = {answer for answer in answers if answer is not Answer.OPEN}
     if not decided or (len(decided) == 1 and Answer.OPEN in answers):
         return Answer.OPEN
@@ -133,7 +133,7 @@ UNDECIDED = "Not decided: the required runs are missing or failed."
 
 
 def told(claims: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the claims for a report: the sentence of an open claim is replaced by `UNDECIDED`."""
+    """Return the claims for a report, in which the sentences of open claims are replaced by `UNDECIDED`."""
     return tuple(replace(claim, sentence=UNDECIDED) if claim.answer is Answer.OPEN else claim for claim in claims)
 
 

@@ -41,8 +41,8 @@ class Load:
     loading_rate
         Largest rate at which the magnitude rises [N/s or N m/s].
     peak_error
-        Error of the peak, over a whole run that of its summary: in inverse dynamics the bound that holds with a
-        probability of 95 %, in a forward run the estimate of its check. None if unknown.
+        Error of the peak over a whole run, as in the summary of the run; None if unknown. In inverse dynamics, this is
+        a bound that holds with a probability of 95 %; in a forward run, it is the estimate of its check.
     """
 
     units: str
@@ -80,7 +80,7 @@ class ElementWorkload:
     ----------
     name, kind
         Name, and ``joint``, ``actuator``, ``reserve`` or ``residual``, in this order; drivers of a forward run count as
-        actuators. A residual is the load from outside on a part that no joint connects to the ground.
+        actuators. A residual is an external load on a part of the mechanism that no joint connects to the ground.
     load
         Magnitude of the reaction force of a joint; force or torque of an actuator.
     torque
@@ -105,9 +105,9 @@ class Phase:
     name
         ``contact 1``, ``swing 1``, ``cycle 1`` and so on.
     start, end
-        Time that it covers [s].
+        Start and end time of the phase [s].
     elements
-        Workload of each joint and actuator in this time.
+        Workload of each joint and actuator during the phase.
     """
 
     name: str
@@ -118,7 +118,9 @@ class Phase:
 
 @dataclass(frozen=True)
 class _Series:
-    """Quantities of one joint or actuator over time, each (T,): a force or torque, a further torque, power, errors."""
+    """Quantities of one joint or actuator over time, each (T,): a force or torque, an additional torque, power, and
+    errors.
+    """
 
     name: str
     kind: str
@@ -130,7 +132,7 @@ class _Series:
     torque_error: np.ndarray | None = None
 
     def within(self, time: np.ndarray, start: float, end: float) -> ElementWorkload:
-        """Return the workload between two times; values there are interpolated."""
+        """Return the workload between two times; the values at these times are interpolated."""
         inside = time[(time > start) & (time < end)]
         t = np.concatenate([[start], inside, [end]])
 
@@ -172,7 +174,7 @@ class Workload(HtmlView):
     cycles: Mapping[str, Normalized] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> ElementWorkload:
-        """Return the workload of a joint or actuator; of the actuator, if both have the name."""
+        """Return the workload of a joint or actuator; if both have this name, that of the actuator."""
         found = [element for element in self.elements if element.name == name]
         if not found:
             raise UnknownNameError("joint or actuator", name, [element.name for element in self.elements])
@@ -248,7 +250,7 @@ def workload(
 
 
 def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[ElementWorkload, ...]:
-    """Return the workload of a whole run with the errors of the peaks that its summary has."""
+    """Return the workload of a whole run with the errors of peaks that the summary of the run shows."""
     if run.accuracy is None or not run.accuracy.is_complete:
         return elements
     found: dict[tuple[str, str], float] = {}
@@ -281,7 +283,7 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
 def _parts(
     run: Run, cycles: Sequence[float] | None, load: str | None, threshold: float
 ) -> tuple[np.ndarray, list[tuple[str, float, float]]]:
-    """Return the starts of cycles, and name, start and end of each contact, swing and cycle."""
+    """Return the times at which cycles start; and name, start and end of each contact, swing and cycle."""
     off = np.zeros(0)
     if load is not None:
         starts, off = contacts(run, load, threshold)
@@ -330,7 +332,7 @@ def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | 
     size = np.abs(values)
     row, length = int(np.argmax(size)), float(time[-1] - time[0])
     step = np.diff(time)
-    # exact for straight lines between the rows, where the square is a parabola
+    # Exact for straight lines between the rows, because the square of a line is a parabola.
     squares = step * (size[:-1] ** 2 + size[:-1] * size[1:] + size[1:] ** 2) / 3
     return Load(
         units,

@@ -1,4 +1,4 @@
-"""The command that this process executes, as archives record it: subcommands and names of files, nothing else.
+"""The command that this process executes, in the form that archives record: subcommands and file names only.
 
 Command lines may contain private data, such as tokens, or paths in a user's home. The options of a command, the folders
 of its files, and the whole command line of a Python program are therefore left out.
@@ -19,15 +19,15 @@ def command_line() -> str:
 
 
 def command_words() -> list[str]:
-    """Return the words of `command_line`, with which another process executes a part of the command."""
+    """Return the words of `command_line`; they are passed to a process that executes a part of the command."""
     return list(_words)
 
 
 @contextmanager
 def executing(words: Sequence[str]) -> Iterator[None]:
-    """Let `command_line` return these words in a block.
+    """Make `command_line` return these words within a block.
 
-    A worker process is given the words of the command that has started it.
+    A worker process receives the words of the command that started it.
     """
     global _words
     before, _words = _words, words

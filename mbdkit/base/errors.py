@@ -102,7 +102,7 @@ class PluginError(MbdkitError):
 
 @contextmanager
 def in_this_process() -> Iterator[None]:
-    """End a process that a plugin has forked in this block at the end of the block, so that only the original process
+    """At the end of a block, end a process that a plugin has forked in it, so that only the original process
     continues.
     """
     process = os.getpid()
@@ -130,18 +130,18 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
 
 
 _NO_PLUGINS = frozenset({"mbdkit", "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"})
-"""Packages that call plugins, and packages that plugins call."""
+"""Packages that are not plugins, but call plugins or are called by them."""
 
 
 def with_place(error: BaseException) -> str:
     """Return an exception of a plugin on one line, with the file and line of the plugin where it was raised, if any.
 
-    The line is the last one of the package that was called first, so that an exception raised in a library is reported
+    The line is the last one in the package that was called first. An exception raised in a library is thus reported
     with the line of the plugin that called the library.
     """
     place = _place_of(error)
     cause = error.__cause__
-    while not place and cause is not None:  # raised by mbdkit because of an exception of the plugin
+    while not place and cause is not None:  # mbdkit raised this error because of an exception of the plugin
         place, cause = _place_of(cause), cause.__cause__
     return f"{one_line(error)} ({shown(place)})" if place else one_line(error)
 
@@ -171,7 +171,8 @@ StepCode = Literal[
 
 
 class StepError(Exception):
-    """A step failed. The run ends with the status ``failed`` and this reason; rows recorded before are kept.
+    """A step failed. The run ends with the status ``failed`` and this reason; its archive contains the rows recorded
+    before.
 
     `EquationsOfMotion` raises it if the equations have no unique or no finite solution; a method raises it if its own
     iteration does not converge.

@@ -41,14 +41,14 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
         Whether an existing regular file may be replaced. Folders, devices, pipes, sockets and symbolic links are never
         replaced.
     source
-        The input, which is never replaced; None or ``-`` if it is not a file.
+        The input file, which is never replaced; None or ``-`` if the input is not a file.
     suffix
         Suffix of the name that is suggested if `path` is a folder; by default that of `path`.
 
     Raises
     ------
     SpecError
-        If the folder or an existing file does not allow it.
+        If the folder does not exist, or an existing file may not be replaced.
     ResourceError
         If writing into the folder is not permitted.
     """
@@ -86,7 +86,9 @@ def check_writable(folder: Path, path: Path) -> None:
 
 
 def check_not_input(path: Path, source: str | Path | None) -> None:
-    """Raise SpecError if `path` is the file `source`, the input of a command; None or ``-`` if that is not a file."""
+    """Raise SpecError if `path` is the input file `source` of a command; None or ``-`` means that the input is not a
+    file.
+    """
     if source in (None, "-") or not os.path.isfile(path) or not os.path.isfile(str(source)):
         return
     if os.path.samefile(path, str(source)):
@@ -103,12 +105,12 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
     Parameters
     ----------
     overwrite, source
-        As for `check_output`.
+        See `check_output`.
 
     Raises
     ------
     SpecError
-        If the file may not or cannot be written. An existing file is unchanged then.
+        If the file may not or cannot be written. An existing file then remains unchanged.
     """
     check_output(target, overwrite=overwrite, source=source)
     stem = f".{target.stem[:40]}"
@@ -120,7 +122,7 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
         yield temporary
         os.fsync(lock)
         if os.path.lexists(target) and not stat.S_ISREG(os.lstat(target).st_mode):
-            check_output(target, overwrite=overwrite)  # another process has created it since the check
+            check_output(target, overwrite=overwrite)  # another process has created the file since the check
         if overwrite:
             temporary.replace(target)
         else:
@@ -128,7 +130,7 @@ def replacing(target: Path, *, overwrite: bool = True, source: str | Path | None
     except FileExistsError:
         raise SpecError("this file was created meanwhile and is not overwritten", file=target) from None
     except OSError as error:
-        if not error.errno:  # an error of HDF5 reading the run, not of this file
+        if not error.errno:  # an error of HDF5 while reading the run, which does not concern this file
             raise
         raise file_error(error.errno, f"this file cannot be written: {error.strerror or error}", file=target) from error
     finally:
@@ -144,7 +146,7 @@ def _created(target: Path, stem: str) -> tuple[Path, int]:
         path = target.with_name(f"{stem}-{secrets.token_hex(4)}.mbdkit{target.suffix}")
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0), 0o666)
         _locked(handle, wait=True)
-        # Until it is locked, another process may take it for the file of a killed process, and remove it.
+        # Until the file is locked, another process may take it for that of a killed process, and remove it.
         with suppress(FileNotFoundError):
             if sys.platform == "win32" or os.path.samestat(os.fstat(handle), os.lstat(path)):
                 return path, handle
@@ -167,8 +169,8 @@ def rename_new(source: Path, target: Path) -> None:
 
 
 def _remove_left(folder: Path, pattern: re.Pattern[str]) -> None:
-    """Remove temporary files of killed processes; those of running ones are locked."""
-    if sys.platform == "win32":  # whether a file is locked cannot be determined there
+    """Remove temporary files of killed processes; files of running processes are locked."""
+    if sys.platform == "win32":  # Windows does not reveal whether a file is locked
         return
     with os.scandir(folder) as entries:
         left = [entry.name for entry in entries if pattern.fullmatch(entry.name)]
@@ -190,6 +192,6 @@ def _locked(handle: int, *, wait: bool = False) -> bool:
 
     try:
         fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:  # locked by another process, or a file system without locks
+    except OSError:  # locked by another process, or the file system does not support locks
         return False
     return True

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from typing import Any
 
 installed_plugins: Callable[[], Any]
-"""Returns the `PluginLookup` of the installed plugins, for the options of plugins."""
+"""Returns the `PluginLookup` of the installed plugins, which gives access to their options."""
 
 symbolic_system: Callable[..., Any]
-"""Returns the `SymbolicSystem` of a mechanism; `numbers=True` selects numbers instead of symbols for its parameters."""
+"""Returns the `SymbolicSystem` of a mechanism; with `numbers=True`, parameters are numbers instead of symbols."""
 
 state_program: Callable[..., Any]
 """Returns the program of an expression of the state, and the quantities in it; see `mbdkit.events.state_program`."""
@@ -22,13 +22,13 @@ state_values: Callable[..., Any]
 """Returns the values of an expression of the state in states of a run; see `mbdkit.events.state_program`."""
 
 check_gradients: Callable[[Any, Any], None]
-"""Raises `SpecError` if the gradients that a run spec asks for do not exist with this method."""
+"""Raises `SpecError` if the gradients requested by a run spec do not exist with this method."""
 
 gradients_json: Callable[[Any], str]
-"""Returns the gradients that a run spec asks for, as its archive stores them."""
+"""Returns the gradients requested by a run spec, in the form stored in its archive."""
 
 draw_run: Callable[..., Any]
-"""Draws a kind of plot of a run on axes, which it returns; see `mbdkit.archive.run_views.RunPlots`."""
+"""Draws a plot of a run, of the given kind, on axes, and returns the axes; see `mbdkit.archive.run_views.RunPlots`."""
 
 animation: Callable[[Any], Any]
 """Returns the animation of a run; see `mbdkit.archive.run_views.Animation`."""
@@ -46,4 +46,4 @@ html_of: Callable[[Any], str] = repr
 """Returns the HTML of an object that notebooks show."""
 
 built_in_measures: Callable[[], Any]
-"""Returns the names of the measures of studies, each with what it needs beside the run."""
+"""Returns the names of the built-in measures of studies, each with what it needs in addition to the run."""

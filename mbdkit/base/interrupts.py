@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-#: Signals within this time [s] count as one. `timeout` sends SIGTERM twice, and a closing terminal several signals.
+#: Signals within this time [s] count as one: `timeout` sends SIGTERM twice, and a closing terminal sends several
+#: signals.
 TOGETHER = 1.0
 
 #: Exit status of an interrupted command.
@@ -23,9 +24,10 @@ _last = -TOGETHER
 
 
 def stop_as_by_ctrl_c() -> None:
-    """Make SIGTERM and SIGHUP raise KeyboardInterrupt, and a second SIGTERM end the process; for the main thread.
+    """Make SIGTERM and SIGHUP raise KeyboardInterrupt, and a second SIGTERM end the process; call it in the main thread
+    only.
 
-    A signal that is ignored, as SIGHUP under `nohup`, remains ignored.
+    A signal that is ignored, such as SIGHUP under `nohup`, remains ignored.
     """
     for number in _STOPPING:
         if signal.getsignal(number) is signal.SIG_DFL:
@@ -37,8 +39,8 @@ def stop_as_by_ctrl_c() -> None:
 def interrupts_noted(note: Callable[[], None]) -> Iterator[None]:
     """Call `note` on Ctrl-C, SIGTERM and SIGHUP instead of ending the block; has no effect outside the main thread.
 
-    After the block, SIGTERM and SIGHUP are delivered again if the program that called mbdkit does not treat them as
-    Ctrl-C: their default action, or the program's own handler, then takes effect.
+    After the block, SIGTERM and SIGHUP are delivered again, unless the program that called mbdkit treats them as
+    Ctrl-C. Their default action, or the program's own handler, then takes effect.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -71,7 +73,9 @@ def interrupts_noted(note: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def interrupts_delayed() -> Iterator[None]:
-    """Let a block end before Ctrl-C, SIGTERM or SIGHUP raise KeyboardInterrupt; a second SIGTERM ends the process."""
+    """Delay the KeyboardInterrupt of Ctrl-C, SIGTERM or SIGHUP to the end of a block; a second SIGTERM ends the
+    process.
+    """
     noted: list[bool] = []
     with interrupts_noted(lambda: noted.append(True)):
         yield
@@ -88,7 +92,7 @@ def _raise_interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _watch_second_sigterm() -> Callable[[], None]:
-    """Start a thread that ends the process by the second SIGTERM; return a function that ends the thread.
+    """Start a thread that ends the process on a second SIGTERM; return a function that ends the thread.
 
     Python calls its signal handlers between two instructions of the main thread, which an endless compiled force law
     never reaches. Compiled code releases the interpreter lock, so this thread runs nevertheless.
@@ -98,7 +102,7 @@ def _watch_second_sigterm() -> Callable[[], None]:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    if before != -1:  # set by a thread that runs already, or by the calling program
+    if before != -1:  # set by a thread that is already running, or by the calling program
         signal.set_wakeup_fd(before, warn_on_full_buffer=False)
         os.close(reading)
         os.close(writing)

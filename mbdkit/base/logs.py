@@ -16,7 +16,7 @@ from mbdkit.base.text import shown
 def logger_of(module: str) -> logging.Logger:
     """Return the logger of a module, such as ``mbdkit.runs.simulation``.
 
-    Its own handler does nothing: without a handler, logging would print warnings that are on stderr already.
+    The logger has a handler that does nothing; without a handler, logging would print warnings to stderr a second time.
     """
     logger = logging.getLogger(module)
     logger.addHandler(logging.NullHandler())
@@ -29,6 +29,8 @@ def to_stderr(message: str) -> None:
 
 
 def warn_on_stderr(warnings: Iterable[str]) -> None:
-    """Print the warnings of a run that a Python program started; commands print them in their summary instead."""
+    """Print the warnings of a run that was started by a Python program; commands print warnings in their summary
+    instead.
+    """
     for warning in warnings:
         to_stderr(f"warning: {shown(warning)}")

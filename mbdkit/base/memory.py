@@ -28,7 +28,7 @@ def installed_memory() -> int | None:
     """Return the installed memory [bytes]; None if unknown."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):  # as on Windows
+    except (AttributeError, OSError, ValueError):  # for example, on Windows
         return None
 
 

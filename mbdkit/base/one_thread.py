@@ -1,7 +1,7 @@
 """Linear algebra on one thread, so that results are bitwise identical for any number of threads.
 
-The libraries behind NumPy and SciPy split sums among threads. A study of many runs computes several of them at once and
-gives each run one thread; a single run must give the same bits.
+The libraries behind NumPy and SciPy split sums among threads, which changes rounding errors. A study of many runs
+computes several of them at once and gives each run one thread; a single run must have the same results.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def one_thread_of_linear_algebra() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _controller() -> Any:
-    """Return the controller of the thread pools of the loaded libraries; it is cached, because creating it takes about
-    10 ms.
+    """Return the controller of the thread pools of the loaded libraries; cached, because creating it takes about 10
+    ms.
     """
     import scipy.linalg  # noqa: F401  loads the library of SciPy
     from threadpoolctl import ThreadpoolController

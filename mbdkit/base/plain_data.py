@@ -25,10 +25,10 @@ DEEPEST = 100
 """Largest number of nested mappings and lists in a spec."""
 
 LONGEST_TITLE = 10_000
-"""Largest number of characters of a title; drawing longer ones takes minutes."""
+"""Largest number of characters of a title; drawing longer titles would take minutes."""
 
 LONGEST_NAME = 255
-"""Largest number of characters of the name of an element; pictures with names of thousands take minutes."""
+"""Largest number of characters of the name of an element; pictures with much longer names would take minutes."""
 
 LARGEST_NUMBER = int(sys.float_info.max)
 """Largest magnitude of a whole number in a spec: that of a number in double precision."""
@@ -36,7 +36,7 @@ LARGEST_NUMBER = int(sys.float_info.max)
 
 @contextmanager
 def without_collection() -> Iterator[None]:
-    """Pause the cyclic garbage collector, which would take half of the time for building large plain data."""
+    """Pause the cyclic garbage collector in a block; it would take half of the time for building large plain data."""
     before = gc.isenabled()
     gc.disable()
     try:
@@ -48,9 +48,9 @@ def without_collection() -> Iterator[None]:
 
 @contextmanager
 def collecting_new_objects_only() -> Iterator[None]:
-    """Hide the objects that exist from the cyclic garbage collector.
+    """Exclude existing objects from the cyclic garbage collector in a block.
 
-    Otherwise it would traverse all modules repeatedly, which takes a sixth of the time of a block of runs.
+    Otherwise the collector would traverse all modules repeatedly, which takes a sixth of the time of a block of runs.
     """
     gc.freeze()
     try:
@@ -60,14 +60,16 @@ def collecting_new_objects_only() -> Iterator[None]:
 
 
 _MEANT = re.compile(r"[.\[\]\"=\\]")
-"""Characters that have a meaning in key paths or in assignments; keys that contain one are quoted."""
+"""Characters with a special meaning in key paths or assignments; keys that contain one are quoted."""
 QUOTED = r'"(?:[^"\\]|\\.)*+"'
 """Pattern of a quoted key."""
 _PART = re.compile(rf"({QUOTED})(?=[.\[]|$)|\[(\d{{1,9}})\]|(?:[^.\[]++|\[(?!\d{{1,9}}\]))+")
 
 
 def quoted(name: str) -> str:
-    """Return a key as it stands in a key path; keys with dots and the like are in double quotes, with backslashes."""
+    """Return a key as it is written in a key path: quoted, with backslashes, if it contains special characters such as
+    dots.
+    """
     if name and not _MEANT.search(name):
         return name
     return '"' + re.sub(r'(["\\])', r"\\\1", name) + '"'
@@ -84,7 +86,7 @@ def path_text(path: Path) -> str:
 def parse_path(text: str) -> Path:
     """Return the parts of a key path such as ``model.joints.A.bodies[1]``; the inverse of `path_text`.
 
-    Since specs have at most `DEEPEST` levels, at most one part more is returned.
+    Because specs have at most `DEEPEST` levels, at most one part more than that is returned.
     """
     parts: list[str | int] = []
     for match in islice(_PART.finditer(text), DEEPEST + 1):
@@ -110,8 +112,8 @@ def plain(value: Any, path: Path = ()) -> Any:
     Raises
     ------
     SpecError
-        For a number that is too large or not finite, a key that is not text, an object that a spec cannot contain, or
-        more than `DEEPEST` levels, as in a list that contains itself.
+        If there is a number that is too large or not finite, a key that is not text, an object that a spec cannot
+        contain, or more than `DEEPEST` levels, as in a list that contains itself.
     """
     if len(path) > DEEPEST:
         raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
@@ -140,7 +142,7 @@ def plain(value: Any, path: Path = ()) -> Any:
 
 
 def copied(value: Any, path: Path = ()) -> Any:
-    """Return a copy of a mapping or list in which only mappings and lists are copied, at all levels.
+    """Return a copy of a mapping or list; mappings and lists are copied at all levels, other values are not.
 
     Raises
     ------
@@ -183,7 +185,7 @@ def _written_fields(kind: type[BaseModel]) -> tuple[_WrittenField, ...]:
 def canonical(value: Any) -> Any:
     """Convert models to dicts with sorted keys; mappings whose keys are names given by the user keep their order.
 
-    Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty or have their default.
+    Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty or have their default value.
     """
     match value:
         case BaseModel():

@@ -13,11 +13,11 @@ from typing import Any, Protocol
 from mbdkit.base.text import counted, shown
 
 PATIENCE = 0.5
-"""Duration of a run after which its bar appears [s]."""
+"""A bar appears if a run takes longer than this [s]."""
 _PAUSE = 0.1
-"""Least time between two changes of a bar in a notebook [s]."""
+"""Smallest time between two updates of a bar in a notebook [s]."""
 LINES_EVERY = 10.0
-"""Least time before and between lines where there is no terminal [s]."""
+"""Smallest time before the first line and between lines, if there is no terminal [s]."""
 
 
 class _Bar(Protocol):
@@ -30,10 +30,11 @@ class _Bar(Protocol):
 def _drawing(
     what: str, quiet: bool, patience: float = 0.0, lines: bool = False
 ) -> Iterator[Callable[[float | None, str], None] | None]:
-    """Yield a function that draws a bar from a fraction (None if it is unknown) and a note.
+    """Yield a function that draws a bar from a fraction (None if unknown) and a note.
 
-    In a notebook, and if stderr is a terminal, the function draws a bar. Elsewhere, it prints lines if `lines` is set;
-    otherwise, None is yielded. None is also yielded if `quiet` is set.
+    In a notebook, and if stderr is a terminal, the function draws a bar. Elsewhere, it prints lines if `lines` is set.
+    In
+    all other cases, and if `quiet` is set, None is yielded instead of a function.
     """
     make = None if quiet else _kind_of_bar() or (_Lines if lines else None)
     if make is None:
@@ -115,7 +116,7 @@ def _kind_of_bar() -> Callable[[str], _Bar] | None:
 
 
 class _TerminalBar:
-    """A bar on stderr, which vanishes at the end."""
+    """A bar on stderr, which is removed at the end."""
 
     def __init__(self, what: str):
         from rich.console import Console
@@ -135,7 +136,7 @@ class _TerminalBar:
 
     def draw(self, share: float | None, note: str) -> None:
         total = None if share is None else 1.0
-        with suppress(OSError):  # the terminal has been closed; the run goes on, or ends by SIGHUP
+        with suppress(OSError):  # the terminal has been closed; the run continues, or is ended by SIGHUP
             self._bar.update(self._task, completed=share, total=total, note=note)
 
     def close(self) -> None:
@@ -152,13 +153,13 @@ class _Lines:
 
     def draw(self, share: float | None, note: str) -> None:
         now = time.perf_counter()
-        self._first = self._first or share or 0.0  # runs that were known before take no time
+        self._first = self._first or share or 0.0  # results that were known at the start took no time
         if now - self._printed < LINES_EVERY:
             return
         self._printed, passed = now, now - self._begin
         made = (share or 0.0) - self._first
         left = f", about {passed * (1.0 - (share or 0.0)) / made:.0f} s left" if made > 0 else ""
-        with suppress(OSError):  # nobody reads
+        with suppress(OSError):  # the reader of stderr has closed it
             print(f"{self._what}: {note} after {passed:.0f} s{left}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
@@ -166,7 +167,7 @@ class _Lines:
 
 
 class _NotebookBar:
-    """A bar in the output of a cell, which is empty at the end."""
+    """A bar in the output of a notebook cell, which is removed at the end."""
 
     def __init__(self, what: str):
         self._what, self._drawn = what, time.perf_counter()

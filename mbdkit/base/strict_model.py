@@ -14,14 +14,14 @@ from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler
 from pydantic_core import CoreSchema
 
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-"""Reject unknown keys, infinities and NaN; do not allow assignment; do not convert text or booleans to numbers."""
+"""Reject unknown keys, infinities and NaN; forbid assignment; do not convert text or booleans to numbers."""
 
 
 class StrictModel(BaseModel):
     """Base class of elements, options and sections of a spec; attribute docstrings are descriptions in the schema.
 
     The docstrings are read from the source on demand. Pydantic's ``use_attribute_docstrings`` would read them whenever
-    a class is defined, which took 0.2 s at every start of the program.
+    a class is defined, which takes 0.2 s at every start of the program.
     """
 
     model_config = ConfigDict(**STRICT)
@@ -39,8 +39,9 @@ class StrictModel(BaseModel):
 
 
 def description(model: type[BaseModel], name: str) -> str:
-    """Return the description of a field: that given to pydantic, or else the docstring below it, or else an empty
-    string.
+    """Return the description of a field.
+
+    This is the description given to pydantic, or else the docstring below the field, or else an empty string.
     """
     given = model.model_fields[name].description
     return given if given is not None else _docstrings(model).get(name, "")
@@ -60,7 +61,7 @@ def _docstrings(model: type[BaseModel]) -> Mapping[str, str]:
 
 
 def _definition(model: type) -> ast.ClassDef | None:
-    """Return the source of a class; None for classes that are created at run time."""
+    """Return the syntax tree of a class definition; None for classes that are created at run time."""
     try:
         file = inspect.getsourcefile(model)
     except TypeError:

@@ -1,7 +1,7 @@
 """Results, error messages and exit statuses of the commands.
 
-stdout belongs to the results that `show` and `show_json` print. While a command runs, everything else that is written
-to stdout, such as the prints of a plugin, goes to stderr.
+stdout is reserved for the results that `show` and `show_json` print. While a command runs, everything else that is
+written to stdout, such as output of a plugin, goes to stderr.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ DEBUG, JSON = "mbdkit.debug", "mbdkit.json"
 
 
 class PlainStream:
-    """A text stream that escapes control characters: titles, names and messages from files must not control the
+    """A text stream that escapes control characters, so that titles, names and messages from files cannot control the
     terminal.
 
     Parameters
     ----------
     stream
-        The stream to write to; progress bars, which need its control characters, use it directly.
+        The stream to write to. Progress bars need its control characters and use it directly.
     """
 
     def __init__(self, stream: TextIO):
@@ -45,7 +45,7 @@ class PlainStream:
     def write(self, text: str) -> int:
         """Write text with its control characters escaped.
 
-        For bytes, raise TypeError, from which click concludes that this is a stream of text.
+        Raises TypeError for bytes, so that click recognizes a text stream.
         """
         if not isinstance(text, str):
             raise TypeError(f"text is written here, not {type(text).__name__}")
@@ -74,7 +74,7 @@ class Commands(TyperGroup):
         return parsed
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command whose function, unlike its help, prints to stdout through `show` only."""
+        """Return a command whose function can print to stdout only through `show`; its help is not affected."""
         command = super().get_command(ctx, cmd_name)
         if command is not None:
             _guard(command, ("mbdkit", cmd_name))
@@ -88,7 +88,7 @@ class Commands(TyperGroup):
             except BrokenPipeError:
                 raise
             except (Exception, KeyboardInterrupt, SystemExit) as error:
-                if hasattr(error, "exit_code"):  # a usage error or an exit of the framework
+                if hasattr(error, "exit_code"):  # a usage error, or an exit of typer
                     if ctx.meta[JSON] and hasattr(error, "format_message"):
                         results.show(_json_error(error.format_message(), error.exit_code))
                     raise
@@ -103,7 +103,7 @@ class Commands(TyperGroup):
 
 
 class _Results:
-    """The stream of results, and whether something was printed there."""
+    """The stream of results, and whether anything has been printed to it."""
 
     def __init__(self, stream: TextIO):
         self.stream, self.shown = stream, False
@@ -112,7 +112,7 @@ class _Results:
         try:
             print(text, file=self.stream, flush=True)
         except OSError:
-            with suppress(OSError, ValueError):  # otherwise, Python would try again at exit and print a warning
+            with suppress(OSError, ValueError):  # otherwise, Python would flush again at exit and print a warning
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
             raise
         self.shown = True
@@ -134,13 +134,13 @@ def _results_apart() -> Iterator[_Results]:
 
 
 def _guard(command: Any, words: tuple[str, ...]) -> None:
-    """Redirect stdout to stderr, and record the command for archives, while functions of a command and of its
+    """Redirect stdout to stderr, and record the command for archives, while the functions of a command and its
     subcommands run.
 
     Parameters
     ----------
     words
-        The names by which the command is called.
+        The names with which the command is called.
     """
     for name, subcommand in getattr(command, "commands", {}).items():
         _guard(subcommand, (*words, name))
@@ -158,11 +158,11 @@ def _guard(command: Any, words: tuple[str, ...]) -> None:
 
 
 _OF_FILES = ("output", "resume")
-"""Options that name files."""
+"""Options whose values are names of files."""
 
 
 def _files(command: Any, options: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the names, without folders, of the files that a command was given."""
+    """Yield the names, without folders, of the files that were passed to a command."""
     for parameter in command.params:
         value = options.get(parameter.name)
         if value is None or (parameter.param_type_name != "argument" and parameter.name not in _OF_FILES):
@@ -195,25 +195,26 @@ def _json_error(message: str, status: int, error: BaseException | None = None) -
 
 
 def open_streams() -> None:
-    """Open the null device in place of standard streams that are closed, as after ``2>&-``.
+    """Open the null device in place of closed standard streams, as after ``2>&-``.
 
-    Otherwise the next file opened would get the descriptor of such a stream, and output would be written into it.
+    Otherwise the next file to be opened would get the file descriptor of such a stream, and output would be written to
+    it.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor, which is this one
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest free descriptor, which is that of the closed stream
         if getattr(sys, name) is None:
             stream = os.fdopen(number, "w" if number else "r", encoding="utf-8")
             setattr(sys, name, stream)
-            setattr(sys, f"__{name}__", stream)  # so that the descriptor stays open when the stream is replaced
+            setattr(sys, f"__{name}__", stream)  # keeps the descriptor open when the stream is replaced
 
 
 def keep_results_apart() -> None:
     """Redirect file descriptor 1 to stderr for the rest of the process, and let `sys.stdout` write to the real stdout.
 
-    Compiled code and child processes can then not write into the results.
+    Compiled code and child processes then cannot write into the results.
     """
     with suppress(OSError, ValueError):
         sys.stdout.flush()
@@ -229,7 +230,7 @@ def say(text: str) -> None:
 
 
 def silence(text: str) -> None:
-    """Print nothing; replaces `say` in quiet mode."""
+    """Do nothing; replaces `say` in quiet mode."""
 
 
 def _status(error: BaseException) -> int:
@@ -258,7 +259,7 @@ def _sentence(error: BaseException) -> str:
             return "error: there is not enough memory for this"
         case KeyboardInterrupt():
             return "interrupted"
-        case SystemExit():  # mbdkit never raises it
+        case SystemExit():  # mbdkit never raises SystemExit
             return "error: a plugin tried to end the program"
     return (
         f"error: this is a bug in mbdkit: {one_line(error)}\n"

@@ -20,7 +20,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def listed(names: Iterable[str], last: str = "") -> str:
-    """Join names as ``a, b and c`` if `last` is ``and``, or as ``a, b, c`` if it is empty."""
+    """Join names as ``a, b and c`` if `last` is ``and``, or as ``a, b, c`` if `last` is empty."""
     words = list(names)
     if not last or len(words) < 2:
         return ", ".join(words)
@@ -39,18 +39,18 @@ def one_line(error: BaseException) -> str:
     """
     try:
         text = message_of(error)
-    except Exception:  # of a plugin
+    except Exception:  # exception of a plugin
         return f"{type(error).__name__}, whose message cannot be shown"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def message_of(error: BaseException) -> str:
-    """Return the message of an exception as `one_line` does, without its type."""
+    """Return the message of an exception without its type, otherwise as `one_line` does."""
     return shortened(shown(" ".join(str(error)[:10_000].split())))
 
 
 def shortened(text: str) -> str:
-    """Return text of at most 300 characters; the end of a longer one is replaced by dots."""
+    """Return text shortened to 300 characters; dots replace the end of a longer text."""
     return text if len(text) <= 300 else text[:297] + "..."
 
 
@@ -60,7 +60,7 @@ def shown(text: object, *, lines: bool = False) -> str:
     Parameters
     ----------
     lines
-        Whether line feeds and tabulators are kept.
+        Whether line feeds and tabulators remain unescaped.
     """
     return _HARMFUL.sub(_kept_lines if lines else _escaped, str(text))
 
@@ -93,12 +93,13 @@ def _is_number(word: str) -> bool:
 
 
 _FORMULAS = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-"""Characters with which formulas begin; some spreadsheets take the full-width ones for the same."""
+"""Characters with which formulas begin; some spreadsheets treat the full-width forms in the same way."""
 
 
 def csv_cell(text: str) -> str:
-    """Return text from files as a cell of a table, preceded by an apostrophe if a spreadsheet would evaluate it as a
-    formula.
+    """Return text from files as a cell of a table.
+
+    An apostrophe precedes the text if a spreadsheet would evaluate it as a formula.
     """
     text = shown(text)
     return f"'{text}" if text[:1] in _FORMULAS else text

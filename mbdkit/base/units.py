@@ -31,11 +31,11 @@ class Unit:
     text
         The unit as it is shown, such as ``N m``.
     exponents
-        Exponents of metre, kilogram and second. Angles are numbers, as in the SI.
+        Exponents of metre, kilogram and second. Angles are pure numbers, as in the SI.
     factor
         Size of the unit in SI units.
     counts
-        Exponents of angle, cycle and percent, which are numbers in the SI but which `fits` distinguishes.
+        Exponents of angle, cycle and percent. In the SI these are pure numbers, but `fits` distinguishes them.
     si
         The SI unit of the same kind, such as ``N m/rad`` for ``N mm/deg``.
     """
@@ -56,14 +56,14 @@ class Unit:
     def fits(self, wanted: Unit) -> bool:
         """Return whether a number with this unit can stand where `wanted` is expected.
 
-        rad may be left out, as in N m for N m/rad, but 10 Hz is no angular velocity and 2 deg is no length.
+        rad may be left out, as in N m for N m/rad, but 10 Hz is not an angular velocity, and 2 deg is not a length.
         """
         return self.is_like(wanted) and all(
             own in (0, other) for own, other in zip(self.counts, wanted.counts, strict=True)
         )
 
     def times(self, other: Unit, power: Fraction = Fraction(1)) -> Unit:
-        """Return the SI unit of a product with a `power` of another quantity."""
+        """Return the SI unit of the product of this quantity with another one raised to `power`."""
         a, b = self.exponents, other.exponents
         return si_unit((a[0] + power * b[0], a[1] + power * b[1], a[2] + power * b[2]))
 
@@ -109,7 +109,7 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
 """Exponents and SI factor of each symbol."""
 _COUNTS = {"rad": (1, 0, 0), "mrad": (1, 0, 0), "deg": (1, 0, 0), "rev": (1, 0, 0), "Hz": (0, 1, 0), "%": (0, 0, 1)}
 _SI = {"kg": "kg", "g": "kg", "min": "s", "Hz": "Hz", "deg": "rad", "rev": "rad", "mrad": "rad", "%": "1"}
-"""SI symbols of units whose SI symbol is not the unit without its prefix."""
+"""SI symbols of those units whose SI symbol is not the symbol without prefix."""
 
 _NAMED = {
     exponents: text
@@ -133,7 +133,7 @@ PERCENT = rf"^\s*{NUMBER}\s+%$"
 _QUANTITY = re.compile(rf"\s*({NUMBER}(?:,\d+)?)(\s*)((?:[A-Za-z%]|1/)[A-Za-z0-9%*/^ -]*)")
 _LONGEST = 100
 PLAIN = Unit("1", counts=(0, 0, 1))
-"""The unit of numbers without one, which may be given in percent."""
+"""The unit of pure numbers, which may also be given in percent."""
 
 _PART = re.compile(r"(%|1|[A-Za-z]+)(?:(?:\^|\*\*)(-?\d{1,2}))?")
 
@@ -205,12 +205,12 @@ def read_unit(text: str) -> Unit:
 
 
 def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit] | None:
-    """Return the number in SI units and the unit of a text such as ``2 N/mm``; None if it is no number with a unit.
+    """Return the number in SI units and the unit of a text such as ``2 N/mm``; None if it is not a number with a unit.
 
     Parameters
     ----------
     names
-        Names that may occur in expressions: a text that has one in place of a unit is no number with a unit.
+        Names that may occur in expressions. A text with such a name in place of a unit is not a number with a unit.
 
     Raises
     ------
@@ -230,12 +230,12 @@ def read_quantity(text: object, names: Container[str] = ()) -> tuple[float, Unit
         raise SpecError(f"'{_short(text)}' should have a point in place of the decimal comma")
     if not space:
         raise SpecError(f"'{_short(text)}' needs a space between the number and its unit: {number} {written}")
-    # decimal, so that 35 mm is 0.035 m and not the product of two rounded numbers
+    # decimal arithmetic, so that 35 mm is 0.035 m and not the product of two rounded numbers
     return float(Decimal(number) * Decimal(repr(unit.factor))), unit
 
 
 def number_in(value: float | str, unit: str) -> float:
-    """Return a number, or the value in SI units of a number with a unit; raise SpecError if it does not fit `unit`."""
+    """Return a number, or the SI value of a number with a unit; raise SpecError if that unit does not fit `unit`."""
     quantity = read_quantity(value)
     if quantity is None:
         if isinstance(value, str):
@@ -248,8 +248,10 @@ def number_in(value: float | str, unit: str) -> float:
 
 @cache
 def described_units(description: str) -> tuple[str, ...]:
-    """Return the units in a description such as ``Stiffness [N/m]``: several in ``[N/m or N m/rad]`` and ``[m, rad]``,
-    none if no brackets of the description contain units.
+    """Return the units in a description such as ``Stiffness [N/m]``.
+
+    There are several in ``[N/m or N m/rad]`` and ``[m, rad]``, and none if no brackets of the description contain
+    units.
     """
     for inside in re.findall(r"\[([^\[\]]+)\]", description):
         units = tuple(re.split(r",? or |, ", inside))

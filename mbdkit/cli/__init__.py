@@ -76,9 +76,11 @@ for name, group in {
 
 def main() -> None:
     """Run the command line."""
-    # Imports create many objects and little garbage; collecting it at the usual rate is a tenth of a short run.
+    # Imports create many objects, but little garbage; collecting it at the default rate would take a tenth of a short
+    # run.
     gc.set_threshold(100_000)
-    # Results are computed on one thread of linear algebra; to start and stop others would be a fifth of a short run.
+    # Results are computed with one thread of linear algebra; starting and stopping others would take a fifth of a short
+    # run.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         open_streams()  # first, because the next file opened would get the file descriptor of a closed stream

@@ -107,14 +107,14 @@ Slurm = Annotated[
 
 @dataclass
 class Cluster:
-    """Options of a command whose runs other machines may compute."""
+    """Options of a command whose runs may be computed on other machines."""
 
     executor: ExecutorName = "local"
     scheduler: Scheduler = None
     slurm: Slurm = None
 
     def asked(self, workers: int | None) -> Any:
-        """Return these options as the executors take them."""
+        """Return these options in the form required by `mbdkit.studies.executors`."""
         from mbdkit.studies.executors import Asked
 
         return Asked(self.executor, self.scheduler, tuple(self.slurm or ()), workers)
@@ -130,7 +130,7 @@ class Printing:
 
 
 def grouped(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command in which each field of a parameter that is a dataclass is an option of its own."""
+    """Return a command for which each field of a dataclass parameter is a separate option."""
     signature = inspect.signature(command, eval_str=True)
     groups: dict[str, Any] = {
         name: one.annotation for name, one in signature.parameters.items() if is_dataclass(one.annotation)
@@ -163,7 +163,7 @@ def output_to(metavar: str, text: str) -> Any:
 
 
 def stem(spec: str) -> str:
-    """Return the default name of results of a spec, without suffix."""
+    """Return the default name, without suffix, of files with results of a spec."""
     return "stdin" if spec == "-" else Path(spec).stem
 
 

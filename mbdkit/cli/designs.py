@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 LOADS_SHOWN = 3
-"""Largest number of loads beside the goals whose change is printed."""
+"""Largest number of loads, in addition to the goals, whose change is printed."""
 
 
 @grouped
@@ -114,7 +114,7 @@ def design(
 
 
 def _show(result: Design, folder: Path, deviations: list[Deviation], page: Path | None) -> None:
-    """Print the result of a design, what it costs elsewhere, its warnings, robustness and files."""
+    """Print the result of a design: costs in other quantities, warnings, robustness and files."""
     from mbdkit.base.errors import MbdkitError
     from mbdkit.designs.gains import costs
     from mbdkit.designs.robustness import robustness_text

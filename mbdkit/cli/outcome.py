@@ -31,7 +31,9 @@ def tell(result: Run, printing: Printing) -> None:
 
 
 def exit_with(result: Run, *, told: bool = False) -> None:
-    """Exit with the exit status of an incomplete run; print the reason unless the summary has `told` it."""
+    """Exit with the exit status of an incomplete run; print the reason, unless the summary has already stated it
+    (`told`).
+    """
     if result.status == "complete":
         return
     if not told:
@@ -70,7 +72,7 @@ def _outcome(result: Run) -> dict[str, Any]:
 
 def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
     """Return the estimated errors in numbers; None where they are unknown."""
-    import numpy as np  # like SciPy, it would delay --help
+    import numpy as np  # importing NumPy, like SciPy, would delay --help
 
     from mbdkit.archive.peak_errors import peak_errors
 
@@ -95,9 +97,7 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, Any]:
 
 
 def _asked(accuracy: Accuracy) -> dict[str, Any]:
-    """Return the requested accuracy, the one reached (None if unknown), and the choice
-    of method and step.
-    """
+    """Return the requested accuracy, the accuracy reached (None if unknown), and the choice of method and step."""
     return {
         "asked": accuracy.asked,
         "reached": _number(accuracy.reached),

@@ -25,7 +25,7 @@ def _check_kind(kind: str) -> str:
 
 @dataclass
 class Selection:
-    """What a plot shows, by the names of the options of `mbdkit.plot.comparison.compare`."""
+    """The contents of a plot, by the names of the options of `mbdkit.plot.comparison.compare`."""
 
     joints: Annotated[
         list[str] | None,
@@ -112,7 +112,7 @@ def plot(
 
 
 def _check_options(kind: str, options: Mapping[str, object]) -> None:
-    """Raise SpecError for an option that a kind of plot does not have."""
+    """Raise SpecError for an option that a kind of plot does not support."""
     from mbdkit.base.errors import SpecError
     from mbdkit.base.text import listed
     from mbdkit.plot.comparison import options_of

@@ -90,7 +90,7 @@ def run(
     checked = load_spec(spec, [*(assignments or ()), *asked])
     path = output if output is not None else Path(f"{stem(spec)}.h5")
     check_new(path, spec, overwrite)
-    from mbdkit.runs.simulation import simulate  # imports compiled code, which is not needed to refuse a spec
+    from mbdkit.runs.simulation import simulate  # imports compiled code, which is not needed to refuse an invalid spec
 
     with _placing(checked), progress_bar(path.name, printing.quiet) as progress:
         result = simulate(checked, path=path, overwrite=overwrite, progress=progress)
@@ -111,7 +111,7 @@ def _resume(part: Path, superfluous: list[str], overwrite: bool, printing: Print
 
 
 def _check_accuracy(accuracy: float) -> None:
-    """Raise SpecError for an accuracy that cannot be reached."""
+    """Raise SpecError for an accuracy outside the allowed limits."""
     from mbdkit.base.errors import SpecError
     from mbdkit.spec.run_spec import LARGEST_ACCURACY, SMALLEST_ACCURACY
 

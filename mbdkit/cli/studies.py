@@ -26,7 +26,7 @@ from mbdkit.cli.common_options import (
 
 
 class StudyCommand(TyperCommand):
-    """The command with the names of the installed studies below its help."""
+    """The command `study`, whose help is followed by the names of the installed studies."""
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write the names of the packaged studies."""
@@ -38,7 +38,7 @@ class StudyCommand(TyperCommand):
 
 @dataclass
 class Stored:
-    """What a study computes in its folder, and what it stores there."""
+    """Options for what a study computes in its folder, and what it stores there."""
 
     store: Annotated[
         Literal["files", "all", "histories", "summary", "hashes"] | None,

@@ -96,7 +96,7 @@ def _of_design(folder: Path) -> Work:
     for line in lines:
         try:
             values.append(json.loads(line)["values"][goal])
-        except (ValueError, KeyError, TypeError):  # the line is being written
+        except (ValueError, KeyError, TypeError):  # the line is still being written
             continue
     known = [value for value in values if isinstance(value, int | float)]
     least = f", least {goal} of a run {min(known):.4g}" if known else ""

@@ -13,7 +13,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from mbdkit.mechanism.force_law import ARGUMENTS, TracedLaw
 
 Term = str | float
-"""A name of the source, or a constant."""
+"""A name in the generated source, or a constant."""
 
 _TEXTS: Mapping[Any, str] = {
     np.add: "{} + {}", np.subtract: "{} - {}", np.multiply: "{}*{}", np.divide: "{}/{}", np.power: "{}**{}",
@@ -25,7 +25,7 @@ _TEXTS: Mapping[Any, str] = {
     np.less: "{} < {}", np.less_equal: "{} <= {}", np.greater: "{} > {}", np.greater_equal: "{} >= {}",
     np.where: "({1} if {0} else {2})",
 }  # fmt: skip
-"""Functions that can be traced, and how they are written in the source."""
+"""Functions that can be traced, with their form in the generated source."""
 
 _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.add: lambda f, x, y: (1.0, 1.0),

@@ -1,4 +1,4 @@
-"""Zero crossings of a scalar within a step, detected on dense output and located on states computed by the method
+"""Zero crossings of a scalar within a step: detected on dense output, and located on states computed by the method
 itself.
 """
 
@@ -13,7 +13,7 @@ ACCURACY = 1e-13
 """Accuracy of the time of a crossing, relative to the larger of the time and 1 s."""
 
 POLE = 100.0
-"""A sign change is a pole if the scalar there is larger than at both ends by more than this factor."""
+"""A sign change counts as a pole if the scalar there exceeds the values at both ends by more than this factor."""
 
 _ROUNDING = 2.0**-52
 
@@ -22,7 +22,7 @@ Point = tuple[float, float]
 
 
 class UndefinedError(Exception):
-    """The scalar has no finite value at `theta`."""
+    """The scalar has no finite value at the position `theta` in the step."""
 
     def __init__(self, theta: float):
         super().__init__(theta)
@@ -31,7 +31,7 @@ class UndefinedError(Exception):
 
 @dataclass(frozen=True)
 class Crossing:
-    """A sign change: relative position in the step, 0 to 1, and direction, 1 for rising and -1 for falling."""
+    """A sign change: its position in the step, from 0 to 1, and its direction, 1 for rising and -1 for falling."""
 
     theta: float
     direction: int
@@ -47,8 +47,8 @@ def crossings(
 ) -> tuple[list[Crossing], int]:
     """Return the crossings within a step, in order, and the sign at the start of the next step.
 
-    Only sign changes count. Touching zero is not a crossing; if the scalar is exactly zero, the crossing is counted
-    when it leaves zero with the opposite sign.
+    Only sign changes count. Touching zero is not a crossing. If the scalar is exactly zero, the crossing is counted
+    when the scalar leaves zero with the opposite sign.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def crossings(
     points = [shown[0], shown[-1]]
     full = _with_turns([point for point in shown if math.isfinite(point[1])], dense)
     ends = _changes(before, points)
-    if _changes(before, full) > ends:  # a double crossing on dense output; verify it on exact values
+    if _changes(before, full) > ends:  # dense output shows a double crossing, which is verified on exact values
         points = [shown[0], *((place, _defined(exact, place)) for place in _summits(full[1:-1])), shown[-1]]
     found = []
     now = before or sign(shown[0][1])
@@ -100,7 +100,7 @@ def _changes(before: int, points: Sequence[Point]) -> int:
 
 
 def _summits(points: Sequence[Point]) -> list[float]:
-    """Return the position of the largest absolute value in each series of values of the same sign."""
+    """Return the position of the largest absolute value in each sequence of values with the same sign."""
     series = groupby((point for point in points if sign(point[1])), key=lambda point: sign(point[1]))
     return [max(group, key=lambda point: abs(point[1]))[0] for _, group in series]
 
@@ -127,12 +127,12 @@ def _with_turns(points: list[Point], dense: Scalar) -> list[Point]:
 
 
 def _located(left: Point, right: Point, new: int, exact: Scalar, accuracy: float) -> float | None:
-    """Return the position in the step, between two points, at which the scalar of the event changes its sign to `new`.
+    """Return the position, between two points of a step, at which the scalar changes its sign to `new`.
 
-    Return None if the scalar changes sign at a pole, through infinity instead of zero.
+    None if the scalar changes its sign at a pole, through infinity instead of zero.
     """
     (a, fa), (b, fb) = left, right
-    if sign(fa) != -new:  # the left value is zero: bisect for the last zero
+    if sign(fa) != -new:  # the left value is zero, so bisect for the last zero
         while b - a > max(accuracy, _ROUNDING):
             middle = 0.5 * (a + b)
             if sign(_defined(exact, middle)) == new:

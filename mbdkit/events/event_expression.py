@@ -1,11 +1,11 @@
 """Event expressions of time, bodies, joints and energies, parsed by an extension of the parser for expressions of time.
 
 In addition to ``t``, ``pi``, numbers, operators and functions, an expression can contain the quantities that
-`mbdkit.quantities.table.quantities_of_events` lists. They are in SI units, as recorded in the archive: accelerations
-and reactions are the index-1 values at the state. Of a joint, ``force`` is the magnitude of the reaction force,
-``force_first_x`` the component of this force along the x axis of the first body, and ``angle`` the angle of the second
-body relative to the first or, for a slide, the travel. Write ``bodies.NAME`` or ``joints.NAME`` if a body and a joint
-have the same name, and ``bodies["NAME"]`` if the name is not an identifier.
+`mbdkit.quantities.table.quantities_of_events` lists. They are in SI units and have the values recorded in the archive;
+accelerations and reactions are the index-1 values at the state. For a joint, ``force`` is the magnitude of the reaction
+force, and ``force_first_x`` the component of this force along the x axis of the first body. ``angle`` is the angle of
+the second body relative to the first or, for a slide, the travel. Write ``bodies.NAME`` or ``joints.NAME`` if a body
+and a joint have the same name, and ``bodies["NAME"]`` if the name is not an identifier.
 """
 
 from __future__ import annotations
@@ -31,18 +31,19 @@ from mbdkit.quantities.table import KINDS
 _KINDS = {kind.word: kind for kind in KINDS if kind.example}
 """Kinds that have quantities in expressions."""
 _BARE = tuple(word for word, kind in _KINDS.items() if kind.is_bare)
-"""Kinds of elements whose quantities can be written without the kind, as NAME.ATTRIBUTE."""
+"""Kinds of elements whose quantities may be written without the kind, as NAME.ATTRIBUTE."""
 _ANGLES = ("angle", "angular_velocity", "angular_acceleration")
 
 Function = Callable[[Sequence[float]], float]
-"""A function of the time and the quantities of an expression."""
+"""A function of the time and the quantities in an expression."""
 
 
 class CompiledExpression(NamedTuple):
-    """An expression as a function (`value`), the arguments of its periodic functions, and the scalars at whose roots it
-    is not smooth.
+    """An expression as a function (`value`), the arguments of its periodic functions, and scalars whose zeros are its
+    kinks.
 
-    These scalars are the arguments of ``abs`` and the differences of the operands of ``min`` and ``max``.
+    At these zeros, the expression is not smooth. The scalars are the arguments of ``abs`` and the differences of the
+    operands of ``min`` and ``max``.
     """
 
     value: Function
@@ -75,7 +76,7 @@ class RunExpression:
     ) -> RunExpression:
         """Parse an expression of quantities of a mechanism and of named parameters.
 
-        If `crosses`, the expression must be able to cross zero.
+        If `crosses` is set, the expression must be able to cross zero.
 
         Raises
         ------
@@ -99,7 +100,7 @@ class RunExpression:
         return self.compiled(places).value
 
     def compiled(self, places: Mapping[Quantity, int]) -> CompiledExpression:
-        """Return the expression and its parts that determine how densely it must be sampled; see `function`."""
+        """Return the expression, with the parts that determine how densely it must be sampled; see `function`."""
         phases: list[Function] = []
         breaks: list[Function] = []
 
@@ -124,7 +125,7 @@ class RunExpression:
 
 
 def _applied(function: Callable[..., float], of: Function, other: Function | None = None) -> Function:
-    """Return a function of the values of one or two functions."""
+    """Return a function that applies `function` to the values of one or two other functions."""
     if other is None:
         return lambda values: function(of(values))
     return lambda values: function(of(values), other(values))
@@ -160,7 +161,9 @@ def _check_crossing(program: Program, quantities: Sequence[Quantity]) -> None:
 
 
 def check_state(name: str, mechanism: Mechanism) -> None:
-    """Raise SpecError if a mechanism has no first-order state, or output or state of a controller, of this name."""
+    """Raise SpecError if a mechanism has no first-order state, and no output or state of a controller, with this
+    name.
+    """
     known = [*mechanism.state_names(), *mechanism.held_names()]
     if name not in known:
         some = f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}" if known else "; the mechanism has none"
@@ -259,7 +262,7 @@ class RunCompiler(Compiler):
         return fitting[0]
 
     def kinds(self, name: str) -> list[str]:
-        """Return which of ``bodies`` and ``joints`` have an element of this name."""
+        """Return those of ``bodies`` and ``joints`` that have an element with this name."""
         return [kind for kind in _BARE if name in self.known[kind]]
 
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:
@@ -310,7 +313,7 @@ class RunCompiler(Compiler):
         return self.get(Quantity("beams", name, attribute, element))
 
     def along(self, name: str, attribute: str, node: ast.expr) -> Code:
-        """Raise SpecError for a quantity in all elements of a beam, which events cannot contain."""
+        """Raise SpecError for a quantity in all elements of a beam, which is not allowed in events."""
         self.refuse(
             f"'{attribute}' has one value for each element of the beam '{name}'; choose an element, from 0: "
             f"{self.segment(node)}[0]",

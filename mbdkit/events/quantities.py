@@ -1,4 +1,4 @@
-"""Evaluates the quantities of event expressions at states of a run."""
+"""Evaluates the quantities in event expressions at states of a run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mbdkit.quantities.states import States
 
 @dataclass(frozen=True)
 class _WatchedStates(States):
-    """States whose joint angles are differences of the angles of bodies, which need no evaluation by the engine.
+    """States whose joint angles are computed as differences of the angles of bodies, without the engine.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class _WatchedStates(States):
 
 
 class QuantityEvaluator:
-    """Evaluates quantities at states. The engine is not called if all of them are entries of the state.
+    """Evaluates quantities at states. The engine is called only if a quantity is not an entry of the state.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class QuantityEvaluator:
         return self._observer.kept
 
     def values(self, times: Sequence[float], q: np.ndarray, v: np.ndarray, z: np.ndarray) -> list[list[float]]:
-        """Return, for each of K states, a list of its time and all quantities; undefined quantities are nan.
+        """Return, for each of K states, a list of the time and all quantities; undefined quantities are nan.
 
         Vectors are replaced by their norms.
 

@@ -1,17 +1,21 @@
-"""Samples of an event's scalar within a step, so dense that no sign change between two of them is missed.
+"""Samples of an event's scalar within a step, chosen so densely that no sign change between two samples is missed.
 
 The sampling starts with the quarters of the step and is refined in three ways.
 
 1. Between two samples, the arguments of ``sin``, ``cos`` and ``tan`` change by at most `LARGEST_TURN`.
 2. Where the argument of ``abs``, or the difference of the operands of ``min`` or ``max``, changes sign, a sample is
    added, because the scalar may have an extremum there.
-3. A polynomial p of degree 4 is fitted through every five samples. Its error is estimated from the differences between
-   p and the polynomial of degree 3 through four of them, and between the latter and one of degree 2. Where both p and
-   its derivative are smaller than their errors, there may be a double root, and samples are added between these five.
-   Where p changes sign between two samples of equal sign, a sample is added where p is largest with the opposite sign.
+3. A polynomial p of degree 4 is fitted through every five consecutive samples. Its error is estimated from two
+   differences: between p and the polynomial of degree 3 through four of the samples, and between the latter and a
+   polynomial of degree 2. Where both p and its derivative are smaller than their errors, there may be a double root,
+   and
+   samples are added between these five. Where p changes sign between two samples of equal sign, a sample is added where
+   p is largest with the opposite sign.
 
-States within the step are evaluated from dense output, polynomials of a degree up to 11, so that an expression without
-poles and without large factors in its exponents is smooth on this scale. `MOST_SAMPLES` limits the number of samples.
+States within the step are evaluated from dense output, which consists of polynomials of a degree up to 11. An
+expression
+without poles and without large factors in its exponents is therefore smooth on this scale. `MOST_SAMPLES` limits the
+number of samples.
 """
 
 from __future__ import annotations
@@ -34,11 +38,13 @@ MOST_SAMPLES = 2000
 """Largest number of samples of one event in a step."""
 
 DEEPEST = 10
-"""Largest number of refinements of the same five samples; a scalar that touches zero would otherwise be refined for
-ever."""
+"""Largest number of refinements of the same five samples; otherwise, a scalar that touches zero would be refined
+forever.
+"""
 
 NOISE = 1e-12
-"""Values of the scalar below this share of its largest value so far count as rounding errors; their roots are ignored.
+"""Values of the scalar below this share of its largest value so far count as rounding errors; their sign changes are
+ignored.
 """
 
 SAFETY, LOWER_SHARE = 4.0, 0.1
@@ -69,7 +75,7 @@ def refined(
     points
         Positions in the step, from 0 to 1, with the values of the quantities there.
     values_at
-        Evaluates the quantities at a position, by dense output.
+        Function that evaluates the quantities at a position, by dense output.
     scalar
         The scalar of the event as a function of the quantities.
     phases, breaks
@@ -153,16 +159,17 @@ def _root(function: Callable[[float], float], a: float, b: float) -> float:
 def _interpolation(nodes: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices that map five values at `nodes` (from 0 to 1) to their polynomial of degree 4 and its errors.
 
-    The first matrix (5, 5) yields the coefficients of the polynomial in ascending powers. The rows of the second one
-    (4, 5) yield the largest difference from the cubic through all but the middle node, and that of the derivatives;
-    then the same differences of this cubic from the parabola through three nodes.
+    The first matrix (5, 5) yields the coefficients of the polynomial in ascending powers. The rows of the second matrix
+    (4, 5) yield four largest differences: of the polynomial from the cubic through all but the middle node, of their
+    derivatives, of this cubic from the parabola through three nodes, and of their derivatives.
     """
     x = np.array(nodes)
     inverse = np.linalg.inv(np.vander(x, increasing=True))
     fine = np.linspace(0.0, 1.0, 33)
 
     def largest(roots: np.ndarray) -> list[float]:
-        # the difference of two interpolants is the leading coefficient of the higher one, times this polynomial
+        # The difference of two interpolants is the leading coefficient of the one of higher degree, times this
+        # polynomial.
         product = np.poly(roots)
         return [float(np.max(np.abs(np.polyval(power, fine)))) for power in (product, np.polyder(product))]
 
@@ -188,7 +195,7 @@ def _roots_are_clear(five: Sequence[float], values: Sequence[float]) -> tuple[bo
     value_error, slope_error = np.max(np.abs(error @ f).reshape(2, 2), axis=0).tolist()
     coefficients: list[float] = (inverse @ f).tolist()
     slope = _derivative(coefficients)
-    places = sorted({*nodes, *_quadratic_roots(*_derivative(slope))})  # the slope is monotone between these
+    places = sorted({*nodes, *_quadratic_roots(*_derivative(slope))})  # the slope is monotone between these places
     rates = [_polynomial(slope, place) for place in places]
     more = []
     for (a, left), (b, right) in pairwise(zip(places, rates, strict=True)):
@@ -229,7 +236,7 @@ def _polynomial(coefficients: Sequence[float], x: float) -> float:
 
 
 def _extremum(slope: Sequence[float], a: float, b: float, left: float, right: float) -> float:
-    """Return the root between `a` and `b` of a polynomial that is `left` and `right` there."""
+    """Return the root between `a` and `b` of a polynomial whose values there are `left` and `right`."""
     for _ in range(4):  # regula falsi with bisection
         for place in (a - left * (b - a) / (right - left), 0.5 * (a + b)):
             if not a < place < b:

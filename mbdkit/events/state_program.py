@@ -1,4 +1,4 @@
-"""Expressions of the state that determine loads and rates of first-order states, as programs."""
+"""Expressions of the state that determine loads and the rates of first-order states, compiled to programs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[
     Raises
     ------
     SpecError
-        With the position in the text of the first error.
+        For the first error; it contains the position in the text.
     """
     compiler = StateCompiler(text, mechanism)
     program = tuple(compiler.program())
@@ -58,9 +58,9 @@ def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[
 
 
 def state_values(program: Program, quantities: Sequence[tuple[str, str, str]], states: States) -> np.ndarray:
-    """Return the values (T,) of an expression, as `state_program` returns it, in states of a run.
+    """Return the values (T,) of an expression, compiled by `state_program`, in states of a run.
 
-    The values are computed one by one, because the last bits of NumPy's functions depend on the length of the array.
+    The values are computed one by one, because rounding errors of NumPy's functions depend on the length of the array.
     """
     names = archive_names(states.mechanism)
     columns = [states.time.tolist(), *(Quantity(*one).taker(names)(states).tolist() for one in quantities)]

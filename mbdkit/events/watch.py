@@ -25,15 +25,22 @@ from mbdkit.stepping.splitting import Splitting
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
 REPEATED = 10.0 * ACCURACY
-"""A run fails if two crossings of an event that sets states follow each other within this time, relative to the larger
-of the time and 1 s. Otherwise, crossings that follow each other more and more quickly, without end, would be lost."""
+"""A run fails if an event that sets states crosses zero twice within this time, relative to the larger of the time and
+1 s.
+
+Otherwise, an infinite sequence of crossings at ever shorter intervals would not be noticed.
+"""
 
 ZERO = 1e-9
-"""After an event has set states, its expression counts as zero below this share of its largest value so far."""
+"""After an event has set states, values of its expression below this share of its largest value so far count as
+zero.
+"""
 
 CLOSER = 0.1
-"""After an event has set states, its expression is sampled at shares of the step that decrease by this factor, so that
-the next crossing is seen however soon it follows."""
+"""After an event has set states, its expression is sampled at shares of the step that decrease by this factor.
+
+The next crossing is then found, however soon it follows.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +56,7 @@ class Watched:
     action
         Whether the run continues (``note``) or ends (``stop``) at a crossing.
     changes
-        New values of the first-order states that a crossing sets, by name, as expressions of the state before.
+        New values of first-order states set by a crossing, by name, as expressions of the state before the crossing.
     """
 
     name: str
@@ -93,7 +100,7 @@ def _prepared(
 
 
 class _Change:
-    """Evaluates the states that an event sets."""
+    """Evaluates the new values of states that an event sets."""
 
     def __init__(self, event: Watched, workspace: Workspace):
         names = [state.name for state in workspace.mechanism.states]
@@ -102,8 +109,9 @@ class _Change:
         self.undefined = ""
 
     def states(self, t: float, state: Moment) -> np.ndarray:
-        """Return the first-order states (Z,) after the change at a time [s]; `undefined` names one that is not
-        finite.
+        """Return the first-order states (Z,) after the change at a time [s].
+
+        If a value is not finite, `undefined` is the name of its state.
         """
         q, v, z = state
         values = self._quantities.values([t], q[None], v[None], z[None])[0]
@@ -134,7 +142,7 @@ class Watch:
     def __init__(self, stepper: Stepper, workspace: Workspace, events: Sequence[Watched]):
         self.stepper, self.events = stepper, events
         self._changes = [_Change(event, workspace) if event.changes else None for event in events]
-        self._fired: list[int] = []  # events that set states before the next step
+        self._fired: list[int] = []  # indices of events that set states before the next step
         self._set_at = [-math.inf] * len(events)
         self._latest = -math.inf
         self._quantities, self._expressions = _prepared([event.when for event in events], workspace)
@@ -168,7 +176,7 @@ class Watch:
 
     @property
     def worst_pairs(self) -> np.ndarray:
-        """(P,) largest squared norm of Phi of each pair of rows so far; excludes the part of a step after a stop."""
+        """(P,) largest squared norm of Phi of each pair of rows so far; the part of a step after a stop is excluded."""
         return self.stepper.worst_pairs if self.stopped is None else self._worst_before
 
     @property
@@ -226,7 +234,7 @@ class Watch:
         return self.stepper.last_state()
 
     def taken_nodes(self) -> Nodes:
-        """Return the quadrature nodes of the steps since the last call; excludes the part of a step after a stop."""
+        """Return the quadrature nodes of the steps since the last call; the part of a step after a stop is excluded."""
         taken, self._nodes = self._nodes, []
         return Nodes.joined([*taken, self.stepper.taken_nodes()])
 
@@ -236,8 +244,9 @@ class Watch:
         return steps
 
     def stored(self) -> dict[str, Any]:
-        """Return the state that is kept between steps, as plain values for a checkpoint; all crossings must have been
-        fetched by `taken`.
+        """Return the state that is carried from step to step, as plain values for a checkpoint.
+
+        All crossings must have been fetched by `taken`.
         """
         return {
             "signs": self._signs,
@@ -252,7 +261,7 @@ class Watch:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Continue from a checkpoint; raise ValueError if its values do not fit."""
+        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         if not len(state["signs"]) == len(state["largest"]) == len(self.events):
             raise ValueError("it has other events")
         self._signs = [int(sign) for sign in state["signs"]]
@@ -300,7 +309,7 @@ class Watch:
         return stretch
 
     def _set(self, theta: float, number: int) -> Stretch:
-        """End the last step at the share `theta`, and set states there by an event; return the rows up to there."""
+        """End the last step at the share `theta`, where an event sets states; return the rows up to there."""
         change, event = self._changes[number], self.events[number]
         assert change is not None
         self._steps.pop()
@@ -327,8 +336,9 @@ class Watch:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step."""
         begin = np.concatenate([step.v0, step.z0])
         if self._values is None or self._ended is None or not np.array_equal(self._ended, begin):
-            # the start of this step is not the end of the last one: at the start of the run, after an impulse, an event
-            # that sets states, or a sample of a controller
+            # The start of this step is not the end of the last one at the start of the run, after an impulse, after an
+            # event that
+            # sets states, and at a sample of a controller.
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
         q, v, z = (np.array([state[part] for state in states]) for part in range(3))
@@ -353,7 +363,7 @@ class Watch:
         """Return samples of the scalar of an event that has set states at the start of the step.
 
         A change of sign by setting the states is not a crossing. If the scalar is still zero up to rounding errors, it
-        is taken as zero, so that leaving zero in any direction is not a crossing.
+        is set to zero, so that leaving zero in either direction is not a crossing.
         """
         step = self.stepper.last_step
         assert step is not None
@@ -383,7 +393,9 @@ class Watch:
         return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
-        """End the run at `theta`; return the rows before it and the final row, unless that is recorded already."""
+        """End the run at `theta`; return the rows before it, and the final row unless that has been recorded
+        already.
+        """
         step, end = self._steps.pop(), self.stepper.cut(theta)
         if theta > 0.0:
             self._steps.append(replace(step, t1=float(end.time[0]), q1=end.q[0], v1=end.v[0]))

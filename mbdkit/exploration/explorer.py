@@ -1,4 +1,4 @@
-"""Runs of a spec with values of sliders: the motion, the forces and the verdict for the page."""
+"""Runs of a spec with the values of sliders: computes motion, forces and verdict for the page."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ class Explorer:
         self.title = str(spec.title or self._data["model"]["name"])
 
     def answer(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return what the page shows for values of the sliders, by key; a value that the spec refuses gives an
-        ``error``.
+        """Return the contents of the page for values of the sliders, by key; an ``error`` if the spec refuses a
+        value.
         """
         known = {key: float(value) for key, value in values.items() if key in self._by_key}
         changed = {key: value for key, value in known.items() if value != self._by_key[key].value}

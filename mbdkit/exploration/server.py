@@ -1,4 +1,4 @@
-"""The server of the page: bound to this machine, and for those who know its token."""
+"""The server of the page. It is bound to this machine, and answers only requests that contain its token."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Exploration:
     Attributes
     ----------
     url
-        Its address on this machine, with the token without which nothing is served.
+        Address on this machine, including the token that requests must contain.
     """
 
     def __init__(self, explorer: Explorer, port: int = 0):
@@ -51,9 +51,9 @@ class Exploration:
         self._thread.start()
 
     def wait(self) -> None:
-        """Return when the server has ended."""
+        """Wait until the server has ended."""
         while self._thread.is_alive():
-            time.sleep(0.2)  # lets Ctrl-C through
+            time.sleep(0.2)  # lets Ctrl-C take effect
 
     def close(self) -> None:
         """End the server."""
@@ -87,8 +87,8 @@ def explore(spec: Any, parameters: Sequence[str] | None = None, *, port: int = 0
         A run spec or an inverse spec: a file, the name of a packaged example, or a mapping.
     parameters
         Named parameters or dotted keys of numbers, such as ``model.springs.support.stiffness``; by default the named
-        parameters or, without any, numbers of the model. A slider ranges from half to twice the value; for an angle, 30
-        degrees to both sides.
+        parameters or, if there are none, numbers of the model. A slider ranges from half to twice the value; for an
+        angle, by 30 degrees to both sides.
     port
         Port of the page; by default a free one.
 
@@ -103,7 +103,7 @@ def explore(spec: Any, parameters: Sequence[str] | None = None, *, port: int = 0
 
 
 def application(explorer: Explorer, token: str) -> Starlette:
-    """Return the application that serves one page, to requests with the token from this machine."""
+    """Return the application that serves one page, only to requests from this machine with the token."""
     from starlette.applications import Starlette
     from starlette.concurrency import run_in_threadpool
     from starlette.middleware import Middleware
@@ -111,7 +111,7 @@ def application(explorer: Explorer, token: str) -> Starlette:
     from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse
     from starlette.routing import Route
 
-    lock = threading.Lock()  # one run at a time
+    lock = threading.Lock()  # allows only one run at a time
     page: list[str] = []
 
     def is_known(given: str | None) -> bool:

@@ -20,7 +20,7 @@ TURN = math.radians(30)
 """Half of the range of an angle [rad]."""
 _LEFT_OUT = ("gravity", "name", "assembly", "pitches", "points", "point", "axis", "position", "velocity", "elements",
              "at", "from", "to", "a", "b", "radii")  # fmt: skip
-"""Keys of a model whose numbers get no slider by default."""
+"""Keys of a model whose numbers have no slider by default."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]
     Parameters
     ----------
     names
-        Named parameters or dotted keys of numbers; by default all named parameters or, without any, numbers of the
-        model. Of angles, these are only the angles of bodies and of the model itself.
+        Named parameters or dotted keys of numbers. By default all named parameters or, if there are none, numbers of
+        the model; among angles, only those of bodies and of the model itself.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Values of programs with their first two derivatives, over arrays of arguments, in NumPy.
 
 The engine has compiled kernels for this (`mbdkit.engine.kernels.motions`). This module also returns the arguments at
-whose changes of sign an operation changes its form, such as that of ``abs``: there, a derivative of the function jumps.
+whose sign changes an operation, such as ``abs``, changes its form, so that a derivative of the function jumps.
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ class Switch:
     """
 
     level: int
-    """Depth of nesting of such operations: 1 if no operand of this one contains another one."""
+    """Depth of nesting of such operations; 1 if no operand of this operation contains another one."""
     argument: Jet
 
 
 def jet_and_switches(program: Program, times: np.ndarray) -> tuple[Jet, list[Switch]]:
-    """Return the value and the derivatives of a program at `times` (T,) [s], and its switches in the order in which
-    their operations are executed.
+    """Return the value and the derivatives of a program at `times` (T,) [s], and its switches.
+
+    The switches are in the order in which their operations are executed.
     """
     none = np.zeros(len(times))
     switches: list[Switch] = []

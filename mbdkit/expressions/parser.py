@@ -1,7 +1,8 @@
-"""The parser of expressions: texts are parsed with `ast` against a whitelist into programs; no Python is evaluated.
+"""The parser of expressions: `ast` parses a text, which is compiled to a program by a whitelist; no Python is
+evaluated.
 
-Expressions consist of ``+ - * / **``, parentheses, numbers, ``pi``, functions, and the operands of their context: time,
-an angle, parameters, quantities of a run, columns of a table. A subclass of `Compiler` is a context.
+Expressions consist of ``+ - * / **``, parentheses, numbers, ``pi``, functions, and operands that depend on the context:
+time, an angle, parameters, quantities of a run, columns of a table. Each context is a subclass of `Compiler`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 MAX_LENGTH = 10_000
 MOST_TOLD = 6
-"""Largest number of parameters whose values a message states."""
+"""Largest number of parameters whose values are stated in a message."""
 MAX_NESTING = 100
 MAX_INTEGER_POWER = 1_000_000
 
@@ -41,7 +42,7 @@ OPERATORS: dict[type[ast.operator], str] = {
 """Name of the operation of each Python operator."""
 
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
-"""Hints for names by which other software calls the time."""
+"""Hints on names that other software uses for the time."""
 
 _QUOTED = r"""(["'])(?:(?!\1)[^\\]|\\["'\\])*\1"""
 """Pattern of a quoted name."""
@@ -60,7 +61,7 @@ class Expression:
     text
         Text of the expression as the user wrote it.
     program
-        Its program; the instruction ``t`` pushes the time.
+        Program of the expression; the instruction ``t`` pushes the time.
     depth
         Largest number of operands on the stack, at most 32.
     """
@@ -76,7 +77,7 @@ class Expression:
         Raises
         ------
         SpecError
-            With the position in the text of the first error.
+            For the first error; it contains the position in the text.
         """
         return _parse(text)
 
@@ -130,10 +131,10 @@ class Compiler:
     variable
         Name of the argument, which the instruction ``t`` pushes.
     error
-        Type of the errors raised for a place in the text.
+        Type of the errors that refer to a position in the text.
     own_functions
-        Functions of this context only, with their numbers of arguments. If a function of all contexts has the same
-        name, the number of arguments decides which of the two is meant.
+        Functions that exist only in this context, with their numbers of arguments. If they have the same name as a
+        function of all contexts, the number of arguments decides which of the two is meant.
     """
 
     wanted = "an expression of t, which consists of numbers, t, pi"
@@ -209,9 +210,9 @@ class Compiler:
         return self.operand(node)
 
     def operand(self, node: ast.expr) -> Code:
-        """Return the program of an operand that `compile` does not know.
+        """Return the program of an operand that depends on the context.
 
-        This class rejects all of them with SpecError; subclasses may accept some.
+        This class rejects all of them with SpecError; subclasses accept some.
         """
         if isinstance(node, ast.Name):
             name = self.segment(node)
@@ -288,7 +289,9 @@ class Compiler:
         return program
 
     def constant(self, compute: Callable[[], float], node: ast.expr) -> Code:
-        """Return the program of a constant: a number in the text, or the result of an operation on constants."""
+        """Return the program of a constant, which is a number in the text or the result of an operation on
+        constants.
+        """
         try:
             value = compute()
         except ZeroDivisionError:
@@ -300,7 +303,7 @@ class Compiler:
         return [("const", value)]
 
     def given(self, node: ast.expr) -> str:
-        """Return the values of the parameters in a node as words; empty if there are none."""
+        """Return the values of the parameters in a node in words; empty if it contains none."""
         names = dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
         values = [f"{name} = {self.parameters[name]:g}" for name in names if name in self.parameters]
         return f" for {listed(values[:MOST_TOLD], 'and')}" if values else ""

@@ -10,8 +10,8 @@ from mbdkit.expressions.operations import OPERATIONS, arity_of
 Instruction = tuple[str, float]
 """Name of an operation, and a number.
 
-``const`` pushes the number and ``t`` the argument; all other operations replace their operands by their result. The
-number of ``powi`` is the exponent, which is an integer; other operations do not use it.
+``const`` pushes the number and ``t`` the argument; all other operations replace their operands by their result. For
+``powi``, the number is the exponent, which is an integer; other operations do not use it.
 """
 Program = tuple[Instruction, ...]
 
@@ -27,7 +27,7 @@ def execute(program: Program, step: Callable[..., Value]) -> Value:
     Parameters
     ----------
     step
-        ``step(operation, number, *operands)`` returns the value of one instruction.
+        Function ``step(operation, number, *operands)`` that returns the value of one instruction.
     """
     stack: list[Value] = []
     for operation, number in program:
@@ -42,7 +42,8 @@ def value_of(program: Program, leaf: Callable[[str, float], Any]) -> Any:
     Parameters
     ----------
     leaf
-        ``leaf(operation, number)`` returns the value of an instruction without operands, such as ``const`` or ``t``.
+        Function ``leaf(operation, number)`` that returns the value of an instruction without operands, such as
+        ``const`` or ``t``.
     """
 
     def step(operation: str, number: float, *operands: Any) -> Any:
@@ -65,9 +66,9 @@ def depth_of(program: Program) -> int:
 def derivative_of(program: Program) -> Program:
     """Return the program of the derivative of a program, which must not contain operations with a switch.
 
-    The compiled kernel computes the value and two derivatives of a program; for the program returned here, these are
-    the first three derivatives of the given one. A derivative is a program only because the rules of operations use
-    nothing but operations: that of ``cos`` uses ``sin``.
+    The compiled kernel computes the value and two derivatives of a program. Applied to the program returned here, it
+    gives the first three derivatives of the given program. A derivative can be written as a program because the rules
+    for derivatives use only operations; that of ``cos``, for example, uses ``sin``.
     """
 
     def step(operation: str, number: float, *operands: tuple[_Term, _Term]) -> tuple[_Term, _Term]:
@@ -79,7 +80,9 @@ def derivative_of(program: Program) -> Program:
 
 
 def with_slope(operation: str, number: float, operands: Sequence[tuple[Any, Any]], zero: Any) -> tuple[Any, Any]:
-    """Return value and derivative of an operation from those of its operands; `zero` is a zero of their kind."""
+    """Return value and derivative of an operation, given those of its operands; `zero` is a zero of the same type as
+    these.
+    """
     rule = OPERATIONS[operation].rule
     if len(operands) == 2:
         (a, da), (b, db) = operands

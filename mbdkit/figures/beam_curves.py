@@ -1,6 +1,6 @@
 """Beams as smooth curves: cubic Bezier curves between nodes, whose tangents are the angles of the nodes.
 
-The control points are fixed on the nodes, so that they move like every other point of a drawing.
+The control points are fixed to the nodes, so that they move like all other points of a drawing.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mbdkit.figures.plane_geometry import Array
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-_STEPS = 6  # straight pieces between two nodes in a picture
+_STEPS = 6  # number of straight pieces between two nodes in a picture
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class BeamCurve:
     Parameters
     ----------
     nodes
-        Indices of its nodes among the bodies of the drawing, shape (K + 1,).
+        Indices of the beam's nodes among the bodies of the drawing, shape (K + 1,).
     corners
         Control points, by their indices in the table of the drawing, shape (3 K + 1,): every third one is a node.
     elements
-        Number of its elements; an element has one or two intervals.
+        Number of elements; an element has one or two intervals.
     """
 
     name: str
@@ -50,7 +50,7 @@ class BeamCurve:
 
 
 def bezier_polylines(corners: Array) -> Array:
-    """Return a polyline for each of K Bezier curves in a row.
+    """Return a polyline for each of K consecutive Bezier curves.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def bending_moments(run: Run, beams: tuple[BeamCurve, ...]) -> Array | None:
 
 
 def largest_moment(moments: Array | None) -> float:
-    """Return the largest finite magnitude of bending moments, the end of the scale of colours; 0 if there is none."""
+    """Return the largest finite magnitude of bending moments, which limits the colour scale; 0 if there is none."""
     if moments is None:
         return 0.0
     size = np.abs(moments)
@@ -87,7 +87,7 @@ def largest_moment(moments: Array | None) -> float:
 
 
 def distributed_loads(run: Run) -> frozenset[str]:
-    """Return the names of the force elements that the distributed loads of the beams of a run consist of."""
+    """Return the names of the force elements that represent the distributed loads of the beams of a run."""
     if not has_beams(run):
         return frozenset()
     return frozenset(f"{node}.load" for beam in run.beams.values() for node in beam.nodes)

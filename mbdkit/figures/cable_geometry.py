@@ -1,4 +1,4 @@
-"""Where the cable of a pathway over several joints is drawn: points fixed on the bodies that it passes."""
+"""Geometry of a drawn cable over several joints: points on the bodies that it passes."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Place = tuple[str, tuple[float, float]]
 def cable_places(joints: Mapping[str, Joint], pathway: JointAngles) -> list[Place]:
     """Return the points that a cable over pulleys passes, from its first body to its last one.
 
-    The cable passes every joint at the distance of its radius, on the side on which its tension turns the second body
-    in the direction given by the sign of the radius. It ends beside the centres of mass of the first and the last body,
-    unless these are the ground.
+    The cable passes every joint at a distance equal to the radius. It passes on the side on which its tension turns the
+    second body in the direction given by the sign of the radius. It ends beside the centres of mass of the first and
+    the last body, unless these are the ground.
     """
     passed = [joints[name] for name in pathway.radii]
     places: list[Place] = []
@@ -41,7 +41,7 @@ def cable_places(joints: Mapping[str, Joint], pathway: JointAngles) -> list[Plac
 
 
 def _beside(start: tuple[float, float], end: tuple[float, float], radius: float) -> list[tuple[float, float]]:
-    """Return two points moved to the left of the way from `start` to `end` by a radius."""
+    """Return two points shifted by a radius to the left of the direction from `start` to `end`."""
     along = (end[0] - start[0], end[1] - start[1])
     size = math.hypot(*along) or 1.0
     across = (-radius * along[1] / size, radius * along[0] / size)
@@ -49,7 +49,9 @@ def _beside(start: tuple[float, float], end: tuple[float, float], radius: float)
 
 
 def _centre(joints: Mapping[str, Joint], joint: Joint, body: str) -> tuple[float, float]:
-    """Return the point of a joint in the frame of one of its bodies; a driver is at the joint of the same bodies."""
+    """Return the point of a joint in the frame of one of its bodies; a driver uses that of the joint of the same
+    bodies.
+    """
     for one in (joint, *joints.values()):
         if set(one.bodies) == set(joint.bodies):
             for _, name, point in one.attachments():

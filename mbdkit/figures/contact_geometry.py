@@ -1,4 +1,4 @@
-"""Where shapes of contacts are drawn: lines through points fixed on the bodies."""
+"""Geometry of the drawn shapes of contacts: lines through points fixed to the bodies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ON_CIRCLE = 24
 
 
 def contact_places(mechanism: Mechanism, body: str, shape: Shape) -> list[Place]:
-    """Return the points that a shape of a contact passes; none for a point, which has no outline."""
+    """Return the points through which the shape of a contact is drawn; none for a point, which has no outline."""
     if shape.line is not None:
         points = _line(mechanism, body, shape.line)
     elif shape.circle is not None or shape.hole is not None:
@@ -29,7 +29,7 @@ def contact_places(mechanism: Mechanism, body: str, shape: Shape) -> list[Place]
 
 
 def _line(mechanism: Mechanism, body: str, line: LineShape) -> list[tuple[float, float]]:
-    """Return the ends of the drawn part of a line, which extends half of the bodies' extent beyond all bodies."""
+    """Return the ends of the drawn part of a line, which extends beyond all bodies by half of their total extent."""
     (x, y), (nx, ny) = line.point, line.unit
     elements = [*mechanism.joints.values(), *mechanism.contacts.values()]
     places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]

@@ -1,4 +1,4 @@
-"""Curves of pictures: long recordings are downsampled, read in blocks to bound the memory, with bands of errors."""
+"""Curves in pictures, with error bands. Long recordings are downsampled, and read in blocks to limit the memory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 BLOCK = 4_000_000  # values read at a time
-BEYOND = 1e150  # larger values are dropped: the run has failed, and their squares overflow
+BEYOND = 1e150  # larger values are left out: the run has failed, and their squares would overflow
 POINTS = 2_000  # points of a curve; more are indistinguishable at the size of a picture
 
 UNKNOWN = "errors unknown afterwards"
@@ -61,14 +61,14 @@ def require_rows(run: Run) -> None:
     Raises
     ------
     SpecError
-        The run has no rows.
+        If the run has no rows.
     """
     if not len(run.time):
         raise SpecError("this run recorded no rows, so there is nothing to draw")
 
 
 def blocks(rows: int, width: int) -> Iterator[slice]:
-    """Cut `rows` rows of `width` numbers into slices that fit in memory."""
+    """Divide `rows` rows of `width` numbers into slices that fit in memory."""
     size = max(1, BLOCK // max(1, width))
     for start in range(0, rows, size):
         yield slice(start, min(start + size, rows))
@@ -84,7 +84,7 @@ def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray,
     data
         Array or HDF5 dataset, shape (T, J, ...).
     values
-        Maps a block of rows to J values for each row, such as the norm over the last axis.
+        Function that maps a block of rows to J values for each row, such as the norm over the last axis.
     points
         Largest number of bands; smaller for many curves.
     """
@@ -94,7 +94,7 @@ def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray,
     low, high = np.full((count, curves), np.inf), np.full((count, curves), -np.inf)
     for block in blocks(rows, int(np.prod(data.shape[1:]))):
         part = values(np.asarray(data[block], dtype=np.float64))
-        finite = np.abs(part) < BEYOND  # false for nan as well
+        finite = np.abs(part) < BEYOND  # also false for nan
         first, last = np.searchsorted(edges, [block.start, block.stop - 1], side="right") - 1
         starts = np.maximum(edges[first : last + 1], block.start) - block.start
         here = slice(first, last + 1)
@@ -110,7 +110,7 @@ def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray,
 
 
 def evenly(rows: int, limit: int) -> NDArray[np.intp]:
-    """Return at most `limit` of `rows` row numbers, evenly spread, with the first and the last."""
+    """Return at most `limit` row indices, evenly spaced, with the first and the last of `rows` rows."""
     return np.unique(np.linspace(0, rows - 1, min(rows, limit)).round().astype(np.intp))
 
 
@@ -134,7 +134,7 @@ def take(data: Any, rows: NDArray[np.intp], columns: Sequence[int] | None = None
 def errors_at(accuracy: Accuracy, errors: Array, time: Array) -> Array:
     """Return estimated errors (T, ...) of the recorded rows at the last row before each time [s] of a picture.
 
-    Errors are nan from `Accuracy.known_until` on, also those of single joints or bodies that are known longer.
+    Errors are nan from `Accuracy.known_until` on, even for joints or bodies whose errors are known longer.
     """
     rows = np.searchsorted(accuracy.time, time, side="right") - 1
     found = np.array(errors[rows], dtype=np.float64)
@@ -166,7 +166,8 @@ def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array 
 
 
 def band_along_path(path: Array, error: Array) -> Array | None:
-    """Return the outline of a band on both sides of a path, whose half-width is the error; None if none is known.
+    """Return the outline of a band on both sides of a path, whose half-width is the error; None where no error is
+    known.
 
     Parameters
     ----------

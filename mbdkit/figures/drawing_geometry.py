@@ -36,7 +36,7 @@ GROUND = -1
 
 @dataclass(frozen=True)
 class Trace:
-    """A point whose path is drawn: its label, its index in the table of the drawing, and whether it is a marker."""
+    """A point whose path can be drawn: its label, its index in the table of the drawing, and whether it is a marker."""
 
     label: str
     point: int
@@ -56,15 +56,16 @@ class Drawing:
     local
         Points in their body's frame [m], shape (P, 2).
     outlines
-        Points of each body in order: one (a disc), two (a rod) or more (a closed outline); none of most nodes of beams.
+        Points of the outline of each body in order: one (a disc), two (a rod) or more (a closed outline). Most nodes of
+        beams have none.
     pins, grounds, centres
         Points drawn as joints, as ground symbols and as centres of mass.
     springs, bars
         Pairs of points joined by a spring, or by a massless bar (a distance joint).
     muscles
-        Points that each muscle passes.
+        Points along the path of each muscle.
     shapes
-        Points that the outline of each shape of a contact passes.
+        Points along the outline of each shape of a contact.
     guides, sliders
         Pairs of points that are the ends of the line of a sliding joint, and the points that slide on them.
     welds
@@ -94,7 +95,7 @@ class Drawing:
 
     @cached_property
     def links(self) -> tuple[str, ...]:
-        """Names of the links in the drawing: bodies that are not nodes of beams, then beams."""
+        """Names of the links in the drawing: bodies that are not nodes of beams, followed by beams."""
         nodes = {node for beam in self.beams for node in beam.nodes}
         return (
             *(name for body, name in enumerate(self.bodies) if body not in nodes),
@@ -103,7 +104,7 @@ class Drawing:
 
     @cached_property
     def link_numbers(self) -> tuple[int, ...]:
-        """Index in `links` of the link of each body; nodes of a beam belong to the beam, shape (B,)."""
+        """Index in `links` of the link of each body, shape (B,); a node of a beam belongs to the link of the beam."""
         beams = {node: number for number, beam in enumerate(self.beams) for node in beam.nodes}
         rigid = itertools.count()
         first = len(self.links) - len(self.beams)
@@ -111,7 +112,7 @@ class Drawing:
 
     @property
     def main_traces(self) -> tuple[Trace, ...]:
-        """The traces that are drawn unless points are named: the markers or, without any, all traces."""
+        """The traces that are drawn unless points are selected: the markers or, if there are none, all traces."""
         return tuple(trace for trace in self.traces if trace.is_marker) or self.traces
 
     def world(self, poses: Array, points: Sequence[int] | None = None) -> Array:
@@ -133,7 +134,7 @@ class Drawing:
         owner, local = self.owner[chosen], self.local[chosen]
         fixed = owner == GROUND
         pose = poses[..., np.where(fixed, 0, owner), :]
-        with np.errstate(invalid="ignore"):  # a failed run may contain infinities
+        with np.errstate(invalid="ignore"):  # the states of a failed run may contain infinities
             cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
         x = pose[..., 0] + cosine * local[:, 0] - sine * local[:, 1]
         y = pose[..., 1] + sine * local[:, 0] + cosine * local[:, 1]
@@ -163,7 +164,7 @@ def build_mechanism(spec: Mapping[str, Any]) -> Mechanism:
     Raises
     ------
     SpecError
-        The model is not installed, or does not accept its options.
+        If the model is not installed, or does not accept its options.
     """
     from mbdkit.registry.items import ModelPlugin
     from mbdkit.registry.manager import registry
@@ -221,7 +222,9 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
 
 
 def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
-    """Return the ends of a guide along its axis [m], beyond its point and the slider by a quarter of the size."""
+    """Return the ends of a guide along its axis [m]; it extends beyond its point and the slider by a quarter of the
+    size.
+    """
     elements = [*mechanism.joints.values(), *mechanism.forces.values()]
     places = [mechanism.to_global(name, point) for element in elements for _, name, point in element.attachments()]
     room = 0.25 * float(np.max(np.ptp(np.array(places), axis=0))) or 1.0
@@ -232,7 +235,7 @@ def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
 
 
 class _Sketch:
-    """Builder of a drawing: adds the points of one element after the other."""
+    """Builder of a drawing, to which the points of one element after the other are added."""
 
     def __init__(self, bodies: list[str]):
         self.bodies = bodies
@@ -246,7 +249,7 @@ class _Sketch:
         self.bars: list[tuple[int, int]] = []
         self.springs: list[tuple[int, int]] = []
         self.muscles: list[tuple[int, ...]] = []
-        self.shapes: dict[tuple[int, ...], None] = {}  # without those that several contacts share
+        self.shapes: dict[tuple[int, ...], None] = {}  # outlines of shapes, each only once if several contacts share it
         self.guides: list[tuple[int, int]] = []
         self.sliders: list[int] = []
         self.welds: list[int] = []
@@ -254,10 +257,10 @@ class _Sketch:
         self.beams: list[BeamCurve] = []
         self.marked: list[Trace] = []
         self.moving: list[Trace] = []
-        self.traced: set[int] = set()  # bodies that have a traced point
+        self.traced: set[int] = set()  # bodies that already have a traced point
 
     def point(self, body: int, local: tuple[float, float]) -> int:
-        """Return the index of a point given in the frame of a body, which is added if it is new."""
+        """Return the index of a point given in the frame of a body; a new point is added."""
         key = (body, round(local[0], 12), round(local[1], 12))
         if key not in self.known:
             self.known[key] = len(self.owner)
@@ -289,16 +292,18 @@ class _Sketch:
         self.beams.append(BeamCurve(name, tuple(nodes), tuple(corners[1:-1]), beam.elements))
 
     def cable(self, places: Sequence[Place]) -> None:
-        """Add a spring that passes several points of bodies."""
+        """Add a spring drawn through several points of bodies."""
         passed = [self.point(self.index[body], local) for body, local in places]
         self.springs += itertools.pairwise(passed)
 
     def muscle(self, places: Sequence[Place]) -> None:
-        """Add the line of a muscle through points of bodies."""
+        """Add a muscle drawn through several points of bodies."""
         self.muscles.append(tuple(self.point(self.index[body], local) for body, local in places))
 
     def shape(self, body: str, shape: Shape, places: Sequence[Place]) -> None:
-        """Add the outline of a shape of a contact; a body is drawn up to its points and corners."""
+        """Add the outline of the shape of a contact; the outline of its body is extended to the points and corners of
+        the shape.
+        """
         owner = self.index[body]
         if places:
             self.shapes[tuple(self.point(owner, local) for _, local in places)] = None
@@ -306,7 +311,9 @@ class _Sketch:
             self.touched[owner] += [self.point(owner, local) for _, local in shape.points()]
 
     def joint(self, name: str, joint: Any) -> None:
-        """Add a joint: a distance joint as a bar, a driver not at all, any other as a mark at its point."""
+        """Add a joint. A distance joint is drawn as a bar and a driver is not drawn; others are drawn as a symbol at
+        their point.
+        """
         ends = self.attach(joint, joint=joint.mark != "none")
         if joint.mark == "bar":
             self.bars.append((ends[0], ends[1]))
@@ -320,7 +327,7 @@ class _Sketch:
                 self.traced.update(self.owner[index] for index in moving)
 
     def marker(self, name: str, body: str, local: tuple[float, float]) -> None:
-        """Add a marker: a point of its body with a path. A marker on the ground has no path."""
+        """Add a marker: a point of a body whose path can be drawn. A marker on the ground has no path."""
         owner = self.index[body]
         if owner == GROUND:
             return
@@ -376,7 +383,7 @@ class _Sketch:
         )
 
     def _free_nodes(self) -> list[Trace]:
-        """Return the traces of beams: their ends that no joint holds, or else their middles."""
+        """Return traces for beams: at their ends without a joint, or else at their middles."""
         found = []
         for beam in self.beams:
             ends = [node for node in (beam.nodes[0], beam.nodes[-1]) if not self.held[node]]
@@ -385,9 +392,10 @@ class _Sketch:
         return found
 
     def _free_end(self, body: int) -> tuple[float, float] | None:
-        """Return the joints of a body mirrored at its centre of mass, if they all lie on one side of it.
+        """Return the joints of a body reflected at its centre of mass, if all of them are on one side of it.
 
-        A body with a marker farther out than half of this length, such as the head of a trunk, ends at the marker.
+        If the body has a marker farther away than half of this distance, such as the head of a trunk, its end is the
+        marker.
         """
         held = np.array([self.local[index] for index in dict.fromkeys(self.held[body])]).reshape(-1, 2)
         if not len(held):
@@ -402,7 +410,7 @@ class _Sketch:
         return -float(middle[0]), -float(middle[1])
 
     def _outline(self, indices: Iterable[int]) -> tuple[int, ...]:
-        """Return the corners of the convex hull of points in order; two if the points are collinear."""
+        """Return the corners of the convex hull of points in order; only two if the points are collinear."""
         chosen = list(dict.fromkeys(indices))
         return tuple(chosen[corner] for corner in convex_hull(np.array([self.local[index] for index in chosen])))
 

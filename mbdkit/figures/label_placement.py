@@ -1,4 +1,6 @@
-"""Places names in a drawing so that they overlap neither each other nor its lines, as far as there is room."""
+"""Places names in a drawing so that, as far as there is room, they do not overlap each other or the lines of the
+drawing.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from mbdkit.figures.plane_geometry import Array
 CHARACTER, LINE = 7.3, 15.0
 """Mean width of a character and height of a line at a font size of 12 px [px]."""
 SWATCH = 14.0
-"""Room for a patch of colour in front of a name [px]."""
+"""Width reserved for a patch of colour in front of a name [px]."""
 _DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _DISTANCES = np.array([7.0, 13.0, 21.0, 32.0, 46.0, 64.0, 84.0])
 _OUTSIDE, _ON_NAME, _ON_LINE = 1e6, 1e4, 12.0
@@ -47,7 +49,7 @@ class Name:
 
 @dataclass(frozen=True)
 class PlacedName:
-    """A name with the left and upper edge of its box, and its point [px]."""
+    """A name, the left and upper edge of its box, and the point that it names [px]."""
 
     name: Name
     left: float
@@ -56,19 +58,21 @@ class PlacedName:
 
     @property
     def leader(self) -> tuple[float, float] | None:
-        """The nearest point of the box, where a line from the point to the name ends; None if they are close."""
+        """The end of a line from the point to the name, which is the nearest point of the box; None if they are
+        close.
+        """
         x = float(np.clip(self.point[0], self.left, self.left + self.name.width))
         y = float(np.clip(self.point[1], self.top, self.top + LINE))
         return (x, y) if np.hypot(x - self.point[0], y - self.point[1]) > LEADER else None
 
 
 def place_names(names: Sequence[Name], ink: Array, width: float, height: float) -> list[PlacedName]:
-    """Place names one after the other, each at the best place that the previous ones leave.
+    """Place names one after the other, each at the best remaining place.
 
     Parameters
     ----------
     ink
-        (N, 2) points on the lines of the drawing [px], some pixels apart.
+        (N, 2) points on the lines of the drawing, a few pixels apart [px].
     width, height
         Size of the drawing [px].
     """
@@ -87,7 +91,9 @@ def place_names(names: Sequence[Name], ink: Array, width: float, height: float) 
 
 
 def _candidates(name: Name) -> tuple[Array, Array, Array]:
-    """Return boxes (C, 4) of left, top, right and bottom around the points of a name, their points and costs."""
+    """Return candidates for the place of a name: boxes (C, 4) of left, top, right and bottom, with their points and
+    costs.
+    """
     half = np.array([name.width / 2, LINE / 2])
     direction = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)], axis=-1)
     reach = direction[None] * _DISTANCES[:, None, None]

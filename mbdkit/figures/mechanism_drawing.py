@@ -30,17 +30,17 @@ from mbdkit.trust.criteria import ROUND_OFF
 WIDE, NARROW = 900.0, 350.0
 """Widths of the drawing on a screen or on paper, and on a telephone [px]."""
 NAMES = 60
-"""Largest number of names; more would overlap."""
+"""Largest number of names in a drawing; more would overlap."""
 LONGEST = 28
 """Largest number of characters of a name."""
 CROWD = 40
 """Number of links above which only outlines are drawn."""
-_SHORT_ARROW = 20.0  # of the distributed load of a beam [px]
+_SHORT_ARROW = 20.0  # length of the arrows of the distributed load of a beam [px]
 
 
 @dataclass(frozen=True)
 class NamedPose:
-    """A mechanism at a time, which is drawn with names.
+    """A mechanism in a pose at a given time, to be drawn with names.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ class NamedPose:
     pose
         (B, 3) x [m], y [m] and angle [rad] of the bodies.
     times
-        Recorded times [s]; each load is shown at the time of its largest value.
+        Recorded times [s]; each load is drawn at the time of its largest value.
     round_off
         Coordinates below this value are rounding errors [m].
     moments
-        (E,) bending moments of the elements of all beams [N m], by which beams are coloured; if None, each beam has a
-        colour of its own.
+        (E,) bending moments of the elements of all beams [N m], by which beams are coloured. If None, each beam has a
+        single colour.
     """
 
     drawing: Drawing
@@ -86,7 +86,7 @@ class NamedPose:
         return self.rounded(found)
 
     def rounded(self, lengths: Sequence[float] | Array) -> Array:
-        """Return coordinates or lengths [m], those that are rounding errors as 0."""
+        """Return coordinates or lengths [m], with rounding errors replaced by 0."""
         return np.where(np.abs(lengths) <= self.round_off, 0.0, lengths)
 
 
@@ -101,7 +101,7 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
 
 
 def names_shown(shown: NamedPose) -> bool:
-    """Return whether all names have room in a drawing."""
+    """Return whether all names fit in a drawing."""
     elements = shown.mechanism
     count = len(shown.drawing.links)
     if elements is not None:
@@ -110,13 +110,13 @@ def names_shown(shown: NamedPose) -> bool:
 
 
 def own_forces(mechanism: Mechanism) -> dict[str, Any]:
-    """Return the force elements of a mechanism without those that the distributed loads of beams consist of."""
+    """Return the force elements of a mechanism except those that represent the distributed loads of beams."""
     parts = parts_of(mechanism.beams)
     return {name: force for name, force in mechanism.forces.items() if name not in parts}
 
 
 def _draw(canvas: Canvas, shown: NamedPose) -> None:
-    """Draw everything but the names, from the back to the front."""
+    """Draw everything except the names, from the back to the front."""
     drawing = shown.drawing
     draw_sketch(canvas, drawing, canvas.px(drawing.world(shown.pose)), moments=shown.moments)
     if len(drawing.links) > CROWD:
@@ -131,9 +131,10 @@ def _draw(canvas: Canvas, shown: NamedPose) -> None:
 def draw_sketch(
     canvas: Canvas, drawing: Drawing, at: Array, *, moving_only: bool = False, moments: Array | None = None
 ) -> None:
-    """Draw bodies, beams, joints and springs at the points `at` (P, 2) [px]; perhaps without ground and guides.
+    """Draw bodies, beams, joints and springs at the points `at` (P, 2) [px].
 
-    `moments` (E,) are the bending moments by which beams are coloured.
+    With `moving_only`, ground and guides are left out. `moments` (E,) are the bending moments by which beams are
+    coloured.
     """
     crowd = len(drawing.links) > CROWD
     if not moving_only:
@@ -261,8 +262,8 @@ def joint_point(shown: NamedPose, mechanism: Mechanism, joint: Any) -> Array:
 def _common_point(shown: NamedPose, mechanism: Mechanism, bodies: tuple[str, str]) -> Array:
     """Return the global point [m] at which an angle between two bodies is drawn.
 
-    The point is at a joint between the bodies. If there is none, it is between the two closest joints, one on each
-    body; if there are none either, it is at the centre of mass of the second body.
+    The point is at a joint between the bodies. If there is no such joint, it is between the two closest joints, one on
+    each body. If there are no joints at all, it is the centre of mass of the second body.
     """
     for joint in mechanism.joints.values():
         if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):
@@ -300,7 +301,7 @@ def _load_direction(shown: NamedPose, load: Any) -> Array:
 
 
 def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
-    """Yield the names, those with the fewest possible places first."""
+    """Yield the names; those with the fewest candidates for their place come first."""
     mechanism, drawing = shown.mechanism, shown.drawing
     if len(drawing.links) > CROWD:
         return
@@ -356,7 +357,7 @@ def _along(corners: Array) -> Array:
 
 
 def _write(canvas: Canvas, placed: PlacedName) -> None:
-    """Write a name, with a patch in the colour of its body, and a line to its point if that is far."""
+    """Write a name, with a patch in the colour of its body, and a line to its point if the point is far away."""
     name, x = placed.name, placed.left + 2.0
     if placed.leader is not None:
         (x0, y0), (x1, y1) = placed.point, placed.leader

@@ -1,4 +1,4 @@
-"""Where muscles are drawn: points fixed on the bodies that their paths pass."""
+"""Geometry of drawn muscles: points fixed to the bodies that their paths pass."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 def muscle_places(mechanism: Mechanism, muscle: Muscle) -> list[Place]:
     """Return the points of a muscle, from its origin to its insertion.
 
-    Moving points are where they are at the start; conditional ones are left out. A circle is passed at the point that
-    is farthest to its side.
+    Moving points are drawn at their initial positions; conditional points are left out. On a circle, the point farthest
+    to the side of the path is used.
     """
     items = [item for item in muscle.path if item.when is None]
     places = [(item.on, _center(mechanism, item)) for item in items]

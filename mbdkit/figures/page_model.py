@@ -1,4 +1,4 @@
-"""What pages consist of: figures and tables as data, drawings, and sections; how they look is left to others."""
+"""The contents of pages as data: figures, tables, drawings and sections. Their appearance is defined elsewhere."""
 
 from __future__ import annotations
 
@@ -75,8 +75,7 @@ class Line:
     group
         Lines of the same group have the same colour; in most figures the label of the method.
     color
-        Colour as ``#rrggbb`` of what has the same colour in other pictures, such as a body; by default that of its
-        group.
+        Colour as ``#rrggbb``, such as that of a body in other pictures; by default that of the group.
     band
         (M, 2) corners of a shaded outline around the line, such as its estimated error; None if there is none.
     """
@@ -108,7 +107,7 @@ class Guide:
     label
         Label in its middle.
     x, y
-        (2,) its ends.
+        (2,) coordinates of its ends.
     """
 
     label: str
@@ -159,7 +158,7 @@ class Figure:
 
     @property
     def needs_key(self) -> bool:
-        """Whether the lines need names: there are several, or a single one that the title does not name."""
+        """Whether the lines need a legend: there are several lines, or a single one that the title does not name."""
         return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
 
     def visible(self, line: Line) -> np.ndarray:
@@ -175,7 +174,7 @@ _ZERO = " (exactly 0)"
 
 
 def _told_if_zero(line: Line) -> Line:
-    """Return a line whose label says that all its values are zero, so that a logarithmic axis does not show it."""
+    """Return a line whose label says that all its values are zero, because a logarithmic axis does not show it."""
     known = line.y[np.isfinite(line.y)]
     if not known.size or np.any(known) or line.label.endswith(_ZERO):
         return line
@@ -184,7 +183,7 @@ def _told_if_zero(line: Line) -> Line:
 
 @dataclass(frozen=True)
 class Illustration:
-    """A drawing for wide pages and one for narrow ones, and its description for readers who do not see it."""
+    """A drawing for wide pages, a drawing for narrow pages, and a description for readers who do not see them."""
 
     wide: Markup
     narrow: Markup
@@ -207,7 +206,7 @@ class Section:
     tables
         Tables, each with its title.
     is_input
-        Whether it shows what the user gave, below the results; its tables are folded.
+        Whether the section shows the input of the user. Such sections follow the results, and their tables are folded.
     """
 
     anchor: str

@@ -14,12 +14,14 @@ ALARM, SPRING, MUSCLE = "#B00020", "#7A4FBF", "#C0392B"
 
 
 def color_number(color: str) -> int:
-    """Return the index of a colour in the palette; -1 for any other, which pages show in the colour of text."""
+    """Return the index of a colour in the palette; -1 for other colours, which pages show in the colour of text."""
     return PALETTE.index(color) if color in PALETTE else -1
 
 
 def color_key(color: str) -> str:
-    """Return the name of a colour in the style sheet of pages, such as ``c0``; ``ink`` outside of the palette."""
+    """Return the name of a colour in the style sheet of pages, such as ``c0``; ``ink`` for colours outside the
+    palette.
+    """
     number = color_number(color)
     return "ink" if number < 0 else f"c{number}"
 
@@ -32,7 +34,7 @@ def body_colors(drawing: Drawing) -> list[str]:
 
 
 def trace_colors(drawing: Drawing, traces: Sequence[Trace]) -> list[str]:
-    """Return a colour for each trace: that of its link if every link has its own, else one for each trace."""
+    """Return a colour for each trace: that of its link if every link has its own colour, otherwise a separate one."""
     owners = [drawing.link_numbers[drawing.owner[trace.point]] for trace in traces]
     if len(drawing.links) <= len(PALETTE) and len(set(owners)) == len(owners):
         return [PALETTE[owner] for owner in owners]
@@ -40,10 +42,11 @@ def trace_colors(drawing: Drawing, traces: Sequence[Trace]) -> list[str]:
 
 
 def line_styles(chart: Figure) -> list[tuple[str, int]]:
-    """Return the colour and the index of the dashes of each line.
+    """Return the colour and the index of the dash pattern of each line.
 
-    Lines of a group share a colour; a line without a group forms its own. If there are more groups than colours, the
-    colours repeat. Lines of the same colour differ in their dashes.
+    Lines of a group share a colour; a line without a group forms its own group. If there are more groups than colours,
+    the
+    colours repeat. Lines of the same colour differ in their dash patterns.
     """
     groups = dict.fromkeys(line.group or line.label for line in chart.lines if not line.color)
     colors = {group: PALETTE[index % len(PALETTE)] for index, group in enumerate(groups)}

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_FLAT = 1e-9  # corners that protrude less than this share of the body's size are dropped
+_FLAT = 1e-9  # corners that protrude by less than this share of the body's size are left out
 
 
 def convex_hull(points: Array) -> list[int]:
@@ -57,10 +57,11 @@ def zigzag(start: Array, end: Array, width: float, coils: int = 6) -> Array:
 
 
 def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[float, float], tuple[float, float], bool]:
-    """Return the x limits and y limits [m] of a picture, and whether points lie outside.
+    """Return the x limits and y limits [m] of a picture, and whether points lie outside them.
 
-    The limits contain all finite points, unless the motion diverges: if it goes hundreds of times farther than in its
-    first tenth, they contain the motion before.
+    The limits contain all finite points, unless the motion diverges. If it extends hundreds of times farther than in
+    its
+    first tenth, the limits contain only the motion before that.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[fl
     inside = np.max(np.abs(points - points[0]), axis=1) <= _reach_before_divergence(paths - points[0])
     low, high = points[inside].min(axis=0), points[inside].max(axis=0)
     size = float(np.max(high - low)) or 1.0
-    lack = np.maximum(0.25 * size - (high - low), 0.0) / 2  # keeps a straight path from collapsing the axes
+    lack = np.maximum(0.25 * size - (high - low), 0.0) / 2  # prevents the axes from collapsing for a straight path
     low, high = low - lack - margin * size, high + lack + margin * size
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1])), not bool(np.all(inside))
 

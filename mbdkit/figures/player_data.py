@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 RATE = 50
-"""Frames per second, unless there are many bodies."""
-_GRAIN = 1.0 / 20_000  # share of the view: a fourteenth of a pixel on a wide screen
+"""Frames per second; fewer if there are many bodies."""
+_GRAIN = 1.0 / 20_000  # share of the view; this is a fourteenth of a pixel on a wide screen
 _ANGLE = 2e-4  # rad
 _JOINTS = 40  # largest number of joints with gaps
-_SAME = 1e-9  # m: closer points of a body are one point of its drawing
+_SAME = 1e-9  # m; closer points of a body are drawn as one point
 
 
 def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
@@ -34,7 +34,7 @@ def film_data(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
     numbers
         Approximate number of pose values, six bytes each.
     label
-        Name of the run on a page with several.
+        Name of the run on a page with several runs.
     """
     most = int(np.clip(numbers // (3 * max(1, len(run.bodies))), 30, 1_000))
     shown = scene(run, rate=RATE, most=most, shortest=2.0, longest=30.0)
@@ -97,7 +97,7 @@ def _beam_data(shown: Scene) -> dict[str, Any]:
 
 
 def _gap_data(spec: Mapping[str, Any], shown: Scene) -> dict[str, Any]:
-    """Return the gaps of the joints with the largest gaps [m], and the largest of them in a frame."""
+    """Return the gaps of the joints with the largest gaps [m], and the largest gap in any frame."""
     found: Gaps = gaps(spec, shown.drawing, shown.poses).largest(_JOINTS)
     size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])
     return {
@@ -119,7 +119,7 @@ class Gaps:
     Parameters
     ----------
     ends
-        For each joint the indices, in the drawing's table of points, of its points on its first and second body.
+        For each joint, the indices in the drawing's table of its points on the first and the second body.
     vectors
         Vector from the required to the actual position of the second body's point [m], in the global frame, shape
         (F, J, 2). Its length is the misalignment of the joint.
@@ -141,7 +141,7 @@ class Gaps:
 
 
 def gaps(spec: Mapping[str, Any], drawing: Drawing, poses: Array) -> Gaps:
-    """Return the gaps of the joints of a run, drivers excepted; none if the model is not installed.
+    """Return the gaps of the joints of a run except drivers; none if the model is not installed.
 
     Parameters
     ----------
@@ -185,11 +185,13 @@ def _find(drawing: Drawing, body: int, local: tuple[float, float]) -> int:
 
 
 def _world(poses: Array, body: int, local: tuple[float, float]) -> Array:
-    """Return a point of a body in the global frame [m], shape (F, 2); the table of the drawing is rounded."""
+    """Return the global positions of a point of a body [m], shape (F, 2); the table of the drawing has only rounded
+    points.
+    """
     x, y = local
     if body < 0:
         return np.tile([x, y], (len(poses), 1))
-    with np.errstate(invalid="ignore"):  # a failed run may contain infinities
+    with np.errstate(invalid="ignore"):  # the states of a failed run may contain infinities
         cosine, sine = np.cos(poses[:, body, 2]), np.sin(poses[:, body, 2])
     world: Array = poses[:, body, :2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
     return world

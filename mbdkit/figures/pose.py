@@ -23,7 +23,7 @@ from mbdkit.figures.plane_geometry import Array, zigzag
 _BENDING = LinearSegmentedColormap.from_list("bending", [PALETTE[0], "#BDBDBD", PALETTE[1]])
 BENDING_SHADES = tuple(to_hex(_BENDING(place)) for place in np.linspace(0.0, 1.0, 49))
 """Colours of bending moments from the smallest to the largest."""
-_CROWD = 40  # number of links above which pins and centres of mass are left out
+_CROWD = 40  # number of links above which pins and centres of mass are not drawn
 _GROUND_MARK = Path(
     [(0, 0), (-0.6, -1), (0.6, -1), (0, 0)]
     + [(-1, -1), (1, -1)]
@@ -37,7 +37,7 @@ _MARKS: dict[str, dict[str, Any]] = {
     "slider": {"marker": "s", "markersize": 8, "color": INK, "markerfacecolor": PAPER, "zorder": 6.5},
     "weld": {"marker": "s", "markersize": 5, "color": INK, "zorder": 7},
 }
-"""Looks of the points of a drawing."""
+"""Matplotlib styles of the points of a drawing."""
 
 
 class Pose:
@@ -50,7 +50,7 @@ class Pose:
     alpha
         Opacity; less than 1 for a mechanism in the background.
     largest_moment
-        Largest bending moment of the scale by which beams are coloured [N m]; 0 for beams of one colour.
+        Largest bending moment of the colour scale of beams [N m]; 0 if each beam has a single colour.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Pose:
         mark(drawing.welds, "weld")
 
     def _strokes(self, strokes: Sequence[Sequence[int]]) -> list[int]:
-        """Return point indices of one polyline through all strokes; the index after the last point is a gap."""
+        """Return the point indices of one polyline through all strokes; gaps have the index after the last point."""
         gap = len(self.drawing.owner)
         points: list[int] = []
         for stroke in strokes:
@@ -127,7 +127,7 @@ class Pose:
         return points
 
     def show_scale(self, axes: Axes, when: str = "") -> None:
-        """Show the scale of the bending moments beside the axes, if beams are coloured by them."""
+        """Show the scale of the bending moments beside the axes, if beams are coloured by bending moment."""
         if self._bending is None:
             return
         bar = axes.figure.colorbar(
@@ -143,9 +143,9 @@ class Pose:
         Parameters
         ----------
         world
-            Global coordinates of its points [m], shape (P, 2).
+            Global coordinates of the points of the drawing [m], shape (P, 2).
         moments
-            Bending moments of the elements of its beams [N m], shape (E,).
+            Bending moments of the elements of the beams [N m], shape (E,).
         """
         if self.drawing.beams:
             self._move_beams(world, moments)

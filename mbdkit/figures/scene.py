@@ -1,6 +1,6 @@
 """Data of an animation: selected rows with their poses, paths of points, and limits of the axes.
 
-Every frame is a recorded row, without interpolation: a gap in a frame is a gap of the run.
+Every frame is a recorded row, without interpolation, so that a gap shown in a frame is a gap of the run.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
     Parameters
     ----------
     shortest, longest
-        Durations [s]. A run between them is shown in real time; a shorter run is slowed down and a longer one
-        accelerated by a round factor.
+        Limits of the duration of the animation [s]. A run between them is shown in real time; a shorter run is slowed
+        down, and a longer one accelerated, by a round factor.
     """
     time = np.asarray(run.time, dtype=np.float64)
     duration = float(time[-1] - time[0])

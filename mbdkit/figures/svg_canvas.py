@@ -13,8 +13,8 @@ from markupsafe import Markup
 
 from mbdkit.figures.plane_geometry import Array
 
-_ROOM = (80.0, 52.0)  # around the mechanism, for names and arrows [px]
-_INK_STEP = 5.0  # between points that stand for lines [px]
+_ROOM = (80.0, 52.0)  # margin around the mechanism, for names and arrows [px]
+_INK_STEP = 5.0  # distance of the points that represent lines [px]
 
 
 @dataclass
@@ -24,7 +24,7 @@ class Canvas:
     width: float
     height: float
     scale: float
-    origin: Array  # global point [m] in the middle
+    origin: Array  # global point [m] in the middle of the canvas
     parts: list[Markup] = field(default_factory=list)
     drawn: list[Array] = field(default_factory=list)
 
@@ -53,7 +53,7 @@ class Canvas:
         return np.asarray(away * (1.0, -1.0) + (self.width / 2, self.height / 2))
 
     def line(self, points: Array, look: str, *, closed: bool = False, color: str = "") -> None:
-        """Add a line through points (K, 2) [px] of the class `look`, or an area.
+        """Add a line through points (K, 2) [px] with the style class `look`; if `closed`, an area.
 
         `color` is the name of a colour of the page's style, or a mixture of such colours by `shade`.
         """
@@ -94,14 +94,14 @@ class Canvas:
 
 
 def svg_of(parts: Iterable[Markup], width: float, height: float) -> Markup:
-    """Return a drawing of some parts, whose description stands beside it, for a page."""
+    """Return an SVG drawing for a page; the text beside it on the page describes it."""
     return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" aria-hidden="true">{}</svg>').format(
         width, height, Markup("").join(parts)
     )
 
 
 def shade(share: float) -> str:
-    """Return the colour of a bending moment, a share between -1 and 1 of the largest one."""
+    """Return the colour of a bending moment, given as a share of the largest one, between -1 and 1."""
     return f"color-mix(in srgb, var(--{'c0' if share < 0 else 'c1'}) {100.0 * abs(share):.0f}%, var(--edge))"
 
 

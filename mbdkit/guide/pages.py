@@ -43,7 +43,7 @@ def pages() -> dict[str, Page]:
 
 @dataclass(frozen=True)
 class Hit:
-    """A section of the guide that contains the words of a search, with the line that has most of them."""
+    """A section of the guide that contains the words of a search, and the line that contains most of them."""
 
     topic: str
     heading: str
@@ -51,7 +51,7 @@ class Hit:
 
 
 def search(words: str) -> list[Hit]:
-    """Return the sections of the guide that contain all words; those with the words side by side come first."""
+    """Return the sections of the guide that contain all words; sections in which the words are adjacent come first."""
     wanted = _plain(words).split()
     found: list[tuple[bool, int, Hit]] = []
     for page in pages().values():
@@ -67,7 +67,7 @@ def search(words: str) -> list[Hit]:
 
 
 def _plain(text: str) -> str:
-    """Return text in lower case with single spaces in place of hyphens and line ends."""
+    """Return text in lower case, in which hyphens and line ends are replaced by single spaces."""
     return " ".join(text.lower().replace("-", " ").split())
 
 
@@ -77,7 +77,7 @@ def find_page(topic: str) -> Page:
     Raises
     ------
     SpecError
-        If there is none.
+        If there is no such page.
     """
     known = pages()
     if topic not in known:

@@ -55,7 +55,8 @@ class Dynamics:
 def solve_dynamics(
     fitter: Fitter, motion: Motion, loads: Loads, actuators: Sequence[NamedActuator], *, report: bool = False
 ) -> tuple[Dynamics, Balance, np.ndarray]:
-    """Return the forces that produce a motion, the balance, and the generalized forces (T, n) that it supplies.
+    """Return the forces that produce a motion, the `Balance`, and the generalized forces (T, n) that actuators and
+    joints supply.
 
     Parameters
     ----------

@@ -52,7 +52,8 @@ Noise alone gives a ratio of 0.5.
 """
 
 EXPLAINS = 0.3
-"""A change of the loads is named as the cause of residual forces if it reduces them to at most this share."""
+"""A change of the loads is named as the cause of residual forces if it reduces the sum of their squares to at most this
+share."""
 
 LATEST = 0.1
 """Largest delay of a load that is considered [s]."""

@@ -47,7 +47,7 @@ def force() -> sympy.Expr:
 
 
 def potential() -> sympy.Expr:
-    """Return ``a ((exp(b x) - 1) / b - x)`` for ``x = side (s - s_0) > 0``, otherwise zero."""
+    """Return the potential ``a ((exp(b x) - 1) / b - x)`` for ``x = side (s - s_0) > 0``, otherwise zero."""
     from sympy import Piecewise, exp, symbols
 
     length, scale, growth, free_length, side = symbols("length scale growth free_length side", real=True)

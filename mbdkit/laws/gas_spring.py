@@ -42,7 +42,9 @@ class GasSpringOptions(StrictModel):
 
 
 def force() -> sympy.Expr:
-    """Return ``c s' - F_1 v^-n`` of the relative volume ``v = 1 - q (s_1 - s)``, linear beyond full stroke."""
+    """Return the force ``c s' - F_1 v^-n`` for the relative volume ``v = 1 - q (s_1 - s)``; linear beyond full
+    stroke.
+    """
     from sympy import symbols
 
     rate, damping, slope = symbols("rate damping slope", real=True)
@@ -64,7 +66,7 @@ def potential() -> sympy.Expr:
 
 
 def _gas() -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
-    """Return push and relative volume of the gas, at full stroke at most, and the length beyond it (negative)."""
+    """Return push and relative volume of the gas, up to full stroke, and the length beyond full stroke (negative)."""
     from sympy import Piecewise, symbols
 
     length, preload, shrinkage, extended, exponent, shortest = symbols(
@@ -76,10 +78,13 @@ def _gas() -> tuple[sympy.Expr, sympy.Expr, sympy.Expr]:
 
 
 def parameters(options: GasSpringOptions) -> dict[str, float]:
-    """Return the parameters; `shrinkage` is the decrease of the volume per compression, relative to the volume.
+    """Return the parameters of the law.
 
-    `shortest` and `slope` are the length at full stroke and the stiffness there. The potential of an isothermal gas is
-    a logarithm; `divisor` avoids a division by zero in the other formula.
+    `shrinkage` is the decrease of the volume per compression, relative to the volume. `shortest` and `slope` are the
+    length
+    at full stroke and the stiffness there. The potential of an isothermal gas is a logarithm; `divisor` avoids a
+    division by
+    zero in the formula for other gases.
     """
     isothermal = options.exponent == 1.0
     volume = options.progression ** (-1.0 / options.exponent)
@@ -98,7 +103,7 @@ def parameters(options: GasSpringOptions) -> dict[str, float]:
 
 
 def valid_range(options: GasSpringOptions) -> dict[str, tuple[float, float]]:
-    """Return the lengths between the end stops."""
+    """Return the range of lengths between the end stops."""
     return {"length": (options.extended_length - options.stroke, options.extended_length)}
 
 

@@ -26,7 +26,7 @@ class LinearOptions(StrictModel):
 
 
 def force() -> sympy.Expr:
-    """Return the force ``k (s - s_0) + c s'`` of length s, stiffness k, free length s_0 and damping c."""
+    """Return the force ``k (s - s_0) + c s'`` for length s, stiffness k, free length s_0 and damping c."""
     from sympy import symbols
 
     length, rate, stiffness, damping, free_length = symbols("length rate stiffness damping free_length", real=True)

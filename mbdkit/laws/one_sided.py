@@ -56,7 +56,9 @@ def _side(options: OneSidedOptions) -> float:
 
 
 def force() -> sympy.Expr:
-    """Return ``side * (k x + c x')`` with ``x = side * (s - s_0)``; zero if x <= x_1 or the bracket <= 0."""
+    """Return ``side * (k x + c x')`` with ``x = side * (s - s_0)``; zero if x <= x_1, or if the bracket is not
+    positive.
+    """
     from sympy import And, Piecewise, symbols
 
     length, rate, stiffness, damping, free_length, begin, side = symbols(
@@ -77,7 +79,7 @@ def potential() -> sympy.Expr:
 
 
 def parameters(options: OneSidedOptions) -> dict[str, float]:
-    """Return the options as numbers: `side` is 1 for tension and -1 for compression, `begin` the stretch x_1."""
+    """Return the options as numbers: `side` is 1 for tension and -1 for compression; `begin` is the stretch x_1."""
     side = _side(options)
     return {
         "stiffness": options.stiffness,

@@ -58,7 +58,7 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
     begin, end = parameters[2 + low], parameters[3 + low]
     inside = min(
         max(length, begin), end
-    )  # clipped to the table; `beyond` is the remainder, which is extrapolated linearly
+    )  # the length within the table; `beyond` is the remainder, which is extrapolated linearly
     x, beyond = inside - begin, length - inside
     row = 3 + pieces + 5 * low
     c0, c1, c2, c3, stored = (
@@ -76,7 +76,7 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
 
 
 def parameters(options: TableOptions) -> list[float]:
-    """Return the parameters of `law` in the order that it reads them."""
+    """Return the parameters of `law`, in the order in which it reads them."""
     from scipy.interpolate import CubicSpline
 
     lengths, forces = (np.array(column) for column in options.table)
@@ -95,7 +95,7 @@ def parameters(options: TableOptions) -> list[float]:
 
 
 def valid_range(options: TableOptions) -> dict[str, tuple[float, float]]:
-    """Return the lengths that the table covers."""
+    """Return the range of lengths that the table covers."""
     lengths = options.table[0]
     return {"length": (lengths[0], lengths[-1])}
 

@@ -1,7 +1,8 @@
 """Estimates the error of a measure from its values in comparison runs.
 
-The criteria are those of `mbdkit.runs.accuracy.error_estimate`, for a single number: the differences between the run
-and two runs of increasing accuracy decrease, or the more accurate one is confirmed by a run of another method.
+The criteria are those of `mbdkit.runs.accuracy.error_estimate`, applied to a single number. The error is known if the
+differences between the run and two runs of increasing accuracy decrease, or if a run of another method confirms the
+most accurate run.
 """
 
 from __future__ import annotations
@@ -12,16 +13,22 @@ from collections.abc import Sequence
 LARGEST_RATIO = 0.6
 """Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
 CONFIRMED = 0.25
-"""The run of another method confirms the more accurate run if it differs from that by at most this share of its
-difference from the run itself."""
+"""Limit for confirmation by the run of another method.
+
+This run confirms the most accurate run if it differs from that by at most this share of its difference from the run
+itself.
+"""
 GUARD_RATIO = 3.0
-"""If the differences decrease, the run of another method may differ from the more accurate run by this multiple of the
-estimate."""
+"""If the differences decrease, the run of another method may differ from the most accurate run by up to this multiple
+of the estimate.
+"""
 AGREED = 1e-5
 """Differences below this share of the value need not decrease, because rounding errors of chaotic motions do not."""
 ZERO = 1e-12
-"""Differences below this share of the size that follows from the unit need not decrease either, for values that differ
-from zero by rounding errors only."""
+"""Differences below this share of the natural size for the unit need not decrease either.
+
+Such values differ from zero by rounding errors only.
+"""
 ROUND_OFF = 1e-15
 """Smallest estimate, as a share of the value."""
 
@@ -36,7 +43,7 @@ def measure_error(value: float, compared: Sequence[float], natural: float = 0.0)
     compared
         The measure in two runs of increasing accuracy, and in a run of another method.
     natural
-        The size of numbers with its unit; see `mbdkit.measures.natural_size`.
+        Natural size of numbers with the unit of the measure; see `mbdkit.measures.natural_size`.
     """
     every = value, *compared
     if len(compared) != 3 or not all(map(math.isfinite, every)):

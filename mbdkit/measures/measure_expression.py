@@ -1,12 +1,12 @@
 """Expressions of measures: one number of a whole run, such as ``max(abs(joints.B.force))``.
 
-They are expressions of events with these additions. Bodies, joints and markers have vectors, of which ``abs`` is the
-norm; ``max``, ``min``, ``mean``, ``rms``, ``final`` and ``integral`` of a quantity reduce its values over time to one
-number, and ``at(QUANTITY, TIME)`` takes its value at one time; ``events.NAME.time`` is the time of the first crossing
-of an event, ``.last_time`` that of the last, ``.count`` their number. With several arguments, ``max`` and ``min``
-compare these at each time. Internal forces of beams have a value in each element: ``beams.NAME.moment[0]`` is that of
-one element, ``along_max`` and ``along_min`` the extreme value along the beam at each time, and ``max`` and ``min`` the
-extreme value along the beam over time. Units are checked.
+They are expressions of events with the following additions. Bodies, joints and markers have vectors, whose norm is
+``abs``. ``max``, ``min``, ``mean``, ``rms``, ``final`` and ``integral`` of a quantity reduce its values over time to
+one number, and ``at(QUANTITY, TIME)`` is its value at one time. With several arguments, ``max`` and ``min`` compare the
+arguments at each time. ``events.NAME.time`` is the time of the first crossing of an event, ``.last_time`` that of the
+last crossing, and ``.count`` the number of crossings. Internal forces of beams have a value in each element:
+``beams.NAME.moment[0]`` is that of one element, ``along_max`` and ``along_min`` are the extreme values along the beam
+at each time, and ``max`` and ``min`` the extreme values along the beam over time. Units are checked.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _END: Program = (("t", 0.0), (REDUCE + "final", 0.0))
 
 
 BEYOND = 1e-6
-"""A remark is made if a recorded row exceeds an extremum by more than this share of the range of the quantity."""
+"""A remark is issued if a recorded row exceeds an extremum by more than this share of the range of the quantity."""
 
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions of a quantity along a beam that return its largest or smallest value at each time."""
@@ -69,7 +69,7 @@ class _Value:
     Parameters
     ----------
     unit
-        SI unit of the operand. None: it depends on named parameters, whose units are unknown.
+        SI unit of the operand; None if it depends on named parameters, whose units are unknown.
     is_number
         Whether the operand consists of numbers in the text only; in sums, numbers have the unit of the other operand.
     is_series
@@ -77,7 +77,7 @@ class _Value:
     is_vector
         Whether the operand has two components.
     along
-        Name of the beam in each of whose elements the operand has a value; empty for other operands.
+        Name of the beam if the operand has a value in each of its elements; otherwise empty.
     """
 
     unit: Unit | None
@@ -114,8 +114,8 @@ class MeasureExpression:
     unit
         Unit of the value.
     functionals
-        Integrals and extrema that are computed with the run. A reduction in the program refers to its functional by the
-        index, from 1; 0 if its quantity is known at the recorded times only.
+        Integrals and extrema that are computed during the run. A reduction in the program refers to its functional by
+        the index, from 1; the index is 0 if the quantity is known at the recorded times only.
     """
 
     text: str
@@ -158,14 +158,16 @@ class MeasureExpression:
 
     @staticmethod
     def functionals_of(text: str, spec: ModelSpec) -> tuple[Functional, ...]:
-        """Return the functionals of an expression; raise SpecError like `parse`, except about the unit."""
+        """Return the functionals of an expression; raise the same errors as `parse`, except for the unit."""
         compiler = _MeasureCompiler(text, spec)
         compiler.measure()
         return compiler.functionals()
 
     @staticmethod
     def in_si(text: str, run: Run) -> float:
-        """Return the value of an expression for a run in SI units, also if named parameters leave its unit unknown."""
+        """Return the value of an expression for a run in SI units, even if its unit depends on parameters with unknown
+        units.
+        """
         try:
             parsed = MeasureExpression.parse(text, run.run_spec)
         except SpecError:
@@ -183,7 +185,7 @@ class MeasureExpression:
         return value if np.isfinite(value) else float("nan")
 
     def exceeded(self, run: Run) -> list[str]:
-        """Return a remark for each extremum of the continuous motion that recorded rows exceed, as clauses."""
+        """Return a remark, as a clause, for each extremum of the continuous motion that recorded rows exceed."""
         told: list[str] = []
         if not len(run.time) or not any(one.is_extremum for one in self.functionals):
             return told
@@ -211,7 +213,7 @@ class MeasureExpression:
         Parameters
         ----------
         compared
-            Called with the name, value and rows of each extremum of the continuous motion.
+            Function called with the name, value and rows of each extremum of the continuous motion.
         """
         series = Series(run.time, lambda one: recorded(one, run))
 
@@ -240,7 +242,9 @@ class SeriesExpression(MeasureExpression):
 
     @staticmethod
     def parse(text: str, spec: ModelSpec, unit: str = "") -> SeriesExpression:
-        """Parse an expression for the runs of a spec, without its parameters, whose values may differ between runs.
+        """Parse an expression for the runs of a spec.
+
+        Named parameters are not available, because their values may differ between runs.
 
         Raises
         ------
@@ -253,12 +257,14 @@ class SeriesExpression(MeasureExpression):
         return SeriesExpression(text, program, tuple(compiler.quantities), value.unit or _PLAIN)
 
     def rows(self, run: Run) -> np.ndarray:
-        """Return the values in the T recorded rows of a run, (T,), in `unit`; raise NotRecordedError if it has none."""
+        """Return the values in the T recorded rows of a run, (T,), in `unit`; raise NotRecordedError if a quantity is
+        missing.
+        """
         return self._values(run) / self.unit.factor
 
 
 _VECTORS_OF = {"neg": ([True],), "mul": ([True, False], [False, True]), "div": ([True, False],)}
-"""The operands of an operation that may be vectors."""
+"""Which operands of an operation may be vectors."""
 _HAS_ELEMENTS = (
     "has a value in each element of a beam; name an element, as in beams.NAME.moment[0], or use along_max or along_min "
     "of it"
@@ -299,7 +305,9 @@ class _MeasureCompiler(RunCompiler):
         return tuple(program), value
 
     def functionals(self) -> tuple[Functional, ...]:
-        """Return the integrals, extrema and values at times of the expression, except those of the recorded times."""
+        """Return the integrals, extrema and values at times in the expression, except those computed from recorded
+        rows.
+        """
         found: tuple[Functional, ...] = ()
         for text, reduction, program, when in self._functionals:
             found += (Functional(text, reduction, program, tuple(self.quantities), found, when),)
@@ -366,7 +374,7 @@ class _MeasureCompiler(RunCompiler):
         return self.reduced(name, program, node)
 
     def extreme(self, operation: str, program: Code, node: ast.Call) -> _Code:
-        """Return a program that takes the largest or smallest value along a beam."""
+        """Return a program for the largest or smallest value along a beam."""
         value = _known(program)
         if not value.along:
             self.refuse(f"'{operation}' needs a quantity along a beam, such as beams.NAME.moment", node)
@@ -385,7 +393,7 @@ class _MeasureCompiler(RunCompiler):
         return self.reduced("at", program, node, when)
 
     def reduced(self, name: str, program: Code, node: ast.Call, when: Sequence[tuple[str, float]] = ()) -> _Code:
-        """Return a program that reduces another one over time, or takes its value at a time, `when`."""
+        """Return a program that reduces another one over time, or evaluates it at the time `when`."""
         value = _known(program)
         if not value.is_series:
             self.refuse(
@@ -402,7 +410,7 @@ class _MeasureCompiler(RunCompiler):
         return _Code([*program, *when, (REDUCE + name, float(place))], _Value(unit, is_vector=value.is_vector))
 
     def _place_of_functional(self, name: str, program: Code, node: ast.Call, when: Program) -> int:
-        """Return the index of a reduction among the functionals, from 1; 0 for those of the recorded times."""
+        """Return the index of a reduction among the functionals, from 1; 0 if it is computed from the recorded rows."""
         read = [self.quantities[int(number)] for operation, number in program if operation == "get"]
         if (
             _is_of_rows(program)
@@ -441,7 +449,9 @@ class _MeasureCompiler(RunCompiler):
         return _Code(super().apply(operation, operands, node), value)
 
     def beam_of(self, values: Sequence[_Value], node: ast.expr) -> str:
-        """Return the beam along which the result has values, if any; raise SpecError where operands do not match."""
+        """Return the beam along which the result has values, or an empty name; raise SpecError if operands do not
+        match.
+        """
         beams = sorted({value.along for value in values if value.along})
         if len(beams) > 1:
             self.refuse(f"'{self.segment(node)}' combines the elements of two beams, {listed(beams, 'and')}", node)
@@ -450,7 +460,7 @@ class _MeasureCompiler(RunCompiler):
         return beams[0] if beams else ""
 
     def makes_vector(self, operation: str, values: Sequence[_Value], node: ast.expr) -> bool:
-        """Return whether the result is a vector; raise SpecError where vectors cannot be used."""
+        """Return whether the result is a vector; raise SpecError if vectors are not allowed."""
         vectors = [value.is_vector for value in values]
         if not any(vectors):
             return False
@@ -501,7 +511,7 @@ class _MeasureCompiler(RunCompiler):
 
 
 def _product(left: _Value, right: _Value, power: Fraction) -> Unit | None:
-    """Return the unit of ``left * right**power``; that of the other factor where one is a number."""
+    """Return the unit of ``left * right**power``; if one factor is a plain number, the unit of the other."""
     if left.unit is None or right.unit is None:
         return None
     if right.is_number:
@@ -516,7 +526,7 @@ def _known(program: Code) -> _Value:
 
 
 def _is_of_rows(program: Sequence[tuple[str, float]]) -> bool:
-    """Return whether a program has a reduction of the recorded times."""
+    """Return whether a program has a reduction of recorded rows."""
     return any(operation.startswith(REDUCE) and not place for operation, place in program)
 
 

@@ -21,7 +21,7 @@ _EVENTS: Mapping[str, tuple[str, Callable[[np.ndarray], float]]] = {
     "last_time": ("s", lambda times: float(times[-1]) if len(times) else np.nan),
     "count": ("1", lambda times: float(len(times))),
 }
-"""Quantities of an event, from the times of its crossings."""
+"""Functions that compute the quantities of an event from the times of its crossings."""
 
 ATTRIBUTES: Mapping[str, Sequence[str]] = {
     **{kind.word: tuple(kind.attributes) for kind in KINDS if kind.attributes},
@@ -31,7 +31,8 @@ ATTRIBUTES: Mapping[str, Sequence[str]] = {
 
 
 def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:
-    """Return the SI unit of a quantity of the runs of a spec; None for a first-order state with a unit of its own.
+    """Return the SI unit of a quantity of the runs of a spec; None for a first-order state whose unit is not a known
+    one.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Sizes of quantities that follow from length, mass and time of a mechanism.
+"""Natural sizes of quantities, computed from length, mass and time of a mechanism.
 
-Compared with these sizes, rounding errors can be distinguished from results: numbers that differ from zero by rounding
-errors only, such as the height of a rod that lies still, have no digits to be compared.
+They distinguish rounding errors from results: numbers that differ from zero by rounding errors only, such as the height
+of a rod that lies still, have no digits to compare.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mbdkit.base.units import Unit
 def natural_scales(length: float, mass: float, gravity: Sequence[float], duration: float) -> tuple[float, float, float]:
     """Return length [m], mass [kg] and time [s] of a mechanism.
 
-    The time is that of a free fall by about the length, or the duration of the run [s] if that is shorter.
+    The time is about that of a free fall by the length, or the duration of the run [s] if that is shorter.
     """
     pull = math.hypot(*gravity)
     fall = math.sqrt(length / pull) if pull > 0.0 else math.inf
@@ -24,6 +24,6 @@ def natural_scales(length: float, mass: float, gravity: Sequence[float], duratio
 
 
 def natural_size(unit: Unit, length: float, mass: float, time: float) -> float:
-    """Return the size of quantities with a unit, in this unit."""
+    """Return the natural size of quantities with a unit, in this unit."""
     powers = [math.pow(x, power) for x, power in zip((length, mass, time), unit.exponents, strict=True)]
     return math.prod(powers) / unit.factor

@@ -16,14 +16,14 @@ from mbdkit.quantities.quantity import Quantity
 
 @dataclass(frozen=True)
 class Series:
-    """Quantities of a run over time: at the recorded times, or at others of its motion.
+    """Quantities of a run over time, at the recorded times or at other times of its motion.
 
     Parameters
     ----------
     time
         (T,) times [s].
     of
-        Returns the values of a quantity: (T,), (2, T) of a vector, or (elements, T) along a beam.
+        Function that returns the values of a quantity: (T,), (2, T) for a vector, or (elements, T) along a beam.
     """
 
     time: np.ndarray
@@ -44,10 +44,10 @@ REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "final": lambda time, values: values[..., -1],
     "integral": lambda time, values: np.trapezoid(values, time, axis=-1),
 }
-"""Functions of times (T,) and values (..., T) that return a value for all rows together, (...).
+"""Reductions: functions of times (T,) and values (..., T) that return one value for all rows, (...).
 
 ``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. In measures of a run, their integrals
-are computed with the run instead, as are the extrema of its continuous motion; see `Functional`.
+are computed during the run instead, as are the extrema of its continuous motion; see `Functional`.
 """
 OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "mean": lambda integral, duration: integral / duration,
@@ -57,23 +57,25 @@ OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "min": lambda extremum, duration: extremum,
     "at": lambda value, duration: value,
 }
-"""Reductions as functions of the value of a `Functional` and of the duration [s]; for ``rms``, the functional is the
-integral of the square."""
+"""Reductions as functions of the value of a `Functional` and of the duration [s].
+
+For ``rms``, the functional is the integral of the square.
+"""
 EXTREMA = ("max", "min")
 INTEGRALS = ("mean", "rms", "integral")
 
 EventTimes = Callable[[Quantity], float]
-"""Returns a quantity of an event, such as the time of its first crossing."""
+"""Function that returns a quantity of an event, such as the time of its first crossing."""
 
 
 def from_functional(name: str, found: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
-    """Return a reduction of values (..., T) from the functional that was computed with the run."""
+    """Return a reduction of values (..., T), given the functional that was computed during the run."""
     return OF_FUNCTIONAL[name](np.atleast_1d(found), duration).reshape(*values.shape[:-1], 1)
 
 
 @dataclass(frozen=True)
 class Functional:
-    """An integral over time, an extremum, or a value at a time, that a measure needs.
+    """An integral over time, an extremum, or a value at a given time, which a measure needs.
 
     Attributes
     ----------
@@ -87,7 +89,7 @@ class Functional:
     inner
         Inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from 1.
     when
-        The time of a value at a time, which may depend on inner functionals and on the times of events.
+        For ``at``, the time of the value, which may depend on inner functionals and on the times of events.
     """
 
     text: str
@@ -99,25 +101,28 @@ class Functional:
 
     @property
     def is_value(self) -> bool:
-        """Whether it is a value at a time."""
+        """Whether this is a value at a given time."""
         return self.reduction == "at"
 
     @property
     def is_extremum(self) -> bool:
-        """Whether it is an extremum."""
+        """Whether this is an extremum."""
         return self.reduction in EXTREMA
 
     @cached_property
     def is_nested(self) -> bool:
-        """Whether it contains other functionals or times of events, so that it is known only at the end of a run."""
+        """Whether it contains other functionals or times of events, and can therefore be computed only at the end of a
+        run.
+        """
         return any(operation.startswith(REDUCE) or operation == "get" for operation, _ in self.when) or any(
             operation.startswith(REDUCE) for operation, _ in self.program
         )
 
     @cached_property
     def has_switches(self) -> bool:
-        """Whether an operation changes its form inside steps, so that the quantity or its derivative may be
-        discontinuous there.
+        """Whether an operation changes its form inside steps.
+
+        The quantity or its derivative may then be discontinuous there.
         """
         return not any(one.recorded.array.is_of_steps for one in self.read) and any(
             operation in OF_PARTS or (operation in OPERATIONS and OPERATIONS[operation].switch != "")
@@ -126,12 +131,12 @@ class Functional:
 
     @property
     def is_of_stages(self) -> bool:
-        """Whether it is summed over the stages of the steps, whose weights assume a smooth integrand."""
+        """Whether it is computed as a sum over the stages of the steps, whose weights assume a smooth integrand."""
         return not self.is_extremum and not self.is_value and not self.has_switches
 
     @property
     def read(self) -> list[Quantity]:
-        """The quantities that it reads."""
+        """The quantities that the program reads."""
         return [self.quantities[int(number)] for operation, number in self.program if operation == "get"]
 
     def time(self, known: Integrals, span: tuple[float, float], events: EventTimes) -> float:
@@ -140,11 +145,11 @@ class Functional:
         Parameters
         ----------
         known
-            The values of `inner`, by their texts.
+            Values of the functionals in `inner`, by their source texts.
         span
             First and last time of the run [s].
         events
-            Returns quantities of events.
+            Function that returns quantities of events.
         """
 
         def step(operation: str, number: float, *operands: np.ndarray) -> np.ndarray:
@@ -153,7 +158,7 @@ class Functional:
             if operation.startswith(REDUCE):
                 found = known[self.inner[int(number) - 1].text]
                 return from_functional(operation.removeprefix(REDUCE), found, span[1] - span[0], operands[0])
-            if operation == "get":  # those of others are operands of functionals
+            if operation == "get":  # other quantities are operands of functionals
                 quantity = self.quantities[int(number)]
                 return np.array([events(quantity) if quantity.kind == "events" else np.nan])
             return applied(operation, number, operands, self.quantities, Series(np.zeros(1), lambda _: np.zeros(1)))
@@ -167,7 +172,7 @@ class Functional:
         Parameters
         ----------
         known
-            The values of `inner`, by their texts.
+            Values of the functionals in `inner`, by their source texts.
         duration
             Duration of the run [s].
         """
@@ -181,7 +186,7 @@ class Functional:
         Parameters
         ----------
         groups
-            Number G of groups of P = T / G times. Sign changes are those within a group. For the norm of a vector, the
+            Number G of groups of P = T / G times. Only sign changes within a group count. For the norm of a vector, the
             scalar is the product of the vector with the first vector of the group.
 
         Returns
@@ -206,7 +211,7 @@ class Functional:
 
 
 def _switch_of(operation: str, operands: Sequence[np.ndarray], groups: int) -> np.ndarray | None:
-    """Return the scalar (G, P) at whose sign changes an operation changes its form; None if it does not."""
+    """Return the scalar (G, P) whose sign determines the form of an operation; None if the form is fixed."""
     kind = OPERATIONS[operation].switch if operation in OPERATIONS else ""
     if kind:
         x = operands[0] if kind == "first" else operands[0] - operands[1]
@@ -227,7 +232,7 @@ def applied(
 ) -> np.ndarray:
     """Return the value of an instruction that does not reduce over time.
 
-    Values have the shapes (T,) or (1,), those of vectors (2, T) or (2, 1), and those along a beam (elements, T).
+    Values have the shapes (T,) or (1,); vectors (2, T) or (2, 1); values along a beam (elements, T).
     """
     if operation == "const":
         return np.array([number])
@@ -241,7 +246,9 @@ def applied(
 
 
 def interpolated(at: float, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values (..., T) at a time, interpolated linearly between the rows around it, (..., 1); nan outside."""
+    """Return values (..., T) at a time, interpolated linearly between the neighbouring rows, (..., 1); nan outside the
+    rows.
+    """
     if not time[0] <= at <= time[-1]:
         return np.full((*values.shape[:-1], 1), np.nan)
     return np.apply_along_axis(lambda row: np.interp([at], time, row), -1, values)

@@ -1,4 +1,4 @@
-"""Computation of measures from runs, and their check against the spec."""
+"""Computes measures from runs, and checks measures against the spec."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def describe(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> Descriptio
     Raises
     ------
     SpecError
-        If its expression is not valid for the spec.
+        If the expression of the measure is not valid for the spec.
     """
     if measure.item is None:
         parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
@@ -61,7 +61,7 @@ def check_measures(spec: RunSpec | InverseSpec) -> None:
 
 
 def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> float:
-    """Return the value of a measure for a run; nan if it belongs to another base of a study.
+    """Return the value of a measure for a run; nan if the measure is defined by another base of a study.
 
     Parameters
     ----------
@@ -89,7 +89,9 @@ def take(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> floa
 
 
 def error_of(measure: DefinedMeasure, value: float, run: Run, spec: RunSpec | InverseSpec) -> float:
-    """Return the estimated error of a value of a measure; nan if it is unknown, as without `check` and for plugins."""
+    """Return the estimated error of the value of a measure; nan if unknown, as without `check` and for measures of
+    plugins.
+    """
     accuracy = run.accuracy
     compared = () if accuracy is None else accuracy.compared_measures.get(measure.expression, ())
     if measure.item is not None or not compared or not is_taken(measure, spec):
@@ -107,14 +109,14 @@ def has_error(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
 
 
 def with_error(measure: DefinedMeasure, run: Run, spec: RunSpec | InverseSpec) -> dict[str, float]:
-    """Return the value of a measure and, if the run has a check, its estimated error, by the names of their columns."""
+    """Return the value of a measure and, if the run has a check, its estimated error, by names of columns."""
     value = take(measure, run, spec)
     errors = {measure.name + ERROR: error_of(measure, value, run, spec)} if has_error(measure, spec) else {}
     return {measure.name: value} | errors
 
 
 def take_all(run: Run, spec: RunSpec | InverseSpec) -> MeasuredValues:
-    """Return the values of the measures of a run spec; nan, with the reason, where the measure of a plugin fails."""
+    """Return the values of the measures of a run spec; if the measure of a plugin fails, nan with the reason."""
     values, units, reasons, errors, remarks = {}, {}, {}, {}, {}
     for measure in spec.defined_measures():
         units[measure.name] = describe(measure, spec).units

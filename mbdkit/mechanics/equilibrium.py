@@ -1,5 +1,5 @@
-"""Static equilibrium by a damped Newton search that moves in the direction of the forces, so that it ends in a stable
-equilibrium.
+"""Static equilibrium by a damped Newton search. Steps follow the direction of the forces, so that the search ends in a
+stable equilibrium.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.spec.loading import RunSource, Sections
 
 MOST_STEPS = 500
-"""Largest number of attempted steps, including rejected ones, after which the search fails."""
+"""Largest number of attempted steps, including rejected ones; a search with more steps fails."""
 
 LONGEST = 0.5
 """Largest step of a coordinate, relative to the size of the mechanism or to 1 rad."""
@@ -49,20 +49,21 @@ BALANCED = 1e-13
 """An imbalance below this fraction of the balancing forces counts as zero and ends the search."""
 
 STALLED = 1e-8
-"""A search that no longer makes progress is accepted if the imbalance is below this fraction of the balancing
-forces."""
+"""A search that no longer makes progress is accepted if the imbalance, relative to the balancing forces, is below
+this.
+"""
 
 NEAR = 1e-2
 """If the imbalance is below this fraction of the balancing forces, a step with the true stiffness is tried first."""
 
 PATIENCE = 8
-"""Number of consecutive steps without halving the imbalance, after which the search counts as stagnant."""
+"""A search counts as stagnant after this many consecutive steps that do not halve the imbalance."""
 
 MUCH = 1e3
 """A stagnant search is accepted if the imbalance is at most this multiple of its estimated rounding error."""
 
 PLACES = 1e-6
-"""Weight of a translation by the size of the mechanism, relative to a rotation by 1 rad, when joints are closed."""
+"""When joints are closed, weight of a translation by the size of the mechanism, relative to a rotation by 1 rad."""
 
 MOST_CLOSINGS = 20
 """Largest number of Newton steps for closing the joints."""
@@ -71,14 +72,18 @@ MOST_SADDLES = 10
 """Largest number of saddle points from which a search continues."""
 
 SADDLE = 1e-9
-"""A stiffness counts as negative, not as round-off, below minus this fraction of the largest stiffness of a single
-coordinate."""
+"""A stiffness counts as negative if it is below minus this fraction of the largest stiffness of a single coordinate.
+
+Smaller magnitudes are attributed to round-off.
+"""
 
 GROWS = 1e-9
-"""Real parts of the eigenvalues of small motions above this fraction of the largest eigenvalue count as growth."""
+"""Small motions count as growing if the real part of an eigenvalue, relative to the largest eigenvalue, is above
+this.
+"""
 
 NEUTRAL = 1e-11
-"""The lowest stiffness, a sum, counts as zero if it is below this fraction of the sum of the sizes of its terms."""
+"""The lowest stiffness counts as zero if it is below this fraction of the sum of the magnitudes of its terms."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +101,8 @@ class Equilibrium(HtmlView):
     multiplier : (rows,) array
         Multipliers of the constraint rows [N, N m].
     reaction_force, reaction_torque : (J, 2) and (J,) arrays
-        Force and torque of the first body of each joint on the second, in the global frame, at the joint point of the
-        second body [N, N m].
+        Force and torque that the first body of each joint exerts on the second, in the global frame, at the joint point
+        of the second body [N, N m].
     shared
         Joints whose reactions are not unique because joints are redundant.
     imbalance
@@ -119,9 +124,9 @@ class Equilibrium(HtmlView):
         Internal forces of each beam by name: (E + 2, 4) distance from its end a [m], axial force, shear force [N] and
         moment [N m], at end a, in the middle of its elements, and at end b.
     displacement : (B, 3) array
-        `position` minus that of the start, made consistent [m, rad].
+        `position` minus the consistent initial position [m, rad].
     mechanism
-        The mechanism, from which notebooks draw the equilibrium.
+        The mechanism; notebooks use it to draw the equilibrium.
     """
 
     time: float
@@ -155,8 +160,10 @@ class Equilibrium(HtmlView):
 
 @dataclass(frozen=True)
 class Rest:
-    """Result of a search: position (n,), multipliers (m,), remaining accelerations (n,), number of steps tried, and
-    first-order states (Z,).
+    """Result of a search.
+
+    Position (n,), multipliers (m,), remaining accelerations (n,), number of attempted steps, and first-order states
+    (Z,).
     """
 
     q: np.ndarray
@@ -171,9 +178,9 @@ def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
 
     Solves ``Phi_q^T lam = Q(t, q, 0)``, ``Phi(t, q) = 0`` by Newton's method. Each step is damped in the mass metric
     (Levenberg-Marquardt) until the forces do positive work along it. A search that ends on a saddle of the potential is
-    continued beside it, so that the result is stable unless the start itself is an unstable equilibrium;
-    `Equilibrium.stability` reports which. Drivers and loads are evaluated at the start time, ``time={"start": ...}``,
-    and velocities are zero.
+    continued beside it. The result is therefore stable unless the start itself is an unstable equilibrium; see
+    `Equilibrium.stability`. Drivers and loads are evaluated at the start time, ``time={"start": ...}``, and velocities
+    are zero.
 
     Parameters
     ----------
@@ -266,7 +273,7 @@ def _internal_forces(prepared: PreparedMechanism, found: Rest) -> dict[str, np.n
 
 
 def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:
-    """Return the lowest stiffness at rest [1/s^2] and the stability that follows from it."""
+    """Return the lowest stiffness at rest [1/s^2], and the stability that it implies."""
     if prepared.freedoms == 0:
         return float("nan"), "fixed"
     stiffness = least_stiffness(prepared, at)
@@ -278,8 +285,8 @@ def _stability(prepared: PreparedMechanism, at: State) -> tuple[float, str]:
 def rest(prepared: PreparedMechanism) -> Rest:
     """Return the static equilibrium; raises SpecError if none is found.
 
-    A search can end on a saddle of the potential, because steps towards it do positive work as well. It is then
-    continued from positions on both sides of the saddle, along the motion of lowest stiffness.
+    A search can end on a saddle of the potential, because steps towards a saddle do positive work as well. The search
+    is then continued from positions on both sides of the saddle, along the motion of lowest stiffness.
     """
     search = _Search(prepared)
     found = search.run()
@@ -299,7 +306,7 @@ def rest(prepared: PreparedMechanism) -> Rest:
 
 
 def _descent(prepared: PreparedMechanism, found: Rest) -> np.ndarray | None:
-    """Return the motion (n,) along which the stiffness at rest is most negative; None if it is nowhere negative.
+    """Return the motion (n,) with the most negative stiffness at rest; None if no stiffness is negative.
 
     Also None if the mechanism is too large to be reduced to its degrees of freedom.
     """
@@ -337,14 +344,15 @@ class _Search:
         return x, lam, float(np.sqrt(np.sum(p.mass * x**2)))
 
     def size(self, s: np.ndarray) -> float:
-        """Return the largest coordinate change of a step, relative to the size of the mechanism or to 1 rad."""
+        """Return the largest change of a coordinate in a step, relative to the size of the mechanism or to 1 rad."""
         parts = np.abs(s.reshape(-1, 3)) / (self.extent, self.extent, 1.0)
         return float(np.max(parts))
 
     def run(self) -> Rest | None:
         # Levenberg-Marquardt: with little damping a step is a Newton step, with much damping a short step along the
-        # accelerations. The initial damping limits such a step to `LONGEST`. After a rejected step the
-        # damping has a lower bound, because a multiple of a vanishing value would grow too slowly.
+        # accelerations. The initial damping limits such a step to `LONGEST`. After a rejected step, the damping has a
+        # lower bound,
+        # because multiplying a vanishing value would increase it too slowly.
         idle, damping = 0, self.size(self.x) / LONGEST
         while self.tried < MOST_STEPS:
             if self.imbalance <= max(BALANCED * self.force, self.blur) or (idle >= PATIENCE and self.is_balanced):
@@ -364,11 +372,14 @@ class _Search:
 
     @property
     def has_moved(self) -> bool:
-        """Whether the position is no longer that of the start."""
+        """Whether the position differs from that at the start."""
         return bool(np.any(self.q != self.p.q0))
 
     def leave(self, way: np.ndarray | None) -> bool:
-        """Leave a saddle along `way` (n,) or against it, as far as the forces do work; return whether it was left."""
+        """Leave a saddle along `way` (n,) or in the opposite direction, as long as the forces do work.
+
+        Returns whether the saddle was left.
+        """
         if way is None:
             return False
         way = way / self.size(way)
@@ -388,9 +399,9 @@ class _Search:
     def step(self, damping: float) -> bool:
         """Try a step with ``damping * M`` added to the stiffness, damping in 1/s^2; return whether it was taken.
 
-        Compressed elements make diagonal entries of the stiffness negative, so that a Newton step can point against
-        the forces. A second step is therefore tried, with twice the size of these entries added to them, which makes
-        them positive. Far from equilibrium, this second step is tried first.
+        Compressed elements make diagonal entries of the stiffness negative, so that a Newton step can point against the
+        forces. A second step is therefore tried, in which twice the magnitude of these entries is added to them, so
+        that they are positive. Far from equilibrium, this second step is tried first.
         """
         p = self.p
         at = p.t0, self.q, self.none, self.none, self.lam
@@ -405,13 +416,13 @@ class _Search:
                 matrix = block_array([[upper, jacobian.T], [jacobian, None]], format="csc")
                 if self.take(splu(matrix).solve(right)[: p.n]):
                     return True
-        except (StepError, RuntimeError):  # a singular matrix, or a step after which the joints cannot be closed
+        except (StepError, RuntimeError):  # the matrix is singular, or the joints cannot be closed after the step
             pass
         return False
 
     @property
     def is_balanced(self) -> bool:
-        """Whether the remaining imbalance is small enough to be rounding error."""
+        """Whether the remaining imbalance can be explained by rounding errors."""
         return self.imbalance <= max(STALLED * self.force, MUCH * self.blur)
 
     def take(self, s: np.ndarray) -> bool:
@@ -421,14 +432,16 @@ class _Search:
             return False
         s = s / max(1.0, self.size(s) / LONGEST)
         # The imbalance does not measure progress, because it also vanishes at a maximum of the potential. Instead, the
-        # forces must do at least a tenth of the work that they predict at the beginning of the step.
+        # forces
+        # must do at least a tenth of the work that they predict at the beginning of the step.
         promised = float(np.sum(p.mass * self.x * s))
         if not promised > 0:
             return False
         half, end = (self.closed(self.q + part * s) for part in (0.5, 1.0))
         work = self.work(self.q, half, end)
         there = self.balance(end)
-        near = self.is_balanced and there[2] < 0.5 * before  # this close, the work is smaller than its rounding error
+        # so close to equilibrium, the work is smaller than its rounding error
+        near = self.is_balanced and there[2] < 0.5 * before
         if not (work >= 0.1 * promised or near):
             return False
         self.q = end
@@ -482,7 +495,7 @@ def joint_reactions(
 
 
 def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
-    """Return the spec as a plain mapping in which the mechanism is written out at rest in the equilibrium."""
+    """Return the spec as a plain mapping in which the mechanism is given in the equilibrium, at rest."""
     spec = prepared.spec
     mechanism = spec.mechanism()
     model = mechanism.to_spec()

@@ -1,4 +1,6 @@
-"""Static equilibria while loads and drivers change, followed past points where the mechanism snaps through."""
+"""Static equilibria while loads and drivers change. The path is followed past points at which the mechanism snaps
+through.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from mbdkit.spec.loading import RunSource, Sections
 Kind = Literal["limit point", "bifurcation"]
 
 LONGEST, FINEST = 0.05, 1e-6
-"""Longest and shortest step along a path, as a share of the size of the mechanism, of 1 rad and of the time span."""
+"""Largest and smallest step along a path, as a share of the size of the mechanism, of 1 rad, and of the time span."""
 
 STRAIGHT = 0.98
 """If the cosine of the angle between the tangents at both ends of a step is below this, the step is halved."""
@@ -29,19 +31,21 @@ MOST_POINTS = 5000
 """Largest number of points of a path."""
 
 MOST_CORRECTIONS, EASY = 8, 4
-"""Largest number of Newton corrections of a point; and the number up to which the next step is made longer."""
+"""Largest number of Newton corrections of a point; after at most the second number of corrections, the next step is
+longer.
+"""
 
 CONVERGED = 1e-7
-"""Newton's method ends with the first correction below this, because the next correction would be about its square."""
+"""Newton's method ends after the first correction below this; the next correction would be about its square."""
 
 LOAD_STEP = 1e-5
-"""Step of the central differences of the loads by time, as a share of the time span."""
+"""Step of central differences of the loads by time, as a share of the time span."""
 
 LOCATED = 1e-12
 """Tolerance of the position of a critical point on the path, relative to a step along it."""
 
 APART = 1e-6
-"""Critical points closer to each other than this, relative to a step along the path, count as one."""
+"""Critical points count as one if their distance, relative to a step along the path, is below this."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +55,14 @@ class CriticalPoint:
     Attributes
     ----------
     kind
-        ``limit point``, where the path turns back in time, so that a mechanism under these loads snaps through to
-        another equilibrium; or ``bifurcation``, where another path branches off, as when a straight column buckles.
+        ``limit point``: the path turns back in time, so that a mechanism under these loads snaps through to another
+        equilibrium; or ``bifurcation``: another path branches off, as when a straight column buckles.
     time
-        Time, which loads and drivers depend on [s].
+        Time at which loads and drivers are evaluated [s].
     position : (B, 3) array
         x, y [m] and angle [rad] of each body.
     body
-        The body that moves most as the mechanism leaves the path.
+        The body that moves most when the mechanism leaves the path.
     """
 
     kind: Kind
@@ -80,7 +84,7 @@ class EquilibriumPath:
     position : (K, B, 3) array
         x, y [m] and angle [rad] of each body.
     reaction_force, reaction_torque : (K, J, 2) and (K, J) arrays
-        As in `Equilibrium` [N, N m].
+        See `Equilibrium` [N, N m].
     stiffness : (K,) array
         Lowest eigenvalue of the stiffness along the degrees of freedom, for unit mass [1/s^2]; negative where the
         equilibrium is unstable.
@@ -88,7 +92,7 @@ class EquilibriumPath:
         Number of independent motions along which each equilibrium is unstable; for mechanisms of more than 500 bodies,
         1 if there are any.
     critical
-        Where this number changes.
+        Points at which `unstable` changes.
     """
 
     time: np.ndarray
@@ -108,7 +112,7 @@ class EquilibriumPath:
 
 
 def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> EquilibriumPath:
-    """Follow the static equilibrium while loads and drivers change with time, slowly from start to end.
+    """Follow the static equilibrium while loads and drivers change slowly with time, from start to end.
 
     The path begins with the equilibrium that `equilibrium` finds at the start time. The time is treated as an unknown
     like the positions (pseudo-arclength continuation; H. B. Keller, 1977), so that the path is followed past limit
@@ -156,7 +160,7 @@ def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> Equilib
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the path: time, position, multipliers, the tangent, and the number of unstable motions."""
+    """A point of the path: time, position, multipliers, tangent, and number of unstable motions."""
 
     t: float
     q: np.ndarray
@@ -168,8 +172,8 @@ class _Point:
 class _Follower:
     """Follows the path of a mechanism in steps along its tangents.
 
-    The unknowns are q, lambda and the time. The length of a step is the root of the sum of the squares of the changes
-    of the coordinates, averaged over the bodies, and of the time; multipliers are not included.
+    The unknowns are q, lambda and the time. The length of a step is the root of a sum of squares: those of the changes
+    of the coordinates, averaged over the bodies, and that of the change of the time. Multipliers are not included.
     """
 
     def __init__(self, prepared: PreparedMechanism):
@@ -205,7 +209,7 @@ class _Follower:
     # ---- steps -----------------------------------------------------------------------------------------------------
 
     def _advance(self, here: _Point, step: float) -> tuple[_Point, float, float]:
-        """Return the next point, the length of the step to it, and that of the step to try after it."""
+        """Return the next point, the length of the step to it, and the length to try for the step after it."""
         while True:
             try:
                 there, corrections = self._at(here, step)
@@ -225,7 +229,7 @@ class _Follower:
         return self._point(y, here.tangent), corrections
 
     def _at_end(self, here: _Point, there: _Point) -> _Point:
-        """Return the point at the end time, between two points."""
+        """Return the point of the path at the end time, which lies between two points."""
         share = (self.end - here.t) / (there.t - here.t)
         y = (1 - share) * _unknowns(here) + share * _unknowns(there)
         y[-1] = self.end
@@ -269,7 +273,9 @@ class _Follower:
         return np.concatenate([self.p.residual(t, q, self.none, self.none, lam), self.p.constraints(t, q)])
 
     def _solved(self, y: np.ndarray, plane: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Solve the linearised equations for the changes (n + m + 1,); the last one prescribes that along `plane`."""
+        """Solve the linearised equations for the changes (n + m + 1,); the last equation prescribes the change along
+        `plane`.
+        """
         q, lam, t = self._parts(y)
         p, delta = self.p, LOAD_STEP * self.span
         stiffness, jacobian = p.tangents(t, q, self.none, self.none, lam).stiffness, p.constraint_jacobian(t, q)
@@ -291,7 +297,7 @@ class _Follower:
     # ---- critical points -------------------------------------------------------------------------------------------
 
     def _critical(self, here: _Point, there: _Point, step: float) -> list[CriticalPoint]:
-        """Return the critical points between two points, in the order of the path."""
+        """Return the critical points between two points of the path, in order."""
         if here.tangent[-1] * there.tangent[-1] >= 0:
             return self._bifurcations(here, 0.0, step)
         turn = self._root(here, 0.0, step, lambda point: float(point.tangent[-1]))
@@ -301,8 +307,9 @@ class _Follower:
         return [*self._bifurcations(here, 0.0, before), limit, *self._bifurcations(here, after, step)]
 
     def _bifurcations(self, here: _Point, low: float, high: float) -> list[CriticalPoint]:
-        """Return the bifurcations between two distances from a point; the interval is halved until it contains only
-        one.
+        """Return the bifurcations between two distances from a point.
+
+        The interval is halved until it contains only one bifurcation.
         """
         first, last = (self._at(here, part)[0] if part else here for part in (low, high))
         change = abs(last.unstable - first.unstable)
@@ -316,7 +323,7 @@ class _Follower:
             place = self._root(
                 here, low, high, lambda point: distance_to_singular(self.prepared, self._state_of(point), border)
             )
-        except ValueError:  # two coinciding bifurcations, or a bordered matrix that is too far from its singular state
+        except ValueError:  # two bifurcations coincide, or the bordered matrix is too far from its singular state
             if high - low <= APART * LONGEST:
                 place = middle
             else:
@@ -325,7 +332,7 @@ class _Follower:
         return [self._described("bifurcation", found, singular_motion(self.prepared, self._state_of(found)))]
 
     def _root(self, here: _Point, low: float, high: float, value: Callable[[_Point], float]) -> float:
-        """Return the distance from a point at which a function of the points of the path is zero.
+        """Return the distance from a point at which a function of points of the path is zero.
 
         Raises
         ------
@@ -339,7 +346,7 @@ class _Follower:
         return float(brentq(at, low, high, xtol=LOCATED * (high - low)))
 
     def _described(self, kind: Kind, found: _Point, way: np.ndarray) -> CriticalPoint:
-        """Return a critical point where the mechanism leaves the path along `way` (n or more,)."""
+        """Return a critical point at which the mechanism leaves the path along `way` (n or more,)."""
         parts = way[: self.p.n].reshape(-1, 3)[:, :2]
         most = int(np.argmax(np.einsum("bx,bx->b", parts, parts)))
         return CriticalPoint(kind, found.t, found.q.reshape(-1, 3), self.p.bodies[most])

@@ -81,9 +81,9 @@ class BodyMotion:
 def kinematics(source: RunSource, **sections: Unpack[Sections]) -> Kinematics:
     """Compute the motion of a fully driven mechanism from its joints and drivers alone.
 
-    At each time, Newton's method closes the joints, and the linear equations for velocities and accelerations are
-    solved, all to rounding errors. Masses and forces have no influence. Between two recorded times a step is halved if
-    the new position is far from its extrapolation; this keeps the mechanism in the same assembly configuration.
+    At each time, Newton's method closes the joints, and then linear equations are solved for velocities and
+    accelerations, both to round-off. Masses and forces have no influence. A step between two recorded times is halved
+    if the new position is far from its extrapolation, which keeps the mechanism in the same assembly configuration.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class _Path:
             raise self.stopped(error) from error
 
     def go_to(self, t: float) -> None:
-        """Advance to time `t` [s] in steps that are halved if needed and doubled after each success."""
+        """Advance to time `t` [s] in steps that are halved if necessary, and doubled after each success."""
         whole = t - self.t
         step = whole
         while self.t < t:
@@ -194,7 +194,7 @@ class _Path:
 
 
 def _require_driven(prepared: PreparedMechanism) -> None:
-    """Raise SpecError, with the names of the free coordinates, unless the mechanism is fully driven."""
+    """Raise SpecError, with the names of the free coordinates, if the mechanism is not fully driven."""
     if prepared.freedoms == 0:
         return
     p = prepared.equations

@@ -61,14 +61,16 @@ def equilibrium_text(found: Equilibrium) -> str:
 
 
 def beam_ends(found: Equilibrium) -> list[tuple[str, list[float], list[float]]]:
-    """Return name, position and displacement from the start of the first and the last node of each beam."""
+    """Return name, position and displacement from the start for the first and the last node of each beam."""
     nodes = {name: [k for k, body in enumerate(found.bodies) if beam_of(body) == name] for name in found.beams}
     places = [place for own in nodes.values() for place in (own[0], own[-1])]
     return [(found.bodies[k], clean(found.position[k]), clean(found.displacement[k])) for k in places]
 
 
 def beam_rows(found: Equilibrium) -> list[tuple[str, ...]]:
-    """Return the internal forces of each beam at its ends and where their magnitudes are largest, as text."""
+    """Return as text the internal forces of each beam at its ends, and at the points where their magnitudes are
+    largest.
+    """
     rows = []
     for name, values in found.beams.items():
         largest = np.max(np.abs(values[:, 1:]))
@@ -94,7 +96,7 @@ def equilibrium_facts(found: Equilibrium) -> list[tuple[str, str]]:
 
 
 def sharing(found: Equilibrium) -> str:
-    """Return a remark on the reactions that are not unique; empty if all are unique."""
+    """Return a remark on reactions that are not unique; empty if all are unique."""
     if not found.shared:
         return ""
     return f"not unique, because joints are redundant: the reactions of {listed(found.shared, 'and')}"
@@ -139,7 +141,9 @@ def modes_text(found: Modes) -> str:
 
 
 def modes_facts(found: Modes) -> list[tuple[str, str]]:
-    """Return the state that modes belong to and the number of degrees of freedom, each with its label."""
+    """Return the state about which the modes are computed, and the number of degrees of freedom, each with its
+    label.
+    """
     speed, push = (float(np.max(np.abs(x), initial=0.0)) for x in (found.velocity, found.acceleration))
     if speed > AT_REST or push > AT_REST:
         what = " and ".join(
@@ -215,7 +219,7 @@ def kinematics_data(found: Kinematics) -> dict[str, Any]:
 
 
 def remark(value: complex) -> str:
-    """Return a remark on a mode that is not a steady or decaying oscillation; empty for one that is."""
+    """Return a remark on a mode that is not a steady or decaying oscillation; otherwise an empty text."""
     if value == 0:
         return "free: no restoring force"
     if value.imag == 0:
@@ -235,13 +239,13 @@ def _by_name(names: tuple[str, ...], rows: np.ndarray) -> dict[str, list[float]]
 
 
 def _some(rows: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return the heading and the first `SHOWN` rows, followed by the number of omitted rows."""
+    """Return the heading and the first `SHOWN` rows, followed by the number of rows left out."""
     more = len(rows) - 1 - SHOWN
     return rows if more <= 0 else [*rows[: SHOWN + 1], (f"and {more} more", *[""] * (len(rows[0]) - 1))]
 
 
 def clean(values: np.ndarray) -> list[float]:
-    """Return the numbers, with those that are only rounding errors of quantities of size 1 set to zero."""
+    """Return the numbers, with values that are rounding errors of quantities of size 1 set to zero."""
     return [0.0 if abs(x) < 1e-12 else x for x in values.tolist()]
 
 

@@ -22,7 +22,9 @@ NOISE = 64 * float(np.finfo(float).eps)
 """Rounding error of an eigenvalue per degree of freedom, relative to the largest eigenvalue."""
 
 SPREAD = 1e6
-"""The smaller eigenvalues are computed from the inverse matrix if the largest exceeds the smallest by this factor."""
+"""The smaller eigenvalues are computed from the inverse matrix if the ratio of the largest to the smallest exceeds
+this.
+"""
 
 FEW = 10
 """Default number of modes for a mechanism that is too large for a dense eigenvalue problem."""
@@ -48,7 +50,7 @@ class Linearization:
     stiffness, damping : (f, f) arrays
         Stiffness and damping in this basis, for unit mass [1/s^2, 1/s].
     states
-        Small motions of the first-order states; None if there are none.
+        Small motions of the first-order states; None if there are no such states.
     """
 
     time: float
@@ -62,7 +64,7 @@ class Linearization:
     states: CoupledStates | None = None
 
     def state_matrix(self) -> np.ndarray:
-        """Return the matrix A of the first-order form ``x' = A x`` with ``x = (y, y')``, followed by the first-order
+        """Return the matrix A of the first-order form ``x' = A x``, with ``x = (y, y')`` followed by the first-order
         states.
         """
         if self.states is not None:
@@ -95,7 +97,7 @@ class Modes(HtmlView):
     freedoms
         Number of degrees of freedom; driven coordinates are not free.
     mechanism
-        The mechanism, from which notebooks draw the modes.
+        The mechanism; notebooks use it to draw the modes.
     """
 
     time: float
@@ -154,8 +156,8 @@ def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpac
     source
         A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism.
     at
-        ``equilibrium``: at rest in the static equilibrium that `equilibrium` finds from the start; ``start``: at the
-        start itself, with its velocities.
+        ``equilibrium``: at rest in the static equilibrium that `equilibrium` finds from the initial state; ``start``:
+        in the initial state, with its velocities.
     **sections
         Sections of the spec that replace those of `source`.
 
@@ -207,8 +209,8 @@ def modes(
     source
         A file name, the name of a packaged example, a mapping, a RunSpec, or a Mechanism.
     at
-        ``equilibrium``: about the static equilibrium that `equilibrium` finds from the start; ``start``: about the
-        start, with its velocities, at this instant; see `linearize`.
+        ``equilibrium``: about the static equilibrium that `equilibrium` finds from the initial state; ``start``: about
+        the initial state, with its velocities, at this instant; see `linearize`.
     count
         Number of modes, in ascending order of frequency. Default: all, or ten for a mechanism of more than 500 bodies.
     **sections
@@ -292,14 +294,14 @@ def state_of(prepared: PreparedMechanism, at: Where) -> tuple[State, np.ndarray]
 def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the eigenvalues (K,) of ``y'' + damping y' + stiffness y = 0`` and their vectors (f, K).
 
-    Only the eigenvalue with positive imaginary part of a conjugate pair is returned, and one of the double eigenvalue
-    zero of an undamped motion without restoring force.
+    Of a conjugate pair, only the eigenvalue with positive imaginary part is returned. An undamped motion without
+    restoring force has a double eigenvalue zero, which is returned once.
 
     Without damping and with a symmetric stiffness, the symmetric problem of size f is solved; its eigenvalues are real,
     so that no rounding error appears as damping or growth. Otherwise the first-order form of size 2 f is solved, in the
-    basis of the undamped modes if the stiffness is symmetric. There, rounding errors would split a double zero into two
-    small non-zero values, so zeros are counted from the null space of the stiffness and the same number of smallest
-    eigenvalues is discarded.
+    basis of the undamped modes if the stiffness is symmetric. In this form, rounding errors would split a double zero
+    into two small non-zero values. Zeros are therefore counted from the null space of the stiffness, and the same
+    number of smallest eigenvalues is discarded.
     """
     f = len(stiffness)
     is_symmetric = np.linalg.norm(stiffness - stiffness.T) <= 1e-10 * float(np.linalg.norm(stiffness))
@@ -317,7 +319,7 @@ def oscillations(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray
 def _undamped(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the eigenvalues (f,) and eigenvectors (f, f) of a symmetric stiffness; zero where only round-off is left.
 
-    The lowest eigenvalues of slender beams are lost in the rounding errors of the largest one and recomputed by
+    The lowest eigenvalues of slender beams are lost in the rounding errors of the largest one. They are recomputed by
     Rayleigh's quotient, whose error is the round-off of its terms plus the square of the error of the eigenvector.
     """
     squares, vectors = eigh(stiffness)
@@ -354,17 +356,21 @@ def _first_order(stiffness: np.ndarray, damping: np.ndarray, loose: np.ndarray) 
 def _with_small_ones(
     squares: np.ndarray, damping: np.ndarray, values: np.ndarray, vectors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return eigenvalues and vectors of the first-order form with accurate small ones, for the stiffness ``squares``.
+    """Return eigenvalues and vectors of the first-order form, with accurate small eigenvalues; the stiffness is
+    ``squares``.
 
-    Rounding errors of eigenvalues are relative to the largest one. In beams with damped material these are so large
-    that the lowest ones are lost. For the inverse matrix, they are relative to the smallest one, so that the smaller
-    eigenvalues are computed from it. As in `mbdkit.mechanics.reduced.lowest`, a shift keeps the inverse regular.
+    Rounding errors of eigenvalues are relative to the largest one. In beams with damped material, this is so large that
+    the
+    lowest eigenvalues are lost. Rounding errors of the eigenvalues of the inverse matrix are relative to the smallest
+    eigenvalue, so the smaller eigenvalues are computed from the inverse. As in `mbdkit.mechanics.reduced.lowest`, a
+    shift
+    keeps the inverse regular.
     """
     f = len(squares)
     shift = 0.5 * np.sqrt(np.min(squares[squares > 0]))
     if np.max(np.abs(values)) <= SPREAD * shift:
         return values, vectors
-    matrix = np.diag(squares + shift**2) + shift * damping  # of the equation for the positions
+    matrix = np.diag(squares + shift**2) + shift * damping  # matrix of the equation for the positions
     scale = 1 / np.sqrt(np.diag(matrix))
     inverse = scale[:, None] * np.linalg.inv(scale[:, None] * matrix * scale) * scale
     by_position = (inverse * squares - np.eye(f)) / shift  # -(damping + shift) / matrix
@@ -385,12 +391,12 @@ def _few(prepared: PreparedMechanism, state: State, count: int) -> tuple[np.ndar
             f"a mechanism of {len(prepared.equations.bodies)} bodies is too large to be linearised while it moves "
             f"(limit: {DENSE // 3} bodies); linearise it about its equilibrium instead"
         )
-    if 2 * count + 8 > prepared.freedoms:  # ARPACK finds only a part of the spectrum
+    if 2 * count + 8 > prepared.freedoms:  # ARPACK can find only a part of the spectrum
         raise prepared.error(
             f"at most {prepared.freedoms // 2 - 4} modes can be computed for a mechanism of this size", key=""
         )
     values, shapes = lowest(prepared, state, 2 * count + 2)
-    # A real part this small is rounding error of the iteration; without this, undamped modes would seem to grow.
+    # A real part this small is a rounding error of the iteration; otherwise, undamped modes would seem to grow.
     values = np.where(np.abs(values.real) <= 1e-9 * np.abs(values), 1j * values.imag, values)
     once = np.flatnonzero(values.imag >= 0)
     once = once[np.argsort(np.abs(values[once]))][:count]
@@ -403,7 +409,7 @@ def _normalised(shapes: np.ndarray, mass: np.ndarray) -> np.ndarray:
     phase = np.take_along_axis(shapes, largest[None], axis=0)
     shapes = shapes * (np.abs(phase) / np.where(phase == 0.0, 1.0, phase))
     norm = np.sqrt(np.sum(mass[:, None] * np.abs(shapes) ** 2, axis=0))
-    norm = np.where(norm == 0.0, 1.0, norm)  # a motion of first-order states alone
+    norm = np.where(norm == 0.0, 1.0, norm)  # a motion of first-order states alone has no such norm
     normalised: np.ndarray = shapes / norm
     return normalised
 

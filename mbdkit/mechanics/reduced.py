@@ -1,8 +1,8 @@
 """Linearised equations along the degrees of freedom: stiffness and damping on the constraint manifold.
 
 A mechanism of up to `DENSE` coordinates is reduced to its degrees of freedom with an orthogonal basis of the null space
-of the constraint Jacobian. The equations of a larger one stay sparse, and ARPACK finds a few of its modes by inverse
-iteration.
+of the constraint Jacobian. The equations of larger mechanisms remain sparse, and ARPACK finds a few of their modes by
+inverse iteration.
 """
 
 from __future__ import annotations
@@ -26,13 +26,15 @@ NEGATIVE = 1e-6
 """Tolerance of the search for a negative stiffness, relative to the eigenvalue closest to zero."""
 
 BLURRED = 1e-10
-"""An eigenvalue of a dense matrix below this share of the largest one may have rounding errors above one per cent."""
+"""An eigenvalue of a dense matrix below this share of the largest one may have a relative rounding error above one per
+cent.
+"""
 
 SYMMETRIC = 1e-15
-"""The skew part of a matrix below this share of the largest entry is rounding error."""
+"""A skew part of a matrix below this share of the largest entry is attributed to rounding."""
 
 PILOTS = 3
-"""Number of inverse iterations that estimate the lowest frequency."""
+"""Number of inverse iterations used to estimate the lowest frequency."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,9 @@ class Reduced:
 
 
 def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
-    """Return a mechanism for statics: its first-order states, if there are any, follow from its position."""
+    """Return a mechanism for statics, in which the first-order states, if there are any, are functions of the
+    position.
+    """
     mechanism = prepared.workspace.mechanism
     if mechanism.contact_treatment.is_rigid:
         message = "an analysis of a mechanism at rest needs compliant contacts: use `treatment: compliant`"
@@ -82,7 +86,7 @@ def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
 
 
 def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np.ndarray) -> CoupledStates:
-    """Return the small motions of the first-order states about a state with the values `z` (Z,)."""
+    """Return the small motions of the first-order states about a state in which their values are `z` (Z,)."""
     states = StatesAtRest(prepared.workspace, prepared.equations)
     force, by_state = states.by_states(at.t, at.q, at.v, z)
     by_position, by_velocity = states.rates_by_motion(at.t, at.q, at.v, z)
@@ -125,8 +129,8 @@ def at_rest(prepared: PreparedMechanism, q: np.ndarray, lam: np.ndarray) -> Stat
 def least_stiffness(prepared: PreparedMechanism, at: State) -> float:
     """Return the lowest eigenvalue of the stiffness along the degrees of freedom, at rest [1/s^2].
 
-    Nodes of slender beams have so little inertia that the largest eigenvalues are 1e15 times the lowest one, which is
-    then lost in their rounding errors; inverse iteration recovers it.
+    Nodes of slender beams have so little inertia that the largest eigenvalues can be 1e15 times the lowest one. The
+    lowest one is then lost in their rounding errors, and is recovered by inverse iteration.
     """
     if prepared.equations.n <= DENSE:
         values = _eigenvalues(reduce(prepared, at).stiffness)
@@ -145,9 +149,9 @@ def _eigenvalues(stiffness: np.ndarray) -> np.ndarray:
 
 
 def softest_motion(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
-    """Return the lowest stiffness at rest, for unit mass [1/s^2], and the motion (n,) along which it acts.
+    """Return the lowest stiffness at rest, for unit mass [1/s^2], and the motion (n,) that has this stiffness.
 
-    For mechanisms of up to `DENSE` coordinates.
+    Only for mechanisms of up to `DENSE` coordinates.
     """
     small = reduce(prepared, at)
     values, vectors = np.linalg.eigh(0.5 * (small.stiffness + small.stiffness.T))
@@ -162,7 +166,7 @@ def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
 
 
 def softest_scale(prepared: PreparedMechanism, at: State) -> float:
-    """Return the sum of the sizes of the terms of the lowest stiffness at rest, for unit mass [1/s^2].
+    """Return the sum of the magnitudes of the terms of the lowest stiffness at rest, for unit mass [1/s^2].
 
     Rounding errors of the lowest stiffness are proportional to this sum. For mechanisms that are too large to be
     reduced, the result is the largest stiffness of a single coordinate instead.
@@ -182,7 +186,7 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
     Parameters
     ----------
     count
-        Number of eigenvalues; both members of a conjugate pair count.
+        Number of eigenvalues; both eigenvalues of a conjugate pair are counted.
     """
     from scipy.sparse.linalg import LinearOperator, eigs
 
@@ -210,9 +214,8 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
 def _pilot(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
     """Return an estimate of the square of the lowest frequency [1/s^2] and of its mode shape (n,).
 
-    The estimate is the Rayleigh quotient after `PILOTS` inverse iterations from a random vector. The shift and the
-    lower bound of 1e-9, relative to the quotient of the start vector, keep the matrix regular if a motion has no
-    stiffness.
+    The estimate is the Rayleigh quotient after `PILOTS` inverse iterations from a random vector. The shift, and a lower
+    bound of 1e-9 relative to the quotient of the start vector, keep the matrix regular if a motion has no stiffness.
     """
     p = prepared.equations
     state, no_rows = (at.t, at.q, at.v, at.a, at.lam), np.zeros(p.m)
@@ -229,12 +232,15 @@ def _pilot(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
 
 
 def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float:
-    """Return the lowest eigenvalue of a large mechanism [1/s^2]; if any are negative, the negative one closest to zero.
+    """Return the lowest eigenvalue of a large mechanism [1/s^2]; if some are negative, the negative one closest to
+    zero.
 
-    ARPACK first finds the eigenvalue of the inverse with the largest absolute value. If it is positive, a second search
-    looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse lie close to zero, where a relative
-    tolerance requires more accuracy than is needed. The second search therefore adds the first eigenvalue as a shift;
-    the tolerance `NEGATIVE` is then relative to that.
+    ARPACK first finds the eigenvalue of the inverse matrix with the largest absolute value. If it is positive, a second
+    search looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse are close to zero, where a
+    relative
+    tolerance would require more accuracy than is needed. The second search therefore adds the first eigenvalue as a
+    shift, so
+    that the tolerance `NEGATIVE` is relative to this eigenvalue.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -260,14 +266,14 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
 
 
 INVERSE_ITERATIONS = 3
-"""Inverse iterations that find the motion along which a matrix is almost singular."""
+"""Number of inverse iterations used to find the motion for which a matrix is almost singular."""
 
 
 def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
     """Return the number of independent motions along which an equilibrium is unstable.
 
-    For mechanisms of more than `DENSE` coordinates, the result is 1 if there are any, and else 0. If follower forces
-    make the stiffness unsymmetric, the eigenvalues with negative real part are counted.
+    For mechanisms of more than `DENSE` coordinates, the result is 1 if there are any such motions, and otherwise 0. If
+    follower forces make the stiffness unsymmetric, the eigenvalues with negative real part are counted.
     """
     if not prepared.freedoms:
         return 0
@@ -278,15 +284,16 @@ def unstable_motions(prepared: PreparedMechanism, at: State) -> int:
         return int(np.sum(np.linalg.eigvals(reduce(prepared, at).stiffness).real < 0))
     _, blocks, _ = ldl(
         0.5 * (matrix + matrix.T)
-    )  # eigenvalues of the blocks of one or two rows; the number of negative ones is the same
+    )  # eigenvalues of the blocks of one or two rows; the matrix has the same number of negative ones
     signs = eigvalsh_tridiagonal(np.diag(blocks).copy(), np.diag(blocks, 1).copy())
     return int(np.sum(signs < 0)) - prepared.equations.m
 
 
 def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np.ndarray]:
-    """Return the matrix of statics (n + m, n + m), scaled to largest entries near 1, and the factors of its columns.
+    """Return the matrix of statics (n + m, n + m), scaled so that the largest entries are near 1, and its column
+    factors.
 
-    The angles of point masses, which have no stiffness, are given an artificial one.
+    The angles of point masses, which have no stiffness, are given an artificial stiffness.
     """
     p = prepared.equations
     stiffness = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness + diags_array(prepared.held.astype(float))
@@ -302,7 +309,7 @@ def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np
 
 
 def singular_motion(prepared: PreparedMechanism, at: State) -> np.ndarray:
-    """Return the solution (n + m,) of the homogeneous equations of statics near a singular state."""
+    """Return the motion (n + m,) that solves the homogeneous equations of statics, near a singular state."""
     matrix, factors = static_matrix(prepared, at)
     lu = splu(matrix + 1e-14 * diags_array(np.ones(matrix.shape[0]), format="csc"))
     x = np.random.default_rng(0).standard_normal(matrix.shape[0])
@@ -315,9 +322,11 @@ def singular_motion(prepared: PreparedMechanism, at: State) -> np.ndarray:
 def distance_to_singular(prepared: PreparedMechanism, at: State, border: np.ndarray) -> float:
     """Return a smooth function of a state that changes its sign where the matrix of statics is singular.
 
-    It is the last unknown of the matrix with `border` (n + m,) as a further row and column, with a right-hand side that
-    is 1 in the last row only; by Cramer's rule, it is the ratio of the determinants (Govaerts, Numerical Methods for
-    Bifurcations of Dynamical Equilibria, section 3.2).
+    The matrix is extended by `border` (n + m,) as an additional row and column, and the right-hand side is 1 in the
+    last row
+    only. The function is the last unknown; by Cramer's rule, it is the ratio of the two determinants (Govaerts,
+    Numerical
+    Methods for Bifurcations of Dynamical Equilibria, section 3.2).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Load a spec or mechanism from any accepted source and prepare its equations at the consistent start."""
+"""Loads a spec or mechanism from any accepted source, and prepares its equations in the consistent initial state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mbdkit.spec import InverseSpec, RunSpec, load_spec
 from mbdkit.spec.model_spec import ModelSpec
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
-"""Sections that a spec requires but these analyses do not use; added to a bare `Mechanism`."""
+"""Sections that a spec requires but these analyses do not use; they are added for a bare `Mechanism`."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,15 @@ class AssembledMechanism:
 
     @property
     def held(self) -> np.ndarray:
-        """Mask (n,) of the coordinates without meaning: the angles of point masses."""
+        """Mask (n,) of the coordinates without meaning, which are the angles of point masses."""
         bodies = self.spec.mechanism().bodies.values()
         return np.array([(False, False, body.inertia is None) for body in bodies], dtype=bool).ravel()
 
     @property
     def extent(self) -> float:
-        """Size of the mechanism at its start [m]: extent of the centres of mass, at least the characteristic length."""
+        """Extent of the centres of mass in the initial state, at least the characteristic length of the mechanism
+        [m].
+        """
         centres = self.equations.q0.reshape(-1, 3)[:, :2]
         return max(float(np.max(np.ptp(centres, axis=0))), self.workspace.mechanism.length)
 
@@ -87,7 +89,8 @@ class PreparedMechanism(AssembledMechanism):
 
     @classmethod
     def of(cls, source: Any, overrides: Iterable[str] = (), **sections: Any) -> PreparedMechanism:
-        """Prepare a mechanism from any source that `mbdkit.run` accepts; a `Mechanism` needs no other sections.
+        """Prepare a mechanism from any source that `mbdkit.run` accepts; for a `Mechanism`, no other sections are
+        needed.
 
         Raises
         ------

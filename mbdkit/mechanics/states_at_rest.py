@@ -5,7 +5,7 @@ equilibrium tries. The forces are then a function of q alone, with the stiffness
 
     K = -dQ/dq + Q_z g_z^-1 g_q
 
-The derivatives of Q by z, and those of g, are differences of order 8.
+The derivatives of Q by z, and those of g, are computed by differences of order 8.
 """
 
 from __future__ import annotations
@@ -26,14 +26,17 @@ MOST_ITERATIONS = 50
 """Largest number of Newton steps for the states at rest."""
 
 SMALL, STALLED, NEGLIGIBLE = 1e-15, 0.5, 1e-9
-"""Newton's method for the states has converged if their relative change is at most `SMALL`; or if it is at most
-`NEGLIGIBLE` and at least `STALLED` times the previous change, which is then round-off."""
+"""Criteria of convergence of Newton's method for the states.
+
+The method has converged if the relative change of the states is at most `SMALL`. It has also converged if the change is
+at most `NEGLIGIBLE`, and at least `STALLED` times the previous change, so that it is round-off.
+"""
 
 LEAST = 1e-6
-"""For relative changes, the size of each state is at least this share of the largest state."""
+"""In relative changes, the size assumed for each state is at least this share of the largest state."""
 
 DISTANCE = 2.0**-10
-"""Distance of the points of differences, as a share of 1 rad, of the size of the mechanism, or of a state."""
+"""Distance between the points of differences, as a share of 1 rad, of the size of the mechanism, or of a state."""
 
 PLACES = (-4, -3, -2, -1, 1, 2, 3, 4)
 WEIGHTS = (1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280)
@@ -41,14 +44,14 @@ WEIGHTS = (1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280)
 
 
 class StatesAtRest:
-    """The first-order states of a mechanism, for given positions.
+    """The first-order states of a mechanism at given positions.
 
     Parameters
     ----------
     workspace
         The mechanism at its start.
     equations
-        Its equations of motion.
+        The equations of motion of the mechanism.
     """
 
     def __init__(self, workspace: Workspace, equations: EquationsOfMotion):
@@ -83,7 +86,7 @@ class StatesAtRest:
         return self._p.forces(t, q, v)
 
     def use(self, z: np.ndarray) -> None:
-        """Use these states in what is evaluated next."""
+        """Use these states in later evaluations."""
         self._workspace.take_states(z)
 
     def solve(self, t: float, q: np.ndarray) -> np.ndarray:
@@ -92,7 +95,7 @@ class StatesAtRest:
         Raises
         ------
         StepError
-            If there are no such states, or if they do not follow from the position.
+            If there are no such states, or if the position does not determine them.
         """
         rest, z, before = np.zeros_like(q), self.z.copy(), np.inf
         for _ in range(MOST_ITERATIONS):
@@ -148,15 +151,16 @@ class StatesAtRest:
 
 @dataclass(frozen=True)
 class CoupledStates:
-    """Small motions of first-order states about a state: ``z' = by_position y + by_velocity y' + by_state z``, with
-    the accelerations ``force z`` of the degrees of freedom y.
+    """Small motions of first-order states: ``z' = by_position y + by_velocity y' + by_state z``.
+
+    The states cause the accelerations ``force z`` of the degrees of freedom y.
 
     Attributes
     ----------
     names
         Names of the Z states.
     force : (f, Z) array
-        Accelerations by each state.
+        Derivatives of the accelerations by the states.
     by_position, by_velocity, by_state : (Z, f), (Z, f) and (Z, Z) arrays
         Derivatives of the rates.
     """
@@ -168,7 +172,7 @@ class CoupledStates:
     by_state: np.ndarray
 
     def matrix(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
-        """Return the matrix of the first-order form of all, for ``(y, y', z)``."""
+        """Return the matrix of the first-order form of the coupled equations, for ``(y, y', z)``."""
         f, count = len(stiffness), len(self.names)
         return np.block(
             [
@@ -180,7 +184,7 @@ class CoupledStates:
 
 
 class StaticEquations(EquationsOfMotion):
-    """Equations of motion at rest, in which first-order states have the values of rest at each position."""
+    """Equations of motion at rest, in which first-order states have their values at rest for each position."""
 
     def __init__(self, workspace: Workspace):
         super().__init__(workspace)
@@ -192,7 +196,9 @@ class StaticEquations(EquationsOfMotion):
         return super().residual(t, q, v, a, lam)
 
     def tangents(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> Tangents:
-        """See `EquationsOfMotion.tangents`; the stiffness is that of slow motions, which the states follow."""
+        """See `EquationsOfMotion.tangents`; the stiffness is that of slow motions, in which the states stay at their
+        values at rest.
+        """
         states = self.states
         z = states.solve(t, q)
         force, rate = states.by_states(t, q, v, z)

@@ -1,6 +1,7 @@
 """Integration methods as data: coefficients, options, claims and references, one method in a file.
 
-The algorithms are in `mbdkit.stepping`. The hash of kernel sources excludes this folder: an edit recompiles nothing.
+The algorithms are in `mbdkit.stepping`. The hash of kernel sources excludes this folder, so that an edit does not cause
+recompilation.
 
 A file that defines ``FAMILY`` and ``INTEGRATORS`` adds its methods to mbdkit; see `integrators`.
 """
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from mbdkit.registry.items import IntegratorPlugin
 
 FAMILIES = ("explicit", "taylor", "collocation", "partitioned", "scipy")
-"""Values of ``FAMILY`` in a module of a method, in the order in which `integrators` lists them; others come last."""
+"""Values of ``FAMILY`` in a module of a method, in the order in which `integrators` lists them; other values come
+last.
+"""
 
 
 def integrators() -> list[IntegratorPlugin]:
@@ -25,8 +28,8 @@ def integrators() -> list[IntegratorPlugin]:
     Returns
     -------
     list of IntegratorPlugin
-        Sorted by family, then by the order of convergence with default options, then by name. Integrators of one module
-        keep their order; the first one determines the position of the module in the list.
+        Sorted by family, then by the order of convergence with default options, then by name. The integrators of a
+        module stay together in their order; the first one determines their position in the list.
     """
     names = sorted(module.name for module in pkgutil.iter_modules(__path__, f"{__name__}."))
     modules = [importlib.import_module(name) for name in names]

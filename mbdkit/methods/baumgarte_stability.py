@@ -1,4 +1,5 @@
-"""Numerical stability of Baumgarte's terms: whether a method is stable for e'' + 2 alpha e' + beta^2 e = 0 at its step.
+"""Numerical stability of Baumgarte's terms: whether a method is stable for e'' + 2 alpha e' + beta^2 e = 0 with its
+step size.
 
 If the motion is slow compared with Baumgarte's terms, a constraint error e satisfies this linear equation, whose
 eigenvalues are -alpha +- sqrt(alpha^2 - beta^2). In a step of size h, a Runge-Kutta method multiplies the error by its
@@ -17,11 +18,11 @@ from mbdkit.methods.kinds import Method
 from mbdkit.registry.items import Claims
 
 Growth = Callable[[float], float]
-"""Growth factor of an error in a step, or in an iteration, as a function of the step size [s]."""
+"""Function from the step size [s] to the growth factor of an error in a step, or in an iteration."""
 
 
 def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabilization, step: float | None) -> str:
-    """Return a warning if Baumgarte's terms are unstable with a fixed step; empty otherwise.
+    """Return a warning if Baumgarte's terms are unstable with a fixed step; otherwise an empty text.
 
     Parameters
     ----------
@@ -47,8 +48,8 @@ def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabiliza
 
 
 def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Growth, str]:
-    """Return the growth factor of an error as a function of the step, and a clause that names the iteration to which it
-    applies.
+    """Return the growth factor of an error as a function of the step, and a clause that names the iteration it applies
+    to.
     """
     alpha, beta = wanted.alpha, wanted.beta
     root = np.sqrt(complex(alpha**2 - beta**2))
@@ -77,7 +78,7 @@ def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Grow
 
 
 def _limit(growth: Growth, step: float) -> float:
-    """Return the largest stable step [s], which is below the unstable `step`."""
+    """Return the largest stable step [s]; `step` is a step that is unstable."""
     sizes = step * np.linspace(0.0, 1.0, 2001)[1:]
     first = next(i for i, size in enumerate(sizes) if growth(size) >= 1)
     low, high = sizes[first] - sizes[0], sizes[first]

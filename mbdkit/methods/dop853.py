@@ -157,7 +157,7 @@ _A: tuple[dict[int, float], ...] = (
 """Coefficients of each stage, row by row; the entries of the 13th row are the weights b of the step."""
 
 _B3 = {0: 0.244094488188976377952755905512, 8: 0.733846688281611857341361741547, 11: 0.0220588235294117647058823529412}
-"""Weights of the formula of order 3, whose difference from b is the second estimate."""
+"""Weights of the formula of order 3; its difference from b is the second error estimate."""
 
 _E5 = {
     0: 0.01312004499419488073250102996,

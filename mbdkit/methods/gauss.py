@@ -67,8 +67,9 @@ class GaussOptions(ImplicitOptions):
 
 
 def _claims(options: GaussOptions) -> Claims:
-    # A step size that depends on earlier steps differs in the reversed motion, so adaptive steps are neither symmetric
-    # nor symplectic; every single step still conserves quadratic invariants.
+    # A step size that depends on earlier steps differs in the reversed motion. Adaptive steps are therefore neither
+    # symmetric
+    # nor symplectic, although every single step conserves quadratic invariants.
     fixed = not options.adaptive
     return Claims(
         order=2 * options.stages if fixed else None,

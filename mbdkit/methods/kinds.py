@@ -1,7 +1,7 @@
 """Descriptions of integration methods. The `create` function of an integrator plugin returns one of these objects.
 
-Each has traits, by which the rest of mbdkit decides what can be done with it. `mbdkit.stepping.start.start_method`
-creates the stepper that executes it, by its family.
+Each description has traits, by which the rest of mbdkit decides what can be done with the method.
+`mbdkit.stepping.start.start_method` creates the stepper that executes the method, depending on its family.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class Tolerances:
     Parameters
     ----------
     rtol, atol
-        Relative, and absolute [m, rad, m/s, rad/s].
+        Relative tolerance, and absolute tolerance [m, rad, m/s, rad/s].
     max_step
-        Largest step [s]; None: no limit.
+        Largest step [s]; None for no limit.
     by_size
-        Whether `atol` is the default, which applies to lengths in units of the mechanism's characteristic length if
-        that is below 1 m; see `mbdkit.stepping.step_control.unit_of_length`.
+        Whether `atol` has its default value. For lengths, the default is multiplied by the mechanism's characteristic
+        length if that is below 1 m; see `mbdkit.stepping.step_control.unit_of_length`.
     """
 
     rtol: float
@@ -55,35 +55,35 @@ class LocalError:
 
 @dataclass(frozen=True)
 class Traits:
-    """What the rest of mbdkit knows about a method, whatever its class.
+    """Properties of a method that the rest of mbdkit uses, independent of the class of the method.
 
     Parameters
     ----------
     family
         Key of the method's algorithm in the tables of `mbdkit.stepping.start` and `mbdkit.stepping.lane_stepper`.
     tableau
-        Its tableau; None if it is no Runge-Kutta method, or the tableau is not known.
+        Tableau of the method; None if it is not a Runge-Kutta method, or the tableau is not known.
     tolerances
         Tolerances of controlled steps; None for fixed steps.
     local_error
         How the error of a step is estimated, if compiled code controls the step size.
     is_explicit
-        Whether a step takes accelerations at known states only. False for methods of which this is not known.
+        Whether a step evaluates accelerations at known states only. False if this is not known.
     suits_stiff
-        Whether the method is chosen for stiff mechanisms, in which only implicit methods can verify it.
+        Whether the method is intended for stiff mechanisms, in which only implicit methods can verify it.
     iterates_without_tangents
         Whether stages are solved by fixed-point iteration.
     own_multipliers
-        Whether the method computes multipliers itself: in runs of any formulation, of those that solve for them
-        together with the accelerations, or never.
+        In which runs the method computes multipliers itself: in runs with any formulation, only in runs with a
+        formulation whose stages solve for multipliers, or never.
     has_lanes, has_derivatives
-        Whether runs can be advanced in lanes, and steps be differentiated by parameters.
+        Whether runs can be advanced in SIMD lanes, and whether steps can be differentiated by parameters.
     can_be_projected
         Whether states may be changed between the steps.
     is_time_stepping
-        Whether velocities may jump in any step, so that it integrates contacts without locating impacts.
+        Whether velocities may jump in any step, so that the method integrates contacts without locating impacts.
     why_no_checkpoint
-        Why the state of a run cannot be stored, as a clause; empty if it can.
+        Reason why the state of a run cannot be stored, as a clause; empty if it can.
     """
 
     family: str
@@ -108,18 +108,18 @@ class Traits:
 
 
 class Method(ABC):
-    """Base of all descriptions of methods."""
+    """Base class of all descriptions of methods."""
 
     @property
     @abstractmethod
     def traits(self) -> Traits:
-        """What the rest of mbdkit knows about the method."""
+        """Properties of the method that the rest of mbdkit uses."""
 
     def require_formulation(self, formulation: Formulation) -> None:  # noqa: B027
-        """Raise TableauError unless the steps can be taken on a formulation that the claims allow."""
+        """Raise TableauError if the steps cannot be taken with a formulation that the claims allow."""
 
     def require_mechanism(self, mechanism: CompiledMechanism) -> None:  # noqa: B027
-        """Raise UnsupportedMechanismError unless the method supports all elements of a mechanism."""
+        """Raise UnsupportedMechanismError if the method does not support an element of a mechanism."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class ExplicitRungeKutta(Method):
     pair
         Error estimates and dense output, if there are any.
     tolerances
-        For a controlled step size, which requires a `pair`; None: fixed steps.
+        Tolerances for a controlled step size, which requires a `pair`; None for fixed steps.
     """
 
     tableau: ButcherTableau
@@ -170,7 +170,7 @@ class TaylorSeries(Method):
     order
         Order of the series of velocities, 4 or more.
     tolerances
-        For a controlled step size; None: fixed steps.
+        Tolerances for a controlled step size; None for fixed steps.
     """
 
     order: int
@@ -205,13 +205,13 @@ class ImplicitRungeKutta(Method):
     stage_solver
         Simplified Newton on accelerations and multipliers, or fixed-point iteration on accelerations.
     tolerance
-        Change of the stage accelerations, relative to their size, at which the iteration ends; None: at stagnation, or
-        with `tolerances` at a small fraction of these.
+        Change of the stage accelerations, relative to their size, at which the iteration ends. If None, it ends at
+        stagnation or, with `tolerances`, at a small fraction of these.
     max_iterations
-        Largest number of iterations in one step, after which the step fails; None: 50, or more for fixed steps that
+        Largest number of iterations in one step, after which the step fails. If None, 50, or more for fixed steps that
         converge slowly and would fail otherwise.
     tolerances
-        For a controlled step size, which requires a collocation method; None: fixed steps.
+        Tolerances for a controlled step size, which requires a collocation method; None for fixed steps.
     """
 
     tableau: ButcherTableau
@@ -273,9 +273,10 @@ class LobattoPair(Method):
     stages
         2 (RATTLE) or 3.
     tolerance
-        Expected change of positions, relative to their size, at which the iteration ends; None: at stagnation.
+        Expected change of positions, relative to their size, at which the iteration ends. If None, it ends at
+        stagnation.
     max_iterations
-        Largest number of iterations in one step, after which the step fails; None: see `ImplicitRungeKutta`.
+        Largest number of iterations in one step, after which the step fails. For None, see `ImplicitRungeKutta`.
     """
 
     stages: int
@@ -338,10 +339,10 @@ class StepState:
         Any other data that the method needs in its next step; None before the first step, and before a step that begins
         at a discontinuity of a motion or load. Must not be modified in place.
     work, dissipated
-        Work of loads and drivers, and dissipated energy, during the step that ends here, integrated with the weights
-        of the method [J]; with None the framework integrates them.
+        Work of loads and drivers, and dissipated energy, during the step that ends in this state, integrated with the
+        weights of the method [J]. If None, the framework integrates them.
     low
-        Low parts of the sums computed by `moved`; for internal use.
+        Compensation terms of the sums computed by `moved`; for internal use.
     """
 
     q: np.ndarray
@@ -378,12 +379,13 @@ class StepState:
 
 
 class StepMethod(Method):
-    """Base of a method with fixed steps that is written in Python, one step at a time.
+    """Base class of methods with fixed steps that are written in Python, one step at a time.
 
-    A subclass has its options as attributes and no attribute that changes: data that one step passes to the next belong
-    in the state. The method is used for the formulations named in its claims. If a run uses projection, the framework
-    changes positions and velocities between the steps and leaves the other fields of the state, including `memory`,
-    unchanged. If a method cannot work in this way, it does not claim projection among its `stabilizations`.
+    A subclass has its options as attributes, and no attributes that change: data that one step passes to the next
+    belong to
+    the state. The method is used with the formulations named in its claims. If a run uses projection, the framework
+    changes positions and velocities between the steps, and does not change the other fields of the state, including
+    `memory`. A method that cannot work in this way must not claim projection among its `stabilizations`.
 
     Attributes
     ----------
@@ -424,10 +426,10 @@ class StepMethod(Method):
         t
             Time at the beginning of the step [s].
         state
-            State at `t`. It may be used for another step, so it must not be changed.
+            State at `t`. It must not be changed, because it may be used for another step.
         h
             Size of the step [s]. Shorter steps occur at the end of a run, at discontinuities of motions or loads, and
-            when an event is located; the latter start from the beginning of the last step.
+            when an event is located; in the last case they start from the beginning of the last step.
 
         Returns
         -------

@@ -84,7 +84,7 @@ FAMILY = "partitioned"
 INTEGRATORS = (
     IntegratorPlugin(
         name="rattle",
-        summary="RATTLE: order 2, symmetric, symplectic, holds positions and velocities on the joints, fixed steps.",
+        summary="RATTLE: order 2, symmetric, symplectic, no drift of positions and velocities, fixed steps.",
         options=RattleOptions,
         create=lambda options: LobattoPair(2, options.tolerance, options.max_iterations),
         claims=lambda options: _claims(2),
@@ -92,7 +92,7 @@ INTEGRATORS = (
     ),
     IntegratorPlugin(
         name="lobatto-pair",
-        summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, holds joints, fixed steps.",
+        summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, no drift, fixed steps.",
         options=PairOptions,
         create=lambda options: LobattoPair(options.stages, options.tolerance, options.max_iterations),
         claims=lambda options: _claims(options.stages),

@@ -25,7 +25,7 @@ TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows th
 EXPLICIT_FORMULATIONS = ("index-1", "joint-coordinates")
 """Formulations whose equations are ordinary differential equations."""
 OF_TREES = "; with joint-coordinates, joints of the spanning tree hold to round-off"
-"""Clause that explicit methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
+"""Clause on joint coordinates that explicit methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
 
 HAIRER_NORSETT_WANNER = """@book{hairer1993,
   author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
@@ -38,11 +38,11 @@ HAIRER_WANNER = """@book{hairer1996,
   edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
 
 MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
-"""Largest step [s]; None: no limit."""
+"""Largest step [s]; None for no limit."""
 
 
 class Options(StrictModel):
-    """Base of the options of the built-in methods."""
+    """Base class of the options of the built-in methods."""
 
 
 class ExplicitOptions(Options):

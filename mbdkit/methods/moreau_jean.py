@@ -73,12 +73,12 @@ FAMILY = "moreau-jean"
 INTEGRATORS = (
     IntegratorPlugin(
         name="moreau-jean",
-        summary="Moreau and Jean: time-stepping for rigid contacts, order 1, holds joints and gaps, fixed steps.",
+        summary="Moreau and Jean: time-stepping for rigid contacts, order 1, no drift of joints and gaps, fixed steps.",
         options=MoreauJeanOptions,
         create=lambda options: MoreauJean(options.theta),
         claims=lambda options: Claims(
             order=1,
-            drift="positions meet the joints to round-off, velocities to the order of the step",
+            drift="positions satisfy the constraints to round-off, velocities to the order of the step",
             constraints_hold=("position",),
             needs=("tangents",),
         ),
@@ -91,7 +91,7 @@ INTEGRATORS = (
         create=lambda options: GeneralizedAlpha(options.spectral_radius),
         claims=lambda options: Claims(
             order=2,
-            drift="positions meet the joints to round-off, velocities to the order of the step",
+            drift="positions satisfy the constraints to round-off, velocities to the order of the step",
             constraints_hold=("position",),
             needs=("tangents",),
         ),

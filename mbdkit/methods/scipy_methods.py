@@ -47,7 +47,9 @@ def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolve
 
 
 def _scipy(name: str, solver: str, summary: str, reference: str, *, jacobian: bool = False) -> IntegratorPlugin:
-    """Return the integrator of a solver class of SciPy; `jacobian` says whether it uses the Jacobian of the rates."""
+    """Return the integrator for a solver class of SciPy; `jacobian` is whether the solver uses the Jacobian of the
+    rates.
+    """
     needs = ("accelerations", "tangents") if jacobian else ("accelerations",)
     return IntegratorPlugin(
         name=name,

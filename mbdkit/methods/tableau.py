@@ -108,7 +108,7 @@ def rooted_trees(order: int) -> tuple[Tree, ...]:
 
 @dataclass(frozen=True)
 class ButcherTableau:
-    """Coefficients of a Runge-Kutta method. Row sums and the conditions of the claimed order are checked.
+    """Coefficients of a Runge-Kutta method. Row sums and the order conditions up to the claimed order are checked.
 
     Parameters
     ----------
@@ -410,7 +410,7 @@ def collocation(name: str, nodes: Sequence[Coefficient], order: int, reference: 
 
 @dataclass(frozen=True, eq=False)
 class EmbeddedPair:
-    """Error estimates and dense output of an explicit tableau with S stages; compared by identity.
+    """Error estimates and dense output of an explicit tableau with S stages; objects are compared by identity.
 
     Parameters
     ----------

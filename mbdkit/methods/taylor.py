@@ -26,7 +26,9 @@ JORBA_ZOU = """@article{jorba2005,
 FIXED_ORDER = 8
 """Order of fixed steps by default."""
 LEAST, PER_DIGIT = 4.0, 0.75
-"""Order of adaptive steps at ``rtol = 1``, and per -ln(rtol): close to the fastest on the double pendulum."""
+"""Order of adaptive steps at ``rtol = 1``, and its increase per -ln(rtol); close to the fastest for the double
+pendulum.
+"""
 
 
 class TaylorOptions(ControlledOptions):

@@ -91,8 +91,8 @@ class CrossedFourBar:
     def rod_rates(self, pose: Pose, rate: float) -> tuple[float, float]:
         """Return the angular velocities [rad/s] of the rods B-C and D-A if the tibia has the angular velocity `rate`.
 
-        All are relative to the femur. The velocity of B relative to A, expressed through the rods and through the
-        tibia, gives two equations for the two unknowns.
+        All angular velocities are relative to the femur. The velocity of B relative to A, expressed through the rods
+        and through the tibia, gives two equations for the two unknowns.
         """
         acl, pcl, link = pose.B - pose.C, pose.A - pose.D, pose.B - pose.A
         determinant = _cross(acl, pcl)
@@ -105,7 +105,9 @@ class CrossedFourBar:
 
     @cached_property
     def _branch(self) -> int:
-        """The closure of the linkage, 1 or -1, with crossed rods and the femur on top; 0 if there is none."""
+        """Sign of the closure of the linkage, 1 or -1, for crossed rods and the femur on top; 0 if there is no such
+        closure.
+        """
         for branch in (1, -1):
             pose = self._solve(0.0, branch)
             if pose is not None and pose.crossed and (pose.C + pose.D - pose.A - pose.B).imag > 0:

@@ -22,7 +22,7 @@ class Frame:
     origin, velocity
         Position [m] and velocity [m/s] of the origin.
     turn
-        Direction of the x axis, of modulus 1; the angle may have any number of turns.
+        Direction of the x axis, with modulus 1.
     angle, rate
         Angle [rad] and angular velocity [rad/s].
     """
@@ -47,7 +47,7 @@ class Frame:
         return self.velocity + 1j * self.rate * (self.turn * point)
 
     def carry(self, segment: Segment) -> Body:
-        """Return the body that moves with this frame, in which the segment is given."""
+        """Return a segment, given in this frame, as a body that moves with the frame."""
         return Body(
             mass=segment.mass,
             inertia=segment.inertia,
@@ -69,7 +69,7 @@ class Knee:
     ends
         Half of the length of each rod [m]: the distance of its joints from its centre.
     femoral
-        Joints C and D in the thigh frame; tibial: joints A and B in the shank frame [m].
+        Joints C and D in the thigh frame [m]; `tibial` has joints A and B in the shank frame [m].
     shank
         Frame of the shank, whose origin is the knee of the straight leg.
     """

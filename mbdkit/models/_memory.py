@@ -1,4 +1,4 @@
-"""The limit that available memory sets to the number of parts of a model."""
+"""Limit of the number of parts of a model by the available memory."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from mbdkit.base.memory import available_memory, in_bytes
 
 
 def check_memory(count: int, what: str, each: int) -> None:
-    """Raise SpecError for the key ``n`` of a model if the available memory is not sufficient.
+    """Raise SpecError for the key ``n`` of a model if the available memory does not suffice.
 
     Parameters
     ----------

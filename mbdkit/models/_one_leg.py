@@ -1,4 +1,4 @@
-"""One leg on a given hip, with a pinned or a four-bar knee, and its copy under other names as the second leg."""
+"""One leg on a given hip, with a pinned knee or a four-bar knee; its copy with other names is the second leg."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mbdkit.models._knee_linkage import Frame, knee_of, xy
 from mbdkit.models._segments import Person
 
 SUFFIX = "_left"
-"""End of the names of the second leg."""
+"""Suffix of the names of the second leg."""
 
 
 class LegPose(StrictModel):
@@ -42,8 +42,11 @@ class LegPose(StrictModel):
 
 
 class Hip(NamedTuple):
-    """Frame of the trunk with its origin at the hip, name of the body that carries the leg, and the hip in its frame
-    [m].
+    """The hip of a leg.
+
+    The frame of the trunk with its origin at the hip, the name of the body that carries the leg, and the position of
+    the hip
+    in the frame of this body [m].
     """
 
     frame: Frame
@@ -151,7 +154,7 @@ def _leg(person: Person, pose: LegPose, hip: Hip, thigh: Frame, shank: Frame) ->
 
 
 def second_leg(first: LegParts, same: LegParts) -> LegParts:
-    """Return the elements of a leg, which has the same names as the first one, under the names of the second leg."""
+    """Return the elements of a second leg: those of the first one with the names of the second leg."""
     of_second = _Names({name for kind in first for name in kind})
     return LegParts(
         {of_second.of(name): body for name, body in same.bodies.items()},
@@ -198,20 +201,20 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
 
 
 class _Names:
-    """Replaces given names of the first leg by the names of the second leg."""
+    """Maps names of the first leg to names of the second leg."""
 
     def __init__(self, own: set[str]):
         self._own = own
 
     def of(self, value: Any) -> Any:
-        """Return a name or expression with the names of the second leg; other values as they are."""
+        """Return a name or expression with the names of the second leg; other values are returned unchanged."""
         if not isinstance(value, str) or value in self._own:
             return value + SUFFIX if isinstance(value, str) else value
         return re.sub(r"[^\W\d]\w*", lambda found: found[0] + SUFFIX * (found[0] in self._own), value)
 
 
 def _on_second(item: PathItem, names: _Names) -> PathItem:
-    """Return a point or circle of a path on the second leg."""
+    """Return a point or circle of a muscle path, moved to the second leg."""
     change: dict[str, Any] = {"body": names.of(item.body)}
     if item.wrap is not None:
         change["wrap"] = item.wrap.model_copy(update={"body": names.of(item.wrap.body)})

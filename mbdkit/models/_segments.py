@@ -1,7 +1,7 @@
-"""Mass, centre of mass and inertia of body segments from body mass and height, by tables of the literature.
+"""Mass, centre of mass and inertia of body segments, from body mass and height, by published tables.
 
-Points of a segment are complex numbers x + i y [m] in the *segment frame*: origin at the proximal joint, y along the
-segment to this joint (up for a standing person), and x forward.
+Points of a segment are complex numbers x + i y [m] in the *segment frame*: the origin is the proximal joint, y points
+along the segment to this joint (up for a standing person), and x forward.
 """
 
 from __future__ import annotations
@@ -42,10 +42,13 @@ GAIT2D = """@misc{gait2d,
 }"""
 
 HEEL_BEHIND_ANKLE, ANKLE_HEIGHT = 0.06 / 1.8, 0.039
-"""Distance of the heel behind the ankle, and height of the ankle, as shares of body height; for all tables."""
+"""Distance of the heel behind the ankle, and height of the ankle, as shares of body height; used with all tables."""
 TRUNK_CENTRE, TRUNK_GYRATION = 0.3155 / 1.8, math.sqrt(3.1777 / 50.85) / 1.8
-"""Height above the hips of the centre of mass of head, arms and trunk, and radius of gyration, as shares of body
-height, for all tables; from the segments that gait2d computes with Winter's fractions for 75 kg and 1.8 m."""
+"""Height of the centre of mass of head, arms and trunk above the hips, and their radius of gyration.
+
+Both are shares of body height, and are used with all tables. They are computed from the segments of gait2d, which uses
+Winter's fractions for 75 kg and 1.8 m.
+"""
 
 
 @dataclass(frozen=True)

@@ -138,8 +138,9 @@ def build(options: LegOptions) -> Mechanism:
     Raises
     ------
     SpecError
-        If the trunk has a motion but ``root: hip``, if an option of the second leg is given without it, or if a further
-        joint, force, marker or muscle has the name of one of the leg or refers to a body that is not there.
+        If the trunk has a motion although ``root: hip``, if an option of the second leg is given for one leg, or if a
+        further joint, force, marker or muscle has the same name as one of the leg, or refers to a body that does not
+        exist.
     """
     return _mechanism("leg", options, pinned_leg)
 
@@ -150,7 +151,7 @@ def build_four_bar(options: LegFourBarOptions) -> Mechanism:
     Raises
     ------
     SpecError
-        As for `build`; also if the linkage cannot be assembled at the flexion of the knee.
+        See `build`; also if the linkage cannot be assembled at the flexion of the knee.
     """
     four_bar = linkage(options.height, options.links, options.pitches)
     leg = partial(four_bar_leg, linkage=four_bar, rod_mass=options.rod_mass, friction=options.pin_friction)

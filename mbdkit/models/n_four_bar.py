@@ -36,7 +36,7 @@ WINDOWS = """@article{bayo1994singularity,
 REFERENCES = (BENCHMARK, WINDOWS)
 
 BYTES_PER_WINDOW = 40_000
-"""Memory needed per window (two rods and three joints) to compile the mechanism [bytes]."""
+"""Memory needed to compile one window of the mechanism (two rods and three joints) [bytes]."""
 
 
 class NFourBarOptions(StrictModel):

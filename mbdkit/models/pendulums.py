@@ -152,7 +152,7 @@ def build_n(options: NPendulumOptions) -> Mechanism:
     Raises
     ------
     SpecError
-        If the available memory is not sufficient for this many rods.
+        If the available memory does not suffice for this many rods.
     """
     o = options
     check_memory(o.count, "rods", BYTES_PER_ROD)

@@ -23,23 +23,25 @@ from mbdkit.muscles.force_curves import CURVES
 from mbdkit.muscles.hill_laws import LAW_ID, MOST_NUMBERS, Form, TableForm, excitation_of, muscle_law
 
 SHORTEST = 0.2
-"""Shortest fibres that an equilibrium at the start may have, in optimal lengths; there the passive force is zero."""
+"""Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there."""
 
 SAMPLES = 1001
 """Number of times at which excitations are compared with 0 and 1."""
 
 OVERSHOOT = 0.01
-"""Distance from the range 0 to 1 that counts as far outside; splines through 0 and 1 go beyond them a little."""
+"""Excitations outside the range 0 to 1 by more than this count as wrong; splines through 0 and 1 exceed the range a
+little.
+"""
 
 
 @dataclass(frozen=True)
 class MuscleForce:
-    """A muscle as a force element of a run, and its own pathway.
+    """A muscle as a force element of a run. This object is also the pathway.
 
     Attributes
     ----------
     name, muscle
-        The muscle.
+        Name of the muscle, and the muscle.
     """
 
     name: str
@@ -49,7 +51,7 @@ class MuscleForce:
 
     @property
     def pathway(self) -> MuscleForce:
-        """The pathway along which the force acts, which is the element itself."""
+        """The pathway along which the force acts, which is this object."""
         return self
 
     @cached_property
@@ -59,12 +61,12 @@ class MuscleForce:
 
     @property
     def numbers(self) -> list[float]:
-        """The numbers of an excitation that is a function of time."""
+        """Parameters of an excitation that is a function of time, by name."""
         return self._excitation[1]
 
     @cached_property
     def _excitation(self) -> tuple[Form, list[float]]:
-        """The form of an excitation that is a function of time, and its numbers."""
+        """The form of an excitation that is a function of time, and its numbers; see `excitation_of`."""
         given = self.muscle.excitation
         if given is None or is_of_state(given):
             return (), []
@@ -79,13 +81,15 @@ class MuscleForce:
     def excitation_at(self, time: np.ndarray) -> np.ndarray:
         """Return an excitation that is a function of time, at times (T,).
 
-        They are computed one by one: the last bits of NumPy's functions of arrays depend on how many there are.
+        Values are computed one by one, because rounding errors of NumPy's functions depend on the length of the array.
         """
         form, numbers = self._excitation
         return np.array([float(excitation_of(form, t, numbers)) for t in time.tolist()])
 
     def excitation_outside(self, start: float, end: float) -> tuple[float, float] | None:
-        """Return a time, from start to end, at which the excitation is far outside of 0 to 1, and the excitation then;
+        """Return a time between start and end at which the excitation is far outside the range 0 to 1, and the
+        excitation then.
+
         None if there is no such time, or if the excitation is not a function of time.
         """
         form, numbers = self._excitation
@@ -101,8 +105,8 @@ class MuscleForce:
         return float(time[worst]), float(value[worst])
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the parts of the path: straight ones, and for each circle its two tangents and the straight line past
-        it.
+        """Return the segments of the path: straight ones and, for each circle, its two tangents and the straight line
+        past it.
         """
         found: list[Segment] = []
         path = self.muscle.path
@@ -122,8 +126,9 @@ class MuscleForce:
         return tuple(found)
 
     def fiber_length_at(self, length: float) -> float:
-        """Return the length of the fibres [m] for a length of the path [m]; with an elastic tendon, that of fibres at
-        rest that are in equilibrium with it.
+        """Return the length of the fibres [m] for a length of the path [m].
+
+        With an elastic tendon, the fibres are at rest and in equilibrium with the tendon.
 
         Raises
         ------
@@ -170,7 +175,7 @@ def _fixed(item: PathItem) -> tuple[float, float]:
 
 
 def acting_muscles(mechanism: Mechanism) -> dict[str, MuscleForce]:
-    """Return the muscles that act in runs of a mechanism, by name; none unless its muscles act."""
+    """Return the muscles that act in runs of a mechanism, by name; none if its muscles do not act."""
     if not mechanism.muscles_act:
         return {}
     return {name: MuscleForce(name, muscle) for name, muscle in mechanism.muscles.items()}
@@ -216,7 +221,7 @@ def check_acting(mechanism: Mechanism) -> None:
 
 
 def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
-    """Raise a SpecError unless a circle is between two points with equal offsets."""
+    """Raise SpecError unless a circle lies between two points with equal offsets."""
     if before.wrap is not None or after.wrap is not None:
         raise SpecError(
             "in a run, a path has at most one circle between two points; several are for inverse dynamics only", key=key

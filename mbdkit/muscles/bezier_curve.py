@@ -11,28 +11,30 @@ from typing import Any, NamedTuple
 import numpy as np
 
 ITERATIONS = 80
-"""Largest number of iterations; bisection alone finds the parameter to the last bit in 55."""
+"""Largest number of iterations; bisection alone determines the parameter to the last bit in 55."""
 
 ROUNDING = 4 * np.finfo(float).eps
-"""Changes of the parameter, and distances of x, that are rounding errors."""
+"""Changes of the parameter, and differences of x, that count as rounding errors."""
 
 GRID = np.linspace(0.0, 1.0, 129)
-"""Parameters of the table from which Newton's method starts; two or three iterations are usual then."""
+"""Parameters of the table from which Newton's method starts; it then usually takes two or three iterations."""
 
 
 HALLEY = 4
-"""Iterations of Halley's method that find the parameter of each curve of Millard within 1e-12 from the linear start; a
-step of Newton's method follows."""
+"""Number of Halley iterations that determine the parameter of each curve of Millard within 1e-12 from a linear start.
+
+A step of Newton's method follows.
+"""
 
 MORE_HALLEY = 6
-"""Iterations of Halley's method for sums of two coordinates of a curve."""
+"""Number of Halley iterations for weighted sums of the two coordinates of a curve."""
 
 Points = Sequence[Any]
-"""First control point of a segment, and the differences to each following one."""
+"""First control point of a segment, and the differences from it to the following ones."""
 
 
 class Corner(NamedTuple):
-    """A point of a graph and the slope there."""
+    """A point of a graph, and the slope at this point."""
 
     x: float
     y: float
@@ -41,14 +43,14 @@ class Corner(NamedTuple):
 
 @dataclass(frozen=True)
 class BezierCurve:
-    """A function that is continued by straight lines on both sides.
+    """A function whose graph consists of quintic Bezier curves, and of straight lines on both sides.
 
     M. Millard et al., Journal of Biomechanical Engineering 135:021005, 2013, appendix.
 
     Attributes
     ----------
     x, y
-        (S, 4) different control points of each segment; the inner two count twice.
+        (S, 4) distinct control points of each segment; the two inner ones count twice.
     slopes
         Slopes of the straight lines.
     """
@@ -66,7 +68,7 @@ class BezierCurve:
         corners
             The points, in the order of x.
         curviness
-            How closely each segment follows its two tangents, 0 to 1.
+            How closely each segment follows its two tangents, from 0 to 1.
         """
         x, y = [], []
         for (a, b), own in zip(pairwise(corners), curviness, strict=True):
@@ -95,7 +97,9 @@ class BezierCurve:
         return value, slope
 
     def value(self, x: Any) -> Any:
-        """Return values at x, by a fixed sequence of operations that can be traced; see `mbdkit.engine.traced_law`."""
+        """Return values at x, computed by a fixed sequence of operations that can be traced; see
+        `mbdkit.engine.traced_law`.
+        """
         plain, (first, last) = without_slopes(x), self._ends
         inside = np.where(plain < first, first, np.where(plain > last, last, x))
         begins = self.x[1:, 0].tolist()
@@ -108,10 +112,11 @@ class BezierCurve:
         return np.where(plain < first, below, np.where(plain > last, above, found))
 
     def x_where(self, p: Any, q: Any, r: Any) -> Any:
-        """Return the x at which ``p y + q x = r``, by a fixed sequence of operations that can be traced.
+        """Return the x at which ``p y + q x = r``, computed by a fixed sequence of operations that can be traced.
 
-        The left side is a Bezier curve of the same parameter. It has to increase, and to reach r: p is not negative, q
-        is positive.
+        The left side is a Bezier curve with the same parameter. It must increase and reach r; p must not be negative,
+        and q
+        must be positive.
         """
         first, last = (q * x + p * y for x, y in ((self.x[0, 0], self.y[0, 0]), (self.x[-1, -1], self.y[-1, -1])))
         begins = [q * x + p * y for x, y in zip(self.x[1:, 0].tolist(), self.y[1:, 0].tolist(), strict=True)]
@@ -129,7 +134,7 @@ class BezierCurve:
         return float(self.x[0, 0]), float(self.x[-1, -1])
 
     def _near(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Return parameters close to those at which segments reach x."""
+        """Return parameters close to those at which the segments reach x."""
         u = np.zeros_like(x)
         for index, table in enumerate(self._tables):
             own = segment == index
@@ -143,7 +148,9 @@ class BezierCurve:
 
 
 def without_slopes(x: Any) -> Any:
-    """Return a number without derivatives, for comparisons and starts of iterations; arrays have none."""
+    """Return a number without its derivatives, for comparisons and initial values of iterations; arrays are returned
+    unchanged.
+    """
     return getattr(x, "plain", x)
 
 
@@ -155,7 +162,7 @@ def _chosen(points: np.ndarray, begins: Sequence[Any], x: Any) -> Points:
     points
         (S, 4) control points of all segments.
     begins
-        (S - 1,) begins of the segments but the first.
+        (S - 1,) values of x at which the segments begin, without the first segment.
     """
     steps = np.column_stack([points[:, 0], np.diff(points, axis=1)]).tolist()
     found = list(steps[0])
@@ -179,7 +186,9 @@ def _bezier_of(points: Points, u: Any) -> tuple[Any, Any, Any]:
 def _reached(points: Points, goal: Any, iterations: int) -> Any:
     """Return the parameter at which a segment reaches a value.
 
-    Only the last step has derivatives: there the parameter is known, so that they are those of the inverse function.
+    Derivatives are computed in the last step only, in which the parameter is already known; they are those of the
+    inverse
+    function.
     """
     plain = without_slopes(goal)
     start, a, b, c = points
@@ -203,7 +212,7 @@ def _bezier(points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _parameter(points: np.ndarray, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return the parameters at which curves reach x, by Newton's method within a bracket that starts from u."""
+    """Return the parameters at which curves reach x, by Newton's method with a bracket; u is the initial value."""
     low, high = np.zeros_like(x), np.ones_like(x)
     for _ in range(ITERATIONS):
         value, slope = _bezier(points, u)

@@ -1,15 +1,15 @@
 """Power of fibres, and the energy that muscles consume by the model of Umberger.
 
-Per mass of the muscle, activation and maintenance, shortening or lengthening, and work of the fibres cost
+The model adds the following powers per mass of the muscle:
 
     activation    S A^0.6 (128 fast + 25), times 0.4 + 0.6 f if l > 1
     shortening    S A^2 (slow min(100, 100 u_slow) + fast 153 u_fast), times f if l > 1       u_slow = 2.5 v / v_max
     lengthening   S A 0.3 * 100 u_slow,                                times f if l > 1       u_fast = v / v_max
     work          F v / m in shortening, none in lengthening
 
-with the factor S for aerobic conditions, the shares of slow and fast fibres, their isometric force f at the length l
-in optimal lengths, and their speed v. A is the excitation while it exceeds the activation, and otherwise the mean of
-both. The first three together are at least 1 W/kg.
+Here S is the factor for aerobic conditions, slow and fast are the shares of slow and fast fibres, f is their isometric
+force at the length l in optimal lengths, and v their speed. A is the excitation if it exceeds the activation, and
+otherwise the mean of both. The sum of the first three powers is at least 1 W/kg.
 
 B. R. Umberger, K. G. M. Gerritsen, P. E. Martin, A model of human muscle energy expenditure, Computer Methods in
 Biomechanics and Biomedical Engineering 6:99-111, 2003; B. R. Umberger, Stance and swing phase costs in human walking,
@@ -24,16 +24,18 @@ from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.force_curves import CURVES
 
 LEAST_HEAT = 1.0
-"""Least rate of heat, at rest as well [W/kg]."""
+"""Smallest rate of heat, also at rest [W/kg]."""
 LARGEST_SLOW_HEAT = 100.0
-"""Largest rate of heat of slow fibres by shortening [W/kg], which they reach at their largest velocity."""
+"""Largest rate of heat of slow fibres due to shortening [W/kg], which is reached at their largest velocity."""
 FAST_HEAT = 153.0
-"""Rate of heat of fast fibres by shortening at their largest velocity [W/kg]."""
+"""Rate of heat of fast fibres due to shortening at their largest velocity [W/kg]."""
 FAST_OVER_SLOW = 2.5
-"""Ratio of the largest velocities of fast and slow fibres; the largest velocity of a muscle is that of its fast
-fibres."""
+"""Ratio of the largest velocities of fast and slow fibres.
+
+The largest velocity of a muscle is that of its fast fibres.
+"""
 LENGTHENING = 0.3
-"""Rate of heat in lengthening, relative to that of slow fibres in shortening."""
+"""Rate of heat during lengthening, relative to that of slow fibres during shortening."""
 
 
 def fiber_power(muscle: Muscle, tension: np.ndarray, length: np.ndarray, rate: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""Curves of the forces of muscles: active and passive force by length, force by velocity, and force of the tendon.
+"""Force curves of muscles: active and passive force by length, force by velocity, and force of the tendon.
 
-Lengths of fibres are given in optimal lengths, velocities in maximum velocities (negative: shortening), lengths of
-tendons in lengths without force, and forces in `max_force`.
+Lengths of fibres are relative to the optimal length, velocities to the largest velocity (negative for shortening),
+lengths of tendons to the length without force, and forces to `max_force`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Curve = tuple[np.ndarray, np.ndarray]
 
 
 class ForceCurves(Protocol):
-    """Curves of a muscle; each function returns values and slopes."""
+    """Interface of the curves of a muscle; each function returns values and slopes."""
 
     def active(self, length: np.ndarray) -> Curve:
         """Return the active isometric force at full activation."""
@@ -28,13 +28,13 @@ class ForceCurves(Protocol):
         """Return the passive force."""
 
     def velocity(self, velocity: np.ndarray) -> Curve:
-        """Return the factor of the active force due to velocity."""
+        """Return the factor of the active force that depends on velocity."""
 
     def tendon(self, length: np.ndarray) -> Curve:
         """Return the force of the tendon."""
 
     def stretch(self, force: np.ndarray) -> Curve:
-        """Return the length of the tendon with a positive force."""
+        """Return the length of the tendon for a positive force."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class DeGrooteFregly:
         return grown - start / (np.exp(shape) - start), grown * shape / strain
 
     VELOCITY: ClassVar[tuple[float, float, float, float]] = -0.3211346127989808, -8.149, -0.374, 0.8825327733249912
-    """Constants d1 to d4 of the curve of force by velocity."""
+    """Constants d1 to d4 of the force-velocity curve."""
 
     def velocity(self, velocity: np.ndarray) -> Curve:
-        """Return the factor of the active force due to velocity, -0.0015 at -1 and 1.004 at 0."""
+        """Return the factor of the active force that depends on velocity, -0.0015 at -1 and 1.004 at 0."""
         d1, d2, d3, d4 = self.VELOCITY
         x = d2 * velocity + d3
         return d1 * np.arcsinh(x) + d4, d1 * d2 / np.sqrt(x * x + 1.0)
@@ -83,7 +83,7 @@ class DeGrooteFregly:
         return grown - c3, grown * stiffness
 
     def stretch(self, force: np.ndarray) -> Curve:
-        """Return the length of the tendon with a positive force, the inverse of `tendon`."""
+        """Return the length of the tendon for a positive force, the inverse of `tendon`."""
         c1, c3, strain = 0.2, 0.2, 0.049
         stiffness = np.log((1.0 + c3) / c1) / strain
         return 1.0 + np.log((force + c3) / c1) / stiffness, 1.0 / (stiffness * (force + c3))
@@ -94,7 +94,7 @@ _GAUSSIANS = (
     (0.433004984392647, 0.716775413397760, -0.029947116970696, 0.200356847296188),
     (0.1, 1.0, 0.353553390593274, 0.0),
 )
-"""Height, center, width and growth of the width of each Gaussian."""
+"""Height, center, width, and growth of the width of each Gaussian."""
 
 
 class Millard:
@@ -102,7 +102,7 @@ class Millard:
 
     M. Millard, T. Uchida, A. Seth, S. L. Delp, Flexing computational muscle: modeling and simulation of musculotendon
     dynamics, Journal of Biomechanical Engineering 135:021005, 2013, with the default parameters of OpenSim 4
-    (Millard2012EquilibriumMuscle with damping, where active forces may vanish).
+    (Millard2012EquilibriumMuscle with damping, for which active forces may vanish).
     """
 
     def __init__(self) -> None:
@@ -122,7 +122,7 @@ class Millard:
         return self.curves["passive"].at(length)
 
     def velocity(self, velocity: np.ndarray) -> Curve:
-        """Return the factor of the active force due to velocity: 0 up to -1, and 1.4 from 1."""
+        """Return the factor of the active force that depends on velocity: 0 up to -1, and 1.4 from 1 on."""
         return self.curves["velocity"].at(velocity)
 
     def tendon(self, length: np.ndarray) -> Curve:
@@ -130,7 +130,7 @@ class Millard:
         return self.curves["tendon"].at(length)
 
     def stretch(self, force: np.ndarray) -> Curve:
-        """Return the length of the tendon with a positive force, the inverse of `tendon`."""
+        """Return the length of the tendon for a positive force, the inverse of `tendon`."""
         curve = self.curves["tendon"]
         return BezierCurve(curve.y, curve.x, (0.0, 1.0 / curve.slopes[1])).at(force)
 
@@ -184,7 +184,7 @@ def _tendon() -> BezierCurve:
     stiff = 1.375 / strain
     x_toe = (toe - 1.0) / stiff + 1.0 + strain
     foot = 1.0 + 0.1 * (x_toe - 1.0)
-    run = x_toe - 0.5 * toe / stiff - foot  # from the foot to the line at half of the toe's force
+    run = x_toe - 0.5 * toe / stiff - foot  # from the foot to the line at half the force of the toe
     slope = 0.5 * toe / run
     return BezierCurve.through(
         [Corner(1.0, 0.0, 0.0), Corner(foot + 0.5 * run, 0.25 * toe, slope), Corner(x_toe, toe, stiff)],

@@ -5,19 +5,21 @@ the normalised velocity v of the fibres (negative: shortening), the tension is
 
     F = max_force (a f_active(l) f_velocity(v) + f_passive(l) + damping v) cos(alpha)
 
-A rigid tendon gives ``l cos(alpha) = L - tendon_length``. An elastic one is in equilibrium with the fibres, so that
-their velocity is a function of l and of the tension ``max_force f_tendon((L - l cos(alpha)) / tendon_length)``. De
-Groote's curve of force by velocity is ``d1 y + d4`` with ``y = arcsinh(d2 v + d3)``; equilibrium is then the equation
+With a rigid tendon, ``l cos(alpha) = L - tendon_length``. An elastic tendon is in equilibrium with the fibres, so that
+the velocity of the fibres is a function of l and of the tension ``max_force f_tendon((L - l cos(alpha)) /
+tendon_length)``. De Groote's force-velocity curve is ``d1 y + d4`` with ``y = arcsinh(d2 v + d3)``. The condition of
+equilibrium is then
 
     p y + q sinh(y) = r,    p = -d1 a f_active,    q = -damping / d2,
     r = d4 a f_active + f_passive - damping d3 / d2 - f_tendon / cos(alpha)
 
-The left side increases, so that there is one solution, also for muscles without activation. With the curves of Millard,
-it is ``a f_active f_velocity(v) + damping v = f_tendon / cos(alpha) - f_passive``, whose left side is a Bezier curve of
-the same parameter as v.
+The left side increases, so that there is one solution, even for muscles without activation. With the curves of Millard,
+the condition is ``a f_active f_velocity(v) + damping v = f_tendon / cos(alpha) - f_passive``, whose left side is a
+Bezier curve with the same parameter as v.
 
-The activation a follows the excitation e with the time constants of `Activation`, which F. De Groote et al., Annals of
-Biomedical Engineering 44:2922-2936, 2016, equations 1 and 2, blend smoothly: with ``f = tanh(STEEPNESS (e - a)) / 2``
+The activation a follows the excitation e with the time constants of `Activation`, blended smoothly as in F. De Groote
+et al., Annals of Biomedical Engineering 44:2922-2936, 2016, equations 1 and 2. With ``f = tanh(STEEPNESS (e - a)) /
+2``,
 
     a' = ((1/2 + f) / (rise (1/2 + 3/2 a)) + (1/2 - f) (1/2 + 3/2 a) / fall) (e - a)
 """
@@ -36,11 +38,16 @@ from mbdkit.mechanism.muscles import Activation, Muscle
 from mbdkit.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
 
 STEEPNESS = 10.0
-"""Steepness b of the change between rising and falling activation. With the 0.1 that is also in use, the two
-time constants would hardly differ; 10 is the default of SymPy (`sympy.physics.biomechanics`)."""
+"""Steepness b of the transition between rising and falling activation.
+
+With 0.1, which is also in use, the two time constants would hardly differ; 10 is the default of SymPy
+(`sympy.physics.biomechanics`).
+"""
 
 ITERATIONS = 5
-"""Iterations of Halley's method for `solved`: four reach rounding errors, and one more their derivatives."""
+"""Number of Halley iterations in `solved`: four are exact to rounding errors, and one more makes the derivatives
+exact.
+"""
 
 LAW_ID = "mbdkit:muscle"
 
@@ -56,14 +63,16 @@ def activation_rate(excitation: Any, p: Parameters) -> Any:
 
 
 def activation_rate_text(times: Activation, excitation: str, activation: str) -> str:
-    """Return the rate of the activation as an expression of the state, from those of excitation and activation."""
+    """Return the rate of the activation as an expression of the state; excitation and activation are given as
+    expressions.
+    """
     gap, slowing = f"(({excitation}) - {activation})", f"(0.5 + 1.5*{activation})"
     f = f"0.5*tanh({STEEPNESS}*{gap})"
     return f"((0.5 + {f})/({times.rise!r}*{slowing}) + (0.5 - {f})*{slowing}/{times.fall!r})*{gap}"
 
 
 def _value(curves: ForceCurves, name: Literal["active", "passive", "velocity", "tendon"], x: Any) -> Any:
-    """Return values of a curve by operations that can be traced."""
+    """Return values of a curve, computed by operations that can be traced."""
     return curves.curves[name].value(x) if isinstance(curves, Millard) else getattr(curves, name)(x)[0]
 
 
@@ -84,13 +93,15 @@ def elastic_tension(length: Any, p: Parameters, curves: ForceCurves) -> Any:
 
 
 def _along(p: Parameters) -> Any:
-    """Return the length of the fibres along the tendon; nan if they are shorter than the muscle is thick."""
+    """Return the length of the fibres along the tendon; nan if the fibres are shorter than the thickness of the
+    muscle.
+    """
     fiber, thickness = p["fiber_length"], p["thickness"]
     return np.where(fiber > thickness, np.sqrt(fiber * fiber - thickness * thickness), np.nan)
 
 
 def fiber_rate(length: Any, p: Parameters, curves: ForceCurves) -> Any:
-    """Return the rate of the length of fibres that are in equilibrium with an elastic tendon."""
+    """Return the rate of the length of fibres in equilibrium with an elastic tendon."""
     along, fiber = _along(p), p["fiber_length"]
     normal = fiber / p["optimal_length"]
     active = p["activation"] * _value(curves, "active", normal)
@@ -106,10 +117,11 @@ def fiber_rate(length: Any, p: Parameters, curves: ForceCurves) -> Any:
 
 
 def solved(p: Any, q: Any, r: Any) -> Any:
-    """Return the solution y of ``p y + q sinh(y) = r``, with p and q not negative and one of them positive.
+    """Return the solution y of ``p y + q sinh(y) = r``, where p and q are not negative and one of them is positive.
 
-    Halley's method starts from the smaller one of two upper bounds of abs(y). There the solution is less than 1 away,
-    where sinh bends little.
+    Halley's method starts from the smaller of two upper bounds of abs(y). The solution is less than 1 away from there,
+    and
+    sinh bends little in between.
     """
     size = np.where(r < 0.0, -r, r)
     steep = size / (q + TINY)
@@ -124,12 +136,13 @@ def solved(p: Any, q: Any, r: Any) -> Any:
 
 
 TINY = 1e-100
-"""Added to a divisor that may be 0; it does not change any other divisor."""
+"""Added to divisors that may be 0; it does not change other divisors."""
 
 
 class TableForm(NamedTuple):
-    """A table of an excitation without its numbers: number of its pieces and of the terms of each, and whether it
-    repeats.
+    """A table of an excitation without its numbers.
+
+    The number of pieces, the number of terms of each piece, and whether the table repeats.
     """
 
     pieces: int
@@ -138,11 +151,15 @@ class TableForm(NamedTuple):
 
 
 Form = Program | TableForm
-"""Form of an excitation that is a function of time, without its numbers, which are parameters; else empty."""
+"""Form of an excitation that is a function of time, without its numbers, which are parameters; empty for other
+excitations.
+"""
 
 MOST_NUMBERS: Mapping[str, int] = {"de-groote-fregly": 440, "millard": 360}
-"""Largest number of numbers of an excitation, by the curves of the muscle; programs of laws have
-`mbdkit.engine.kernels.law_programs.REGISTERS`."""
+"""Largest number of numbers in an excitation, by the curves of the muscle.
+
+It is limited because programs of laws have `mbdkit.engine.kernels.law_programs.REGISTERS` registers.
+"""
 
 
 def excitation_of(form: Form, time: Any, numbers: Sequence[Any]) -> Any:
@@ -151,8 +168,8 @@ def excitation_of(form: Form, time: Any, numbers: Sequence[Any]) -> Any:
     Parameters
     ----------
     numbers
-        The constants of a program in their order, or the ends of the pieces of a table, followed by the coefficients of
-        each piece, that of the highest power first.
+        The constants of a program in order. For a table, the ends of its pieces, followed by the coefficients of each
+        piece in descending powers.
     """
     if isinstance(form, TableForm):
         return _of_table(form, time, numbers)
@@ -178,9 +195,9 @@ def _of_table(form: TableForm, time: Any, numbers: Sequence[Any]) -> Any:
 
 @lru_cache(maxsize=256)
 def muscle_law(tendon: str, curves: str, form: Form) -> TracedLaw:
-    """Return the law of a muscle with a rigid or an elastic tendon, and with one of `CURVES`.
+    """Return the law of a muscle with a rigid or an elastic tendon and one of the `CURVES`.
 
-    If the excitation is not a function of time, the law gives 0 for the rate of the activation, which is computed
+    If the excitation is not a function of time, the law returns 0 as the rate of the activation, which is computed
     elsewhere.
     """
     if isinstance(form, TableForm):

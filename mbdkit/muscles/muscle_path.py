@@ -3,12 +3,14 @@
 Between two points a and b, the path is the shortest curve that passes each circle on its side. It consists of tangents
 and arcs. With centers c_i, signed radii r_i (positive on the left side; 0 for a point) and d = c_j - c_i, a tangent has
 the direction ``angle(d) - asin((r_i - r_j) / |d|)`` and the length ``sqrt(|d|^2 - (r_i - r_j)^2)``. Circles are
-cylinders perpendicular to the plane, which can be unrolled: with planar length s and a difference h of the offsets of a
-and b, the path has the length ``sqrt(s^2 + h^2)``.
+cylinders perpendicular to the plane, which can be unrolled: with the planar length s and the difference h of the
+offsets
+of a and b, the path has the length ``sqrt(s^2 + h^2)``.
 
-Length is stationary with respect to the points of contact, so that only the centers contribute to its change:
-``ds = sum over tangents of e . (dc_j - dc_i)`` with their unit vectors e. A tension F therefore acts on each body as
-the force ``F (e_out - e_in) s / length`` at the center of its circle, or at its point.
+The length is stationary with respect to the points of contact, so that only the centers contribute to its change:
+``ds = sum over tangents of e . (dc_j - dc_i)``, where e are the unit vectors of the tangents. A tension F therefore
+acts
+on each body as the force ``F (e_out - e_in) s / length`` at the center of its circle, or at its point.
 """
 
 from __future__ import annotations
@@ -27,12 +29,17 @@ from mbdkit.mechanism.muscles import Muscle, PathItem
 from mbdkit.mechanism.quantity_names import QuantityNames
 
 BEHIND = np.pi / 6
-"""A path sweeps an angle about the center of its circle from the point before to the point after. This angle is counted
-from minus `BEHIND` to 2 pi minus `BEHIND`. Negative angles are those of straight paths that pass the circle at a
-distance on its other side; angles close to 2 pi are those of paths that turn by almost 2 pi around it."""
+"""Lower limit of the angle that a path sweeps about the center of a circle, from the point before to the point after.
+
+The angle is counted from minus `BEHIND` to 2 pi minus `BEHIND`. It is negative for straight paths that pass the circle
+at
+a distance on its other side, and close to 2 pi for paths that turn by almost 2 pi around the circle.
+"""
 
 WIDEST = np.pi
-"""A sweep that changes by more than this between two frames has passed the end of the interval of `BEHIND`."""
+"""If the angle changes by more than this between two frames, it has passed an end of the interval defined by
+`BEHIND`.
+"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,7 @@ class PathState:
 
 
 class _Place:
-    """A point of a path or the center of one of its circles, which may move with coordinates."""
+    """A point of a path, or the center of one of its circles, which may move with coordinates."""
 
     def __init__(self, item: PathItem, names: QuantityNames, key: str):
         self.body = GROUND if item.on == names.mechanism.ground else names.body(item.on, f"{key}.body")
@@ -71,7 +78,7 @@ class _Place:
         self.coordinates: dict[str, Quantity] = {name: names.coordinate(name) for name in used}
 
     def is_there(self, q: np.ndarray) -> np.ndarray:
-        """Return in which frames the path has the point, (T,)."""
+        """Return the frames in which the path contains the point, (T,) bool."""
         there = np.ones(len(q), dtype=bool)
         for quantity, low, high in self.when:
             value = quantity.value(q)
@@ -88,7 +95,7 @@ class _Place:
 
 
 class _Placed:
-    """A place of a path in T frames: position in the global frame, and the effect of forces there."""
+    """A place of a path in T frames: its position in the global frame, and the effect of forces on it."""
 
     def __init__(
         self,
@@ -103,7 +110,7 @@ class _Placed:
         self.position = np.stack(self._point.position(q), axis=1)
 
     def add_force(self, q: np.ndarray, force: np.ndarray, out: np.ndarray) -> None:
-        """Add the generalized force of a force (T, 2) at the place to `out` (T, n)."""
+        """Add the generalized force of a force (T, 2) on the place to `out` (T, n)."""
         self._point.add_force(q, force[:, 0], force[:, 1], out)
         for name, (dx, dy) in self._slopes.items():
             ex, ey = Point(self.place.body, dx, dy).arm(q)  # type: ignore[arg-type]
@@ -140,7 +147,8 @@ class MusclePath:
         Raises
         ------
         RunError
-            If a point is inside a circle, or the path would have to pass a circle on its other side; with the time.
+            If a point is inside a circle, or the path would have to pass a circle on its other side. The error states
+            the time.
         """
         length, gradient = np.empty(len(q)), np.zeros_like(q)
         there = np.array([place.is_there(q) for place in self._places])  # (P, T)
@@ -152,7 +160,7 @@ class MusclePath:
         return PathState(length, gradient)
 
     def _of_pattern(self, time: np.ndarray, q: np.ndarray, places: Sequence[_Place]) -> tuple[np.ndarray, np.ndarray]:
-        """Return length and gradient of a path that has these places in all frames."""
+        """Return length and gradient of a path that consists of these places in all frames."""
         length, gradient = np.zeros(len(q)), np.zeros_like(q)
         placed = [place.at(q) for place in places]
         ends = [index for index, place in enumerate(places) if place.radius == 0]
@@ -170,7 +178,7 @@ class MusclePath:
     def _taut(self, time: np.ndarray, span: Sequence[_Placed]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the planar length (T,) between two points, and its derivatives (T, 2) by the position of each place.
 
-        Circles that the path does not touch are found by trying all patterns, those with few circles first.
+        Circles that the path does not touch are found by trying all selections of touched circles, small ones first.
         """
         centers = [one.position for one in span]
         radii = [one.place.radius for one in span]
@@ -198,7 +206,7 @@ class MusclePath:
     def _require_outside(
         self, time: np.ndarray, centers: Sequence[np.ndarray], radii: Sequence[float], index: int
     ) -> None:
-        """Raise RunError for the first frame in which the places next to a circle are inside of it."""
+        """Raise RunError for the first frame in which a place next to a circle is inside it."""
         for other in (index - 1, index + 1):
             apart = np.hypot(*(centers[other] - centers[index]).T)
             inside = apart < abs(radii[index] - radii[other])
@@ -211,7 +219,7 @@ class MusclePath:
                 )
 
     def _require_no_turn(self, time: np.ndarray, centers: Sequence[np.ndarray], index: int, radius: float) -> None:
-        """Raise RunError where a path changes between frames from a large turn around a circle to another side."""
+        """Raise RunError if a path changes between two frames from a large turn around a circle to the other side."""
         sweep = _sweep(centers[index - 1], centers[index], centers[index + 1], radius)
         jumps = np.flatnonzero(np.abs(np.diff(sweep)) > WIDEST)
         if jumps.size:
@@ -222,7 +230,7 @@ class MusclePath:
 
 
 def _patterns(circles: range) -> Iterator[tuple[int, ...]]:
-    """Return all selections of circles, in their order along the path, those with few circles first."""
+    """Return all selections of circles, in the order of the path; those with few circles come first."""
     for count in range(len(circles) + 1):
         yield from combinations(circles, count)
 
@@ -230,7 +238,9 @@ def _patterns(circles: range) -> Iterator[tuple[int, ...]]:
 def _string(
     centers: Sequence[np.ndarray], radii: Sequence[float], touched: tuple[int, ...]
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Return length (T,), derivatives (T, 2) by all centers, and whether the taut string touches just these circles."""
+    """Return length (T,) and derivatives (T, 2) by all centers of a taut string, and whether it touches exactly these
+    circles.
+    """
     length = np.zeros(len(centers[0]))
     forces = [np.zeros((len(length), 2)) for _ in centers]
     fits = np.ones(len(length), dtype=bool)
@@ -249,7 +259,7 @@ def _string(
 
 
 def _tangent(a: np.ndarray, b: np.ndarray, difference: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the length (T,) of a tangent of two circles and its unit vector (T, 2); `difference` is r_a - r_b."""
+    """Return the length (T,) of a tangent of two circles, and its unit vector (T, 2); `difference` is r_a - r_b."""
     apart = np.hypot(*(b - a).T)
     safe = np.where(apart > 0, apart, 1.0)
     sine = np.clip(difference / safe, -1.0, 1.0)
@@ -260,7 +270,7 @@ def _tangent(a: np.ndarray, b: np.ndarray, difference: float) -> tuple[np.ndarra
 
 
 def _sweep(before: np.ndarray, center: np.ndarray, after: np.ndarray, radius: float) -> np.ndarray:
-    """Return the angle (T,) about a center from the place before to the place after, on the side of a circle."""
+    """Return the angle (T,) about a center, from the place before to the place after, on the side of the circle."""
     a, b = before - center, after - center
     clockwise = -np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
     return np.asarray(np.mod(np.copysign(1.0, radius) * clockwise + BEHIND, 2 * np.pi) - BEHIND)

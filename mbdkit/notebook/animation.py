@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 _NUMBERS = 150_000
-"""Largest number of pose values in the output of a cell, about one megabyte."""
+"""Largest number of pose values in the output of a cell, which takes about one megabyte."""
 _IN_DARK_THEMES = (
     ".mbdkit-player { color-scheme: light; } "
     ':is([data-jp-theme-light="false"], .vscode-dark) .mbdkit-player { color-scheme: dark; }'
 )
-"""Style that makes the page in the frame follow the light or dark theme of the notebook."""
+"""Style with which the page in the frame follows the light or dark theme of the notebook."""
 _HEIGHT = 640
 """Height of the frame [px]."""
 
@@ -28,8 +28,8 @@ _HEIGHT = 640
 class Animation:
     """The motion of a run with controls for time and speed, and for magnifying the gaps in the joints.
 
-    In a notebook it appears as the output of a cell: a frame with the page that ``mbdkit animate RUN.h5 -o RUN.html``
-    writes. The frame may run the scripts of this page, but has no access to the notebook, and loads nothing.
+    A notebook shows it as a frame with the page that ``mbdkit animate RUN.h5 -o RUN.html`` writes. The frame may run
+    the scripts of this page, but has no access to the notebook and loads no other files.
     """
 
     def __init__(self, run: Run):

@@ -1,4 +1,4 @@
-"""The packaged notebooks: Python scripts with cells, which begin with ``# %%``, and their conversion to Jupyter
+"""The packaged notebooks, which are Python scripts with cells that begin with ``# %%``, and their conversion to Jupyter
 files.
 """
 

@@ -1,4 +1,4 @@
-"""What notebooks show of each kind of object: sentences, pictures and tables as HTML that loads nothing."""
+"""The display of each kind of object in notebooks: sentences, pictures and tables as HTML that loads no other files."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ from mbdkit.studies.study_headlines import headlines
 
 @dataclass(frozen=True)
 class Picture:
-    """A Matplotlib figure with its description for readers who do not see it."""
+    """A Matplotlib figure with a description for readers who do not see it."""
 
     figure: Figure
     description: str
 
     @property
     def source(self) -> str:
-        """The figure as a URL that contains it."""
+        """The figure as a data URL."""
         return f"data:image/png;base64,{base64.b64encode(png(self.figure)).decode('ascii')}"
 
     @property
@@ -110,7 +110,7 @@ _CHART = (5.4, 3.3)
 
 
 def html_of(thing: HtmlView) -> str:
-    """Return the HTML of an object; if it cannot be read, like a closed run, the HTML shows the reason."""
+    """Return the HTML of an object; if it cannot be read, like a closed run, the HTML states the reason."""
     try:
         return view(thing).html()
     except MbdkitError as error:
@@ -132,7 +132,7 @@ def _(run: Run) -> View:
     title = f"Run: {caption(run).title}"
     answers = [text for _, text in answer_lines(run)]
     sentences += answers
-    lines = [line for line in lines if line[0] != "run" and line[1] not in answers]  # the title
+    lines = [line for line in lines if line[0] != "run" and line[1] not in answers]  # the title of the view
     if not len(run.time):
         return View(title, tuple(sentences), tone, tuple(lines))
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]

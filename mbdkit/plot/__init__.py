@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["compare"]
 
 
-if not TYPE_CHECKING:  # type checkers know the name above, and nothing else
+if not TYPE_CHECKING:  # type checkers see only the names above
 
     def __getattr__(name):
         if name == "compare":

@@ -55,7 +55,7 @@ class BeamPeak:
 
 
 def beam_peak(run: Run, beam: str, component: BeamForce) -> BeamPeak:
-    """Return the largest magnitude of an internal force of a beam over the beam, its ends included, and all rows."""
+    """Return the largest magnitude of an internal force over the whole beam, including its ends, and all rows."""
     values = run.beams[beam].along(component)
     size = np.where(np.isfinite(values), np.abs(values), -1.0)
     row, element = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
@@ -64,7 +64,7 @@ def beam_peak(run: Run, beam: str, component: BeamForce) -> BeamPeak:
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return panels of each internal force along the beams, and over time."""
+    """Return panels of each internal force, along the beams and over time."""
     if not run.beams:
         return [Panel(_draw_nothing)]
     along = [Panel(partial(_draw, chart=_along(run, which)), over_time=False) for which in get_args(BeamForce)]
@@ -72,7 +72,7 @@ def panels(run: Run) -> list[Panel]:
 
 
 def charts(run: Run) -> list[Figure]:
-    """Return the charts of each internal force along the beams, and over time; none if the run has no beams."""
+    """Return the charts of each internal force, along the beams and over time; none if the run has no beams."""
     if not has_beams(run):
         return []
     return [draw(run, which) for draw in (_along, _over_time) for which in get_args(BeamForce)]
@@ -86,7 +86,7 @@ def chart(
     times: float | Sequence[float] | None = None,
     most: int = MOST,
 ) -> Figure:
-    """Return the chart of an internal force along beams at some times or, unless times are given, over time.
+    """Return the chart of an internal force of beams: along the beams at the given `times`; by default, over time.
 
     Parameters
     ----------
@@ -100,11 +100,11 @@ def chart(
     Raises
     ------
     SpecError
-        The component is unknown, the run has no beams, or a time lies outside of the run.
+        If the component is unknown, the run has no beams, or a time lies outside the run.
     UnknownNameError
-        There is no such beam.
+        If there is no such beam.
     NotRecordedError
-        The run did not record the internal forces of beams.
+        If the run did not record the internal forces of beams.
     """
     if components not in get_args(BeamForce):
         known = listed(get_args(BeamForce), "or")
@@ -157,7 +157,7 @@ def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, t
 
 
 def _rows(run: Run, name: str, component: BeamForce) -> list[int]:
-    """Return five rows spread over the run, one of which is that of the largest value of a beam."""
+    """Return five rows spread over the run, one of which has the largest value of a beam."""
     spread = nearest_rows(run.time, np.linspace(run.time[0], run.time[-1], _TIMES)).tolist()
     peak = beam_peak(run, name, component).row
     spread[min(range(len(spread)), key=lambda k: abs(spread[k] - peak))] = peak

@@ -23,7 +23,7 @@ class Caption:
     settings
         Model, integrator, step and status in one line.
     alarm
-        Status and reason of a run that is not complete; else empty.
+        Status and reason of a run that is not complete; otherwise empty.
     """
 
     title: str
@@ -50,7 +50,9 @@ def caption(run: Run) -> Caption:
 
 
 def method(spec: Mapping[str, Any]) -> str:
-    """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``, or that there is none."""
+    """Return the integrator of a spec with its main options, such as ``gauss, 2 stages``, or a text that says there is
+    none.
+    """
     if is_inverse(spec):
         smooth = spec["motion"].get("smooth", {})
         cutoff = f" {smooth['cutoff']:g} Hz" if "cutoff" in smooth else ""
@@ -71,7 +73,7 @@ def plain_name(choice: Any, default: str) -> str:
 
 
 def _departures(spec: Mapping[str, Any]) -> list[str]:
-    """Return the names of a formulation and a stabilization other than the default."""
+    """Return the names of formulation and stabilization if they differ from the defaults."""
     found = []
     for key, default in (("formulation", "index-1"), ("stabilization", "none")):
         value = spec.get(key) or default

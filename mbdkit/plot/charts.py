@@ -1,4 +1,4 @@
-"""Charts drawn by Matplotlib: in the house style or in that of a user, on axes, in panels, or as PNG and SVG files.
+"""Charts drawn by Matplotlib, in the house style or in that of a user: on axes, in panels, or as PNG and SVG files.
 
 A chart is a `mbdkit.figures.page_model.Figure`: lines, axes and a caption, independent of how it is drawn.
 """
@@ -33,16 +33,16 @@ Look = dict[str, Any]
 
 @dataclass(frozen=True)
 class Panel:
-    """A part of a plot with axes of its own.
+    """A part of a plot with its own axes.
 
     Parameters
     ----------
     draw
-        Draws the panel on empty axes.
+        Function that draws the panel on empty axes.
     height
-        Height of the axes, approximately [inch].
+        Approximate height of the axes [inch].
     over_time
-        Whether the x axis is time. Such panels share it, and only the lowest one labels it.
+        Whether the x axis is time. Such panels share this axis, which is labelled at the lowest panel only.
     """
 
     draw: Callable[[Axes], None]
@@ -61,7 +61,7 @@ def write_chart_images(charts: Iterable[Figure], folder: Path) -> list[Path]:
     Raises
     ------
     SpecError, ResourceError
-        The folder or a file cannot be written.
+        If the folder or a file cannot be written.
     """
     try:
         folder.mkdir(exist_ok=True)
@@ -111,7 +111,7 @@ def draw_panel(axes: Axes, chart: Figure, title: str) -> list[Line2D]:
 
 
 def panel_title(axes: Axes, text: str) -> None:
-    """Write a title above the upper left corner of `axes`, its text taken literally."""
+    """Write a title above the upper left corner of `axes`; the text is not interpreted as mathematics."""
     axes.set_title(text, size=8.5, color=INK, loc="left", parse_math=False)
 
 
@@ -121,7 +121,7 @@ def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_da
     Parameters
     ----------
     axes
-        Where to draw; what is there is kept. None creates a new figure.
+        Axes to draw on, in addition to their present content. None creates a new figure.
     legend_title
         Title of the legend; empty for none.
     vary_dashes
@@ -148,7 +148,7 @@ def _new_axes() -> Axes:
 
 
 def settle_layout(axes: Axes) -> None:
-    """Adjust the limits of axes with equal scales now, so that the next drawing leaves room for their tick labels."""
+    """Apply the limits of axes with equal scales now, so that the next drawing leaves room for their tick labels."""
     if axes.get_aspect() != "auto":
         axes.figure.draw_without_rendering()  # type: ignore[union-attr]
 
@@ -168,7 +168,7 @@ def _house_looks(chart: Figure) -> list[Look]:
 
 
 def _user_looks(chart: Figure, vary_dashes: bool) -> list[Look]:
-    """Return looks by the property cycle; the lines of a group share a colour and differ in dashes."""
+    """Return line styles from the property cycle; the lines of a group share a colour and differ in dashes."""
     groups = [line.group or line.label for line in chart.lines]
     vary_dashes &= len(set(groups)) == len(groups)
     dashes = [number if vary_dashes else groups[:number].count(group) for number, group in enumerate(groups)]
@@ -210,7 +210,7 @@ def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes:
 
 
 def _draw_lines(axes: Axes, chart: Figure, looks: Sequence[Look]) -> list[Line2D]:
-    """Draw the lines of a chart with their bands; without a colour of its own, a line has that of its group."""
+    """Draw the lines of a chart with their bands; a line without its own colour has that of its group."""
     found: list[Line2D] = []
     colors: dict[str, Any] = {}
     for line, look in zip(chart.lines, looks, strict=True):
@@ -237,6 +237,6 @@ def _note(
     beside: tuple[float, float],
     **look: Any,
 ) -> None:
-    """Write a text below a place, taken literally, some points beside it."""
+    """Write a text below a place and some points beside it; the text is not interpreted as mathematics."""
     note = axes.annotate(text, place, xycoords=coordinates, xytext=beside, textcoords="offset points", va="top", **look)
     note.set_parse_math(False)

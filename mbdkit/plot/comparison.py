@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mbdkit.figures.page_model import Figure, Line
 
 _LINES = 6
-"""Number of lines in a comparison if no elements are named; at least one for each run."""
+"""Number of lines in a comparison if no elements are named, but at least one line for each run."""
 _ALL = 1_000_000
 _DIFFERENCES = 3
 """Largest number of differences in a label; if there are more, titles and file names are used instead."""
@@ -43,8 +43,8 @@ def compare(
 ) -> Axes:
     """Draw the same quantity of several runs in one pair of axes.
 
-    Lines of the same joint, element, point or energy have the same colour and differ in their dashes from run to run;
-    if there is only one of them, each run has its own colour.
+    Lines of the same joint, element, point or energy have the same colour; the dashes differ between runs. If there is
+    only one joint, element, point or energy, each run has its own colour.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def compare(
     kind
         ``trajectory`` (the default), ``drift``, ``energy``, ``reactions``, ``torques``, ``forces`` or ``beams``.
     ax
-        Where to draw; by default a new figure.
+        Axes to draw on; by default those of a new figure.
     labels
         Names of the runs in the legend. By default, they show the differences: integrator, formulation, stabilization,
         step, other keys of the spec, or else title and file.
@@ -71,11 +71,11 @@ def compare(
     Raises
     ------
     SpecError
-        The kind, a name or an option is unknown, there is no run, or one has no rows.
+        If the kind, a name or an option is unknown, there is no run, or one has no rows.
     TypeError
-        An argument is neither a kind nor axes, or one is given twice.
+        If an argument is neither a kind nor axes, or one is given twice.
     NotRecordedError
-        A run did not record the quantity.
+        If a run did not record the quantity.
 
     Examples
     --------
@@ -101,7 +101,9 @@ def compare(
 
 
 def draw_run(run: Run, kind: str, ax: Axes | None = None, **options: Any) -> Axes:
-    """Draw a kind of plot of a run on axes, or those of a new figure, and return them; see `Run.plot`."""
+    """Draw a plot of a run, of the given kind, on axes or on those of a new figure, and return the axes; see
+    `Run.plot`.
+    """
     return draw_on(ax, comparison([run], kind, **options)[0])
 
 
@@ -128,7 +130,7 @@ def comparison(
         size[_group(line)] = max(size[_group(line)], float(np.max(np.nan_to_num(np.abs(line.y)), initial=0.0)))
     largest = sorted(size, key=lambda group: -size[group])[:few] if "joints" not in options else list(size)
     groups = [group for group in size if group in largest]
-    first = next((one for one in charts if one.y.log), charts[0])  # a run without errors has a linear axis
+    first = next((one for one in charts if one.y.log), charts[0])  # the axis of a run without errors is linear
     lines = [
         _labelled(line, name, alone=len(groups) == 1)
         for name, chart in zip(names, charts, strict=True)
@@ -140,7 +142,9 @@ def comparison(
 
 
 def differences(runs: Sequence[Run]) -> list[str]:
-    """Return for each run what distinguishes it from the others: settings or, if these are equal, title and file."""
+    """Return for each run the settings that distinguish it from the others or, if settings are equal, title and
+    file.
+    """
     settings = [_settings(run) for run in runs]
     keys = [key for key in dict.fromkeys(key for setting in settings for key in setting) if _differs(key, settings)]
     if 0 < len(keys) <= _DIFFERENCES:
@@ -176,17 +180,19 @@ def _group(line: Line) -> str:
 
 
 def _labelled(line: Line, name: str, *, alone: bool) -> Line:
-    """Return a line labelled by the name of its run: by the name alone if all lines are of one element (`alone`), and
-    otherwise by the label of the line and the name.
+    """Return a line whose label contains the name of its run.
+
+    If all lines belong to one element (`alone`), the label is the name of the run; otherwise the label of the line is
+    added.
     """
     if not alone:
         return replace(line, label=f"{line.label}, {name}")
-    part = line.label.removeprefix(_group(line)).lstrip(", ")  # such as a component
+    part = line.label.removeprefix(_group(line)).lstrip(", ")  # for example, a component
     return replace(line, label=f"{part}, {name}", group=part) if part else replace(line, label=name, group=name)
 
 
 class _Setting(NamedTuple):
-    """A setting of a run in words, and the key of its number, if it is one: the number may have a unit."""
+    """A setting of a run in words, and its key if it is a number, which may have a unit."""
 
     text: str
     path: SpecPath = ()
@@ -196,7 +202,7 @@ _NONE = _Setting("")
 
 
 def _settings(run: Run) -> dict[str, _Setting]:
-    """Return the settings of a spec by key: first those with names of their own, then all other keys."""
+    """Return the settings of a spec by key: first those that have names, then all other keys."""
     spec = run.spec
     step = spec.get("time", {}).get("step")
     found = {
@@ -219,7 +225,7 @@ def _setting(path: SpecPath, value: Any) -> _Setting:
 
 
 def _with_units(settings: Sequence[_Setting], run: Run) -> list[str]:
-    """Return settings of a run in words, the numbers with their units; without units if plugins are missing."""
+    """Return settings of a run in words, in which numbers have units; units are left out if plugins are missing."""
     texts = [setting.text for setting in settings]
     if not any(setting.path for setting in settings):
         return texts

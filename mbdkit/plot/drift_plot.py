@@ -32,14 +32,14 @@ _READ = {"position": joint_misalignment, "velocity": velocity_misalignment, "ang
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return panels of the misalignments of positions, velocities and, if any is misaligned, angles."""
+    """Return panels of the misalignments of positions and velocities and, if there are any, of angles."""
     found = [joint_misalignment(run), velocity_misalignment(run)]
     angle = angle_misalignment(run)
     if not angle.zero:
         found.append(angle)
     title = ""
     if run.joint_names:
-        # The title states the largest value of every step, which the recorded rows need not contain.
+        # The title states the largest value over all steps, which may not be among the recorded rows.
         largest = {name: joint.misalignment_max for name, joint in run.joints.items()}
         worst = max(largest, key=lambda name: np.nan_to_num(largest[name], nan=np.inf))
         title = f"misalignment: largest over every step {value_text(largest[worst], 'm')} ({worst})"
@@ -52,7 +52,7 @@ def panels(run: Run) -> list[Panel]:
 
 
 def charts(run: Run) -> list[Figure]:
-    """Return a chart of each kind of misalignment that is not zero everywhere, that of positions always."""
+    """Return a chart of positions, and of each other kind of misalignment that is not zero everywhere."""
     if not (run.records("joints/misalignment") and run.joint_names):
         return []
     return [chart(run), *(chart(run, gap=gap) for gap in ("velocity", "angle") if not _READ[gap](run).zero)]
@@ -64,9 +64,9 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
     Raises
     ------
     SpecError
-        There is no such kind of misalignment, or the mechanism has no joints.
+        If there is no such kind of misalignment, or the mechanism has no joints.
     UnknownNameError
-        There is no such joint.
+        If there is no such joint.
     """
     if gap not in _READ:
         raise SpecError(f"the misalignment should be {listed(_READ, 'or')}, not {gap!r}")
@@ -93,6 +93,6 @@ def _remark(quantity: ElementQuantity) -> str:
 
 
 def _without_zeros(quantity: ElementQuantity) -> ElementQuantity:
-    """Return the quantity without joints to which it does not apply; they are recorded as zero."""
+    """Return the quantity without joints to which it does not apply, for which zeros are recorded."""
     columns = quantity.nonzero_columns
     return quantity.only(columns) if columns else quantity

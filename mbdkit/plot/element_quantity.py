@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 SMALLEST = 1e-18
-"""Lowest floor of a logarithmic axis; the round-off of a length of 1 m is a hundred times larger."""
+"""Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger."""
 
 MOST = len(PALETTE)
-"""Number of elements in a chart for which none are named."""
+"""Number of elements in a chart if no elements are named."""
 
 
 @dataclass(frozen=True)
@@ -61,22 +61,22 @@ class ElementQuantity:
 
     @property
     def largest(self) -> tuple[int, float]:
-        """Column of the element with the largest magnitude, and that magnitude."""
+        """Index of the element with the largest magnitude, and this magnitude."""
         column = int(np.argmax(np.nan_to_num(self.data.peaks, nan=-1.0)))
         return column, float(self.data.peaks[column])
 
     @property
     def nonzero_columns(self) -> list[int]:
-        """Columns of the elements with values other than zero; nan counts as such a value."""
+        """Indices of the elements that have values other than zero; nan counts as such a value."""
         return [int(column) for column in np.flatnonzero(np.nan_to_num(self.data.peaks, nan=1.0))]
 
     def largest_columns(self, count: int) -> list[int]:
-        """Return the columns of at most `count` elements, those with the largest magnitudes, in their order."""
+        """Return the indices of at most `count` elements with the largest magnitudes, in the order of the elements."""
         size = np.nan_to_num(self.data.peaks, nan=np.inf)
         return sorted(np.argsort(-size, kind="stable")[:count].tolist())
 
     def only(self, columns: list[int]) -> ElementQuantity:
-        """Return the same quantity of some of the elements."""
+        """Return the same quantity for some of the elements."""
         data = self.data
         part = Bands(data.time, data.low[:, columns], data.high[:, columns], data.peaks[columns], data.exact)
         errors = None if self.errors is None else self.errors[:, columns]
@@ -90,14 +90,15 @@ def has_elements(run: Run) -> bool:
 
 
 def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
-    """Return the values of the force elements and actuators with a unit, ``N`` or ``N m``; of none if there are none.
+    """Return the values of the force elements and actuators with the unit ``N`` or ``N m``; there may be no such
+    elements.
 
-    The forces on nodes that the distributed loads of beams consist of are left out.
+    The forces on nodes that represent the distributed loads of beams are left out.
 
     Raises
     ------
     NotRecordedError
-        The run did not record force elements, and has no actuators.
+        If the run did not record force elements, and has no actuators.
     """
     time, acting = np.asarray(run.time), list(run.actuators.values())
     forces = [] if acting and not run.records("forces/value") else list(run.forces.values())
@@ -127,7 +128,7 @@ def joint_quantity(
     path
         Path of the array, of shape (T, J, ...).
     values
-        Maps a block of rows to one value for each row and joint, such as the norm over the last axis.
+        Function that maps a block of rows to one value for each row and joint, such as the norm over the last axis.
     """
     return ElementQuantity(name, unit, run.joint_names, bands(np.asarray(run.time), run.dataset(path), values))
 
@@ -181,7 +182,8 @@ def with_errors(
 
 
 def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST) -> list[int]:
-    """Return the columns of the wanted elements or, if None, of at most `most` non-zero ones with the largest values.
+    """Return the indices of the wanted elements or, if None, of at most `most` non-zero elements with the largest
+    values.
 
     Parameters
     ----------
@@ -191,7 +193,7 @@ def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST
     Raises
     ------
     UnknownNameError
-        There is no such element.
+        If there is no such element.
     """
     if wanted is None:
         columns = quantity.nonzero_columns
@@ -204,7 +206,9 @@ def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST
 
 
 def element_lines(quantity: ElementQuantity, groups: Sequence[str] = ()) -> tuple[Line, ...]:
-    """Return a line of a chart for each element; for long runs, the largest values, or both extremes if signs differ.
+    """Return a line of a chart for each element.
+
+    For long runs, the line shows the largest values, or both extremes if signs differ.
 
     Parameters
     ----------
@@ -237,8 +241,8 @@ def element_chart(name: str, title: str, caption: str, axis: Axis, quantity: Ele
 
 
 def _band(quantity: ElementQuantity, column: int) -> Array | None:
-    """Return the outline of the band of the estimated error about the curve of one element; None if the error is
-    unknown or was not estimated.
+    """Return the outline of the error band around the curve of one element; None if the error is unknown or not
+    estimated.
     """
     if quantity.errors is None:
         return None
@@ -249,8 +253,8 @@ def _band(quantity: ElementQuantity, column: int) -> Array | None:
 def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool = False, title: str = "") -> None:
     """Draw a quantity of the elements over time.
 
-    Up to as many elements as there are colours are drawn individually. If there are more elements, the largest value of
-    all and the five elements with the largest values are drawn.
+    If there are not more elements than colours, each is drawn. Otherwise, the maximum over all elements and the five
+    elements with the largest values are drawn.
 
     Parameters
     ----------
@@ -287,7 +291,9 @@ def draw_elements(axes: Axes, quantity: ElementQuantity, what: str, *, log: bool
 
 
 def _known_to(quantity: ElementQuantity, column: int) -> str:
-    """Return the estimated error of the largest value of an element, such as `` ± 0.3 N``; empty if not estimated."""
+    """Return the estimated error of the largest value of an element, such as `` ± 0.3 N``; empty if it was not
+    estimated.
+    """
     if quantity.errors is None:
         return ""
     data, errors = quantity.data, quantity.errors[:, column]
@@ -310,7 +316,7 @@ def _floor(values: Array) -> float:
 
 
 def _show_floor(axes: Axes, floor: float, values: Array, unit: str) -> None:
-    """Set the lower limit of a logarithmic axis, with a note if smaller values are drawn at it."""
+    """Set the lower limit of a logarithmic axis; if smaller values are drawn at this limit, add a note."""
     top = float(np.nanmax(values, initial=0.0))
     axes.set_ylim(floor * 0.8, max(top * 2.0, floor * 10.0))
     if np.any(values < floor):

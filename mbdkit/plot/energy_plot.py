@@ -1,4 +1,4 @@
-"""The plot `energy`: the energies over time, and their balance in a panel of its own."""
+"""The plot `energy`: the energies over time, and their balance in a separate panel."""
 
 from __future__ import annotations
 
@@ -87,13 +87,13 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     Parameters
     ----------
     terms
-        Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``; by default all but the
-        balance, without those that are zero.
+        Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``; by default all except
+        the balance and those that are zero.
 
     Raises
     ------
     SpecError
-        There is no such energy.
+        If there is no such energy.
     """
     names = [terms] if isinstance(terms, str) else list(terms or ())
     for name in names:
@@ -117,9 +117,10 @@ def _read(run: Run, *names: str) -> dict[str, Array]:
 
 
 def _relative(values: dict[str, Array]) -> tuple[dict[str, Array], float]:
-    """Return the energies to draw, and the potential at the start, which potential and total are relative to.
+    """Return the energies to draw, and the potential energy at the start, relative to which potential and total are
+    drawn.
 
-    Dissipated energy and work are left out where they are zero.
+    Dissipated energy and work are left out if they are zero.
     """
     base = float(values["potential"][0]) if len(values["potential"]) else 0.0
     found = {}

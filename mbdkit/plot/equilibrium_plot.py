@@ -17,7 +17,7 @@ from mbdkit.plot.charts import draw_chart
 from mbdkit.plot.style import dress, new_figure
 
 FORCES = (("Bending moment", "N m", 3), ("Shear force", "N", 2), ("Axial force", "N", 1))
-"""Title, unit and column of `Equilibrium.beams` of each chart."""
+"""Title, unit and column of `Equilibrium.beams` for each chart."""
 
 
 def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> Figure:
@@ -40,7 +40,7 @@ def equilibrium_figure(found: Equilibrium, mechanism: Mechanism, title: str) -> 
 
 
 def beam_charts(found: Equilibrium) -> list[Chart]:
-    """Return the charts of the internal forces along the beams; none without beams."""
+    """Return the charts of the internal forces along the beams; none if there are no beams."""
     along = Axis("distance from the end a", "m")
     return [
         Chart(title.lower().replace(" ", "-"), title, "", along, Axis(title.lower(), unit),

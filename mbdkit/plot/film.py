@@ -1,4 +1,4 @@
-"""A run as a video, GIF or MP4: the background is drawn once, the mechanism in every frame."""
+"""A run as a video, GIF or MP4. The background is drawn once, the mechanism in every frame."""
 
 from __future__ import annotations
 
@@ -109,11 +109,13 @@ def write_gif(run: Run, target: Path) -> None:
 
 
 def _palette(samples: list[NDArray[np.uint8]], shades: Sequence[str]) -> Image.Image:
-    """Return the colours of the lines and the most frequent other colours of some frames, so that all stay exact."""
+    """Return the colours of the lines and the most frequent other colours of some frames; these colours are then
+    exact.
+    """
     own = np.array([list(bytes.fromhex(color[1:])) for color in (PAPER, INK, SPRING, ALARM, *PALETTE, *shades)])
     pixels = np.concatenate([sample.reshape(-1, 3) for sample in samples])
     colors, counts = np.unique(pixels, axis=0, return_counts=True)
-    # Pillow's colour search is coarse: it would replace a line's colour by one close to it
+    # Pillow's search for colours is coarse: it would replace the colour of a line by a similar one.
     apart = np.abs(colors[:, None, :].astype(int) - own).max(axis=2).min(axis=1) > 8
     common = colors[apart][np.argsort(-counts[apart], kind="stable")[:_COLORS]]
     image = Image.new("P", (1, 1))
@@ -127,7 +129,7 @@ def write_mp4(run: Run, target: Path) -> None:
     Raises
     ------
     SpecError
-        ffmpeg is not found, or fails.
+        If ffmpeg is not found, or fails.
     """
     if not FFMpegWriter.isAvailable():
         raise SpecError(

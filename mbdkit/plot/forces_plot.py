@@ -39,9 +39,9 @@ def chart(run: Run, *, elements: Names = None, most: int = MOST) -> Figure:
     Raises
     ------
     SpecError
-        No element exerts a force.
+        If no element exerts a force.
     UnknownNameError
-        There is no such force element.
+        If there is no such force element.
     """
     force = element_values(run, "N", "force")
     if not force.elements:

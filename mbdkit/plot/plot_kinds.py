@@ -1,4 +1,4 @@
-"""The kinds of plot: one table, from which the command line, the messages and the report take them.
+"""The kinds of plot, in a table that the command line, messages and the report use.
 
 To add a kind, add a line to `PLOT_KINDS` and write the module ``mbdkit/plot/NAME_plot.py``.
 """
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mbdkit.figures.page_model import Figure
     from mbdkit.plot.charts import Panel
 
-# The modules are imported when they are used: the command line lists the kinds without loading Matplotlib.
+# Modules are imported when they are used, so that the command line can list the kinds without loading Matplotlib.
 PLOT_KINDS: dict[str, str] = {
     "trajectory": "paths of free ends and moving joints, first and last pose",
     "drift": "misalignment of the joints on a logarithmic axis",
@@ -26,20 +26,20 @@ PLOT_KINDS: dict[str, str] = {
     "forces": "forces of springs, dampers, laws, loads and actuators",
     "beams": "bending moment, shear and axial force of beams, along them and over time",
 }
-"""What each kind of plot shows, by name."""
+"""Description of each kind of plot, by name."""
 
 
 class PlotModule(Protocol):
-    """Functions of the module of a kind.
+    """Functions of the module of a kind of plot.
 
-    Only `charts` and `chart` are required. A kind without `panels` is plotted by drawing each of its charts in a panel.
+    Only `charts` and `chart` are required. For a kind without `panels`, each of its charts is drawn in a panel.
     """
 
     def charts(self, run: Run) -> Sequence[Figure]:
         """Return the interactive charts of a report; none if the run did not record the quantities."""
 
     def chart(self, run: Run, **options: Any) -> Figure:
-        """Return the chart for one pair of axes; the options, all with defaults, select what it shows."""
+        """Return the chart for one pair of axes; options, all of which have defaults, select what it shows."""
 
     def panels(self, run: Run) -> Sequence[Panel]:
         """Return the panels of the plot, from top to bottom."""
@@ -51,7 +51,7 @@ def plot_module(kind: str) -> PlotModule:
     Raises
     ------
     SpecError
-        The kind is unknown.
+        If the kind is unknown.
     """
     if kind not in PLOT_KINDS:
         raise SpecError(f"there is no kind of plot {kind!r}; the kinds are {', '.join(PLOT_KINDS)}")

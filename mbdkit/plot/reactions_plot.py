@@ -36,16 +36,16 @@ COMPONENTS: dict[str, tuple[str, ...]] = {
     "axial": ("axial",),
     "shear": ("shear",),
 }
-"""Components that are drawn, by the value of the option `components`."""
+"""Components to draw, by the value of the option `components`."""
 
 _AXIS = {"x": "joint force, x component", "y": "joint force, y component"}
 _AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return the panel of the forces and, if there are torques, that of the joints which carry them.
+    """Return the panel of the forces and, if there are torques, a panel of the joints that transmit them.
 
-    Drivers that exert only a torque, such as motors, are left out of the forces.
+    Drivers that exert only a torque, such as motors, are left out of the panel of the forces.
     """
     force = reaction_force(run)
     idle = {
@@ -72,14 +72,14 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
         Names of joints; by default those with the largest forces.
     components
         ``magnitude``; ``x``, ``y`` or both (``global``), in the global frame; ``axial``, ``shear`` or both (``body``),
-        along the x and the y axis of the second body of the joint, or of the first if the second is the ground.
+        along the x and the y axis of the second body of the joint, or of the first body if the second is the ground.
 
     Raises
     ------
     SpecError
-        There are no such components, or no joint.
+        If there are no such components, or no joint.
     UnknownNameError
-        There is no such joint.
+        If there is no such joint.
     """
     if components not in COMPONENTS:
         hint = did_you_mean(components, COMPONENTS)
@@ -118,5 +118,5 @@ def _components(run: Run, columns: list[int], shown: tuple[str, ...]) -> Element
         labels += [name if len(shown) == 1 else f"{name}, {component}" for component in shown]
     together: Array = np.stack(values, axis=1)
     quantity = ElementQuantity("joint force", "N", labels, bands(np.asarray(run.time), together))
-    # The estimate bounds the norm of the error of the vector, and with it that of every component.
+    # The estimate bounds the norm of the error of the vector, and therefore the error of every component.
     return with_errors(run, quantity, "reaction_error", [column for column in columns for _ in shown])

@@ -46,11 +46,11 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
     Raises
     ------
     SpecError
-        The kind or an option is unknown, or the run has no rows.
+        If the kind or an option is unknown, or the run has no rows.
     UnknownNameError
-        A name among the options is unknown.
+        If a name among the options is unknown.
     MbdkitError
-        The run did not record the plotted quantities.
+        If the run did not record the plotted quantities.
     """
     module = plot_module(kind)
     require_rows(run)
@@ -85,7 +85,7 @@ def plot(
     y_limits: tuple[float, float] | None = None,
     **options: Any,
 ) -> Path:
-    """Write a plot of a run, or of several runs, to a file, whose path is returned. An existing file is replaced.
+    """Write a plot of one or several runs to a file, and return its path. An existing file is replaced.
 
     Parameters
     ----------
@@ -97,19 +97,20 @@ def plot(
         Width and height [mm] of a figure for a paper, which has no heading. Several runs are always drawn as a figure
         for a paper, by default of a standard size.
     x_limits, y_limits
-        Ends of the axes, in their units: a time window [s] of plots over time. By default, all values are shown.
+        Limits of the axes, in their units; for plots over time, `x_limits` is a time window [s]. By default, all values
+        are shown.
     **options
-        As for `figure`.
+        See `figure`.
 
     Raises
     ------
     SpecError
-        The kind, an option or the suffix is unknown, limits are equal or not positive on a logarithmic axis, `y_limits`
-        are given for several vertical axes, a run has no rows, or the file cannot be written.
+        If the kind, an option or the suffix is unknown, limits are equal or not positive on a logarithmic axis,
+        `y_limits` are given for several vertical axes, a run has no rows, or the file cannot be written.
     UnknownNameError
-        A name among the options is unknown.
+        If a name among the options is unknown.
     MbdkitError
-        A run did not record the plotted quantities.
+        If a run did not record the plotted quantities.
     """
     target = check_suffix(path, FORMATS, "a plot")
     found = list(runs) if isinstance(runs, Sequence) else [runs]
@@ -123,7 +124,7 @@ def plot(
 
 
 def _limit(picture: Figure, x: tuple[float, float] | None, y: tuple[float, float] | None) -> None:
-    """Set the ends of the axes; raise SpecError where they make no sense."""
+    """Set the limits of the axes; raise SpecError if they are not valid."""
     for name, limits in (("x", x), ("y", y)):
         if limits is not None and not (np.all(np.isfinite(limits)) and limits[0] != limits[1]):
             raise SpecError(f"the {name} limits should be two different numbers, not {limits[0]:g} and {limits[1]:g}")
@@ -137,9 +138,9 @@ def _limit(picture: Figure, x: tuple[float, float] | None, y: tuple[float, float
 
 
 WIDTH = 183.0
-"""Default width [mm]: two columns of many journals."""
+"""Default width [mm]; two columns in many journals."""
 _SHAPE = 0.66
-"""Default height over width."""
+"""Default ratio of height to width."""
 _SMALLEST, _LARGEST = 30.0, 1000.0  # mm
 _INCH = 25.4  # mm
 _DPI = 300
@@ -184,7 +185,7 @@ def size_in_mm(text: str) -> tuple[float, float]:
     Raises
     ------
     SpecError
-        The size is not written like this, or is not sensible.
+        If the size is not written in this form, or is too small or too large.
     """
     match = _SIZE.fullmatch(text)
     if match is None:
@@ -203,7 +204,7 @@ def paper_figure(runs: Sequence[Run], kind: str, size: tuple[float, float] | Non
     Parameters
     ----------
     kind, **options
-        As for `mbdkit.plot.compare`.
+        See `mbdkit.plot.compare`.
     size
         Width and height [mm].
     """
@@ -238,7 +239,7 @@ def _columns(lengths: Sequence[int], room: float) -> int:
     Parameters
     ----------
     lengths
-        Numbers of letters of the labels; a letter is about 0.6 wide, and the line before a label 4.
+        Numbers of letters in the labels; a letter is about 0.6 font sizes wide, and the line before a label 4.
     """
     for rows in range(1, len(lengths)):
         columns = [lengths[start : start + rows] for start in range(0, len(lengths), rows)]

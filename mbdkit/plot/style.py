@@ -35,13 +35,13 @@ _METADATA: dict[str, dict[str, str | None]] = {
     "png": {"Software": "mbdkit"},
     "svg": {"Date": None, "Creator": "mbdkit"},
 }
-"""Metadata of image files: no dates, and the name by which `mbdkit study --overwrite` recognizes images of reports."""
+"""Metadata of image files: no dates, and a name by which `mbdkit study --overwrite` recognizes images of reports."""
 
 
 def new_figure(caption: Caption, width: float = 7.2, height: float = 4.8, dpi: int = DPI) -> Figure:
     """Return an empty figure of `width` x `height` inches with a heading.
 
-    Axes are laid out below the heading. The figure has its own canvas: no global state of Matplotlib is used.
+    Axes are placed below the heading. The figure has its own canvas, so that no global state of Matplotlib is used.
     """
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
@@ -76,7 +76,7 @@ def _cut(text: str, length: int) -> str:
 
 
 def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
-    """Give `axes` the common style and labels with units, and return it."""
+    """Apply the common style and labels with units to `axes`, and return the axes."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
@@ -101,7 +101,7 @@ def powers_of_ten(axes: Axes) -> None:
 def legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], title: str | None = None) -> None:
     """Put a legend to the right of `axes`.
 
-    Labels are taken literally: no mathematics, and a leading underscore does not hide them.
+    Labels are not interpreted as mathematics, and a leading underscore does not hide them.
     """
     if not handles:
         return
@@ -126,11 +126,11 @@ def legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], title: str
 def save(figure: Figure, target: Path) -> None:
     """Write `figure` to `target` atomically, in the format of its suffix.
 
-    Text stays text: PDF contains the outlines of its fonts (Type 42, not Type 3), and SVG their names. The same figure
-    gives the same bytes; files of PDF and SVG have no date.
+    Text remains text: PDF files contain the outlines of the fonts (Type 42, not Type 3), and SVG files their names. The
+    same figure gives the same bytes, because PDF and SVG files have no date.
     """
     kind = target.suffix[1:].lower()
-    content = io.BytesIO()  # Matplotlib's PDF writer replaces the error of a full disk by one of its own
+    content = io.BytesIO()  # Matplotlib's PDF writer would replace the error of a full disk by another error
     _escape(figure)
     with replacing(target) as temporary, mpl.rc_context(_FILES):
         quietly(lambda: figure.savefig(content, format=kind, dpi=figure.dpi, metadata=_METADATA.get(kind)))
@@ -146,7 +146,7 @@ def png(figure: Figure) -> bytes:
 
 
 def _escape(figure: Figure) -> None:
-    """Escape control characters in all texts of a figure; a file of SVG that has them is not valid."""
+    """Escape control characters in all texts of a figure; an SVG file with control characters is not valid."""
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         if (escaped := shown(text.get_text(), lines=True)) != text.get_text():
@@ -154,7 +154,7 @@ def _escape(figure: Figure) -> None:
 
 
 def quietly(draw: Callable[[], Any]) -> Any:
-    """Call `draw` without Matplotlib's warnings about missing glyphs: a title may be in any script."""
+    """Call `draw` without Matplotlib's warnings about missing glyphs, because a title may be in any script."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         return draw()

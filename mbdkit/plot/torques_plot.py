@@ -52,9 +52,9 @@ def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int =
     Raises
     ------
     SpecError
-        Nothing in the mechanism exerts a torque.
+        If nothing in the mechanism exerts a torque.
     UnknownNameError
-        There is no such joint, or no such force element with a torque.
+        If there is no such joint, or no such force element with a torque.
     """
     if joints is None and elements is None:
         quantity = _carried_by_any(run)
@@ -78,7 +78,7 @@ def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int =
 
 
 def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:
-    """Return the torques of the joints that carry any; None if there are none but rounding errors."""
+    """Return the torques of the joints that transmit any; None if there are only rounding errors."""
     torque = reaction_torque(run)
     largest = np.nan_to_num(torque.data.peaks)
     size = float(np.max(largest, initial=0.0))
@@ -88,7 +88,7 @@ def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:
 
 
 def _carried_by_any(run: Run) -> ElementQuantity:
-    """Return the torques of joints that carry any, and of force elements."""
+    """Return the torques of the joints that transmit any, and of force elements."""
     of_joints = carried_torque(run, reaction_force(run))
     of_elements = element_values(run, "N m", "torque") if has_elements(run) else None
     parts = [part for part in (of_joints, of_elements) if part is not None]
@@ -96,7 +96,7 @@ def _carried_by_any(run: Run) -> ElementQuantity:
 
 
 def _joined(parts: list[ElementQuantity]) -> ElementQuantity:
-    """Return several quantities with the same times as one; errors that were not estimated are nan."""
+    """Return several quantities with the same times as a single one; errors that were not estimated are nan."""
     first = parts[0]
     low, high = (np.concatenate([getattr(part.data, side) for part in parts], axis=1) for side in ("low", "high"))
     peaks = np.concatenate([part.data.peaks for part in parts])

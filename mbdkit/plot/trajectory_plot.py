@@ -39,7 +39,7 @@ def panels(run: Run) -> list[Panel]:
     moments = bending_moments(run, drawing.beams)
     last = None if moments is None else moments[-1]
     draw = partial(_draw, drawing=drawing, traces=traces, paths=paths, ends=ends, errors=errors, moments=last)
-    height += 0.0 if last is None else 0.6  # the scale of the bending moments
+    height += 0.0 if last is None else 0.6  # room for the scale of the bending moments
     return [Panel(draw, height, over_time=False)]
 
 
@@ -60,7 +60,7 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     Raises
     ------
     UnknownNameError
-        There is no such point.
+        If there is no such point.
     """
     rows = evenly(len(run.time), _CHART_ROWS)
     names, found = _points(run, points, most, rows)
@@ -88,7 +88,9 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
 def _points(
     run: Run, wanted: Names, most: int, rows: NDArray[np.intp]
 ) -> tuple[list[str], list[tuple[Array, Array | None]]]:
-    """Return the names of points, their paths (R, 2) [m] and estimated errors (R,) [m]; None if not estimated."""
+    """Return the names of points, their paths (R, 2) [m] and their estimated errors (R,) [m]; None for errors not
+    estimated.
+    """
     drawing = draw_spec(run.spec, tuple(run.bodies))
     markers = tuple(run.markers) if run.records("markers/position") else ()
     traces = {name: Trace(name, centre) for name, centre in zip(drawing.bodies, drawing.centres, strict=True)}
@@ -125,7 +127,7 @@ def _marker_path(run: Run, name: str, rows: NDArray[np.intp]) -> tuple[Array, Ar
 
 
 def _lines(label: str, path: Array, error: Array | None) -> list[Line]:
-    """Return the path of a point with its error; the part whose errors are unknown is a line of its own."""
+    """Return the path of a point with its error; the part with unknown errors is a separate line."""
     if error is None:
         return [Line(label, path[:, 0], path[:, 1], group=label)]
     known = int(np.sum(np.isfinite(error)))
@@ -155,7 +157,7 @@ def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) ->
 
 
 def _paths(run: Run, rows: int) -> tuple[Drawing, tuple[Trace, ...], Array]:
-    """Return the drawing, the traced points, and their paths [m] of at most so many rows, shape (R, K, 2)."""
+    """Return the drawing, the traced points, and their paths [m], shape (R, K, 2), with at most `rows` rows."""
     drawing = draw_spec(run.spec, tuple(run.bodies))
     traces = choose_traces(drawing)
     fixed, owners = trace_points(drawing, traces)

@@ -1,4 +1,6 @@
-"""Entries of the table of quantities: arrays of the archive, and those taken from the states of a mechanism."""
+"""Entries of the table of quantities: arrays of the archive, some of which are computed from the states of a
+mechanism.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ COORDINATE_UNITS: Mapping[str, tuple[str, ...]] = {
     "velocity_row_units": ("m/s", "m/s", "rad/s"),
     "acceleration_row_units": ("m/s^2", "m/s^2", "rad/s^2"),
 }
-"""Units along the axis ``coordinate``, by the name of the array that holds them."""
+"""Units along the axis ``coordinate``, by the name of the array with this axis."""
 
 #: Axes that grow during a run: recorded rows, intervals between them, events, and impacts.
 GROWING = ("time", "interval", "event", "impact")
@@ -55,14 +57,16 @@ class Array:
     since
         Version of the format that introduced the array.
     components
-        Names of the numbers along the axis ``axis`` or ``coordinate`` in tables and expressions; a single name replaces
-        the name of the array. By default, the names consist of that of the array and those along the axis.
+        Names, in tables and expressions, of the numbers along the axis ``axis`` or ``coordinate``; a single name
+        replaces the name of the array. By default, a name consists of the name of the array and the name along the
+        axis.
     about
-        Descriptions of the first two components, and of the third, if `long_name` describes all three.
+        Descriptions of the first two components and of the third one, if `long_name` describes all three together.
     texts
-        Returns the values of an array of names or units.
+        Function that returns the values of an array of names or units.
     label
-        Attribute of the history of an object with its text in this array; two arrays with the same label give a pair.
+        Attribute of the history of an object that holds its text from this array; the texts of two arrays with the same
+        label are combined to a pair.
     """
 
     path: str
@@ -111,31 +115,33 @@ def time_of(states: States) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Recorded(Array):
-    """An array with a value for each recorded state, taken from the states of the mechanism.
+    """An array with a value for each recorded state, computed from the states of the mechanism.
 
     Parameters
     ----------
     take
-        Returns the values in T states, with the axes of the array. If the arrays of the states have a further last axis
-        of derivatives, so has the result.
+        Function that returns the values in T states, with the axes of the array. If the arrays of the states have an
+        additional last axis of derivatives, so has the result.
     vector
-        Name of the first two components together in expressions; empty for scalars.
+        Name in expressions of the first two components together; empty for scalars.
     has_norm
-        Whether the name of the vector is known in expressions of events too, where it stands for the norm.
+        Whether expressions of events may contain the name of the vector, too, where it denotes the norm.
     is_not_negative
         Whether the values are never negative, so that they cannot cross zero.
     accumulates
         Whether the value is an integral over time, which is known in the recorded rows only.
     is_of_steps
-        Whether the value is an error of computed states, which the motion between them does not have.
+        Whether the value is an error of computed states, which is not defined for the motion between them.
     no_derivative
-        Why the quantity has no derivatives by parameters; empty if it has, unless redundant joints share it.
+        Reason why the quantity has no derivatives by parameters; empty if it has derivatives. Quantities that redundant
+        joints share never have derivatives.
     of_whole
-        Whether expressions have the sum over the elements of a beam; otherwise, they have a value in each element.
+        Whether the quantity in expressions is the sum over the elements of a beam; otherwise, it has a value in each
+        element.
     is_shared
         Whether the values are not unique in redundant joints, which the attribute ``not_unique`` lists.
     is_history
-        Whether studies with ``store: histories`` keep the array.
+        Whether studies with ``store: histories`` store the array.
     charts
         Charts of the quantity in reports.
     """
@@ -154,7 +160,7 @@ class Recorded(Array):
 
     @cached_property
     def attributes(self) -> tuple[Attribute, ...]:
-        """The quantities of expressions that the array holds."""
+        """The quantities in expressions whose values the array contains."""
         if len(self.components) < 2:
             name = self.components[0] if self.components else self.name
             return (Attribute(self, name, None, "" if self.units == MIXED else self.units),)
@@ -174,7 +180,7 @@ class Chart:
     axis
         Label of the values.
     unit
-        Unit of the elements that it shows.
+        Unit of the elements that the chart shows.
     """
 
     name: str
@@ -186,7 +192,7 @@ class Chart:
 
 @dataclass(frozen=True)
 class Attribute:
-    """A quantity of expressions, such as ``force_x``: an array, or a part of its last axis.
+    """A quantity in expressions, such as ``force_x``: an array, or a part of its last axis.
 
     Parameters
     ----------
@@ -207,12 +213,14 @@ class Attribute:
 
     @property
     def is_vector(self) -> bool:
-        """Whether it has an x and a y component."""
+        """Whether the quantity has an x and a y component."""
         return isinstance(self.part, slice)
 
     @property
     def in_events(self) -> bool:
-        """Whether expressions of events may contain the quantity: it is a number that is known in every state."""
+        """Whether the quantity is allowed in expressions of events: it must be a number that is known in every
+        state.
+        """
         return not self.array.accumulates and (not self.is_vector or self.array.has_norm)
 
 
@@ -225,7 +233,8 @@ class Kind:
     arrays
         The arrays in their order.
     word
-        Attribute of `Run` with the objects by name, and word for the kind in expressions; empty if there is neither.
+        Attribute of `Run` that contains the objects by name, and word for the kind in expressions; empty if there is
+        neither.
     one
         Word for one object, such as ``joint``.
     example
@@ -237,13 +246,14 @@ class Kind:
     is_bare
         Whether `word` may be omitted in expressions.
     is_chosen
-        Whether `output.quantities` chooses the group.
+        Whether the group can be selected by `output.quantities`.
     is_optional
         Whether mechanisms may have no object of the kind; archives then lack the group.
     may_be_unknown
         Whether numbers may be nan.
     unit_of
-        Returns the unit of the length or angle of an object, from which those of its quantities follow.
+        Function that returns the unit of the length or angle of an object, from which the units of its quantities
+        follow.
     """
 
     arrays: tuple[Array, ...]
@@ -290,6 +300,6 @@ class Kind:
 
     @cached_property
     def attributes(self) -> Mapping[str, Attribute]:
-        """Quantities of expressions by name; empty if expressions do not have the kind."""
+        """Quantities in expressions by name; empty if expressions cannot contain the kind."""
         recorded = (column for column in self.columns if isinstance(column, Recorded))
         return {attribute.name: attribute for one in recorded for attribute in one.attributes if self.example}

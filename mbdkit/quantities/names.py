@@ -90,7 +90,7 @@ class ArchiveNames:
         return feet(bodies for _, bodies in dict(self.members).get("contacts", ()))
 
     def bodies_of(self, kind: str, place: int) -> list[str]:
-        """Return the first body (`place` 0) or another one of each of the `members` of a kind."""
+        """Return the first body (`place` 0) or another body of each of the `members` of a kind."""
         return [bodies[place] for _, bodies in dict(self.members).get(kind, ())]
 
 

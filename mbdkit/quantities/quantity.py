@@ -1,4 +1,4 @@
-"""Quantities as expressions name them, and their values in states."""
+"""Quantities named in expressions, and their values in states."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Quantity:
 
     @property
     def of(self) -> Kind:
-        """Its kind."""
+        """The kind of the quantity in the table of quantities."""
         return BY_WORD[self.kind]
 
     @property
@@ -49,7 +49,7 @@ class Quantity:
 
     @property
     def recorded(self) -> Attribute:
-        """Its entry in the table; quantities of events have none."""
+        """The entry of the quantity in the table; quantities of events have none."""
         return self.of.attributes[self.attribute]
 
     @property
@@ -59,18 +59,18 @@ class Quantity:
 
     @property
     def is_sum(self) -> bool:
-        """Whether it is the sum over all elements of its object."""
+        """Whether the value is the sum over all elements of the object."""
         return bool(self.of.owner) and self.recorded.array.of_whole and self.element is None
 
     @property
     def beam(self) -> str:
-        """Name of the beam in each of whose elements it has a value; empty for other quantities."""
+        """Name of the beam if the quantity has a value in each element of it; empty for other quantities."""
         return self.name if self.of.owner and self.element is None and not self.is_sum else ""
 
     def select(self, own: np.ndarray) -> np.ndarray:
-        """Return the quantity from the values (T, ...) of its object in its array.
+        """Return the values of the quantity from the values (T, ...) of its object in the array.
 
-        It is (T,), (T, 2) for a vector, and (T, elements) along a beam.
+        Shapes are (T,), (T, 2) for a vector, and (T, elements) along a beam.
         """
         if self.is_sum:
             return np.asarray(np.sum(own, axis=1))
@@ -78,7 +78,7 @@ class Quantity:
         return own if part is None else own[:, part]
 
     def taker(self, names: ArchiveNames) -> Callable[[States], np.ndarray]:
-        """Return a function that takes the quantity from T states; see `select` for the shape of its values."""
+        """Return a function that computes the quantity in T states; see `select` for the shape of its values."""
         take = self.recorded.array.take
         if not self.of.axis:
             return take

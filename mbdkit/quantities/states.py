@@ -1,4 +1,4 @@
-"""States of a mechanism, and the arrays in them from which quantities are taken."""
+"""States of a mechanism, and arrays computed from them that contain the values of quantities."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NONE = np.zeros(0)
 
 
 ENERGETICS = ("fiber_power", "metabolic_power")
-"""Quantities of muscles that are functions of others."""
+"""Quantities of muscles that are functions of other quantities."""
 
 
 def _by_muscle(muscles: Sequence[Muscle], *arrays: np.ndarray) -> Iterator[tuple[Muscle, tuple[np.ndarray, ...]]]:
@@ -65,7 +65,7 @@ class Muscles:
 class States:
     """T states of a mechanism.
 
-    All arrays but `time` may have a further last axis: the value, then its derivatives by parameters.
+    All arrays except `time` may have an additional last axis with the value, followed by its derivatives by parameters.
 
     Parameters
     ----------
@@ -76,20 +76,20 @@ class States:
     q, v
         (T, 3 (B + 1)) positions and velocities, ground last.
     observe
-        Returns the accelerations, residuals, reactions, forces and energies of the states; called once, and only if
-        they are needed.
+        Function that returns accelerations, residuals, reactions, forces and energies of the states. It is called at
+        most once, when they are needed.
     work, dissipated
-        (T,) work of loads and drivers, and dissipated energy, since the start [J]; empty where not known.
+        (T,) work of loads and drivers, and dissipated energy, since the start [J]; empty if not known.
     start_energy
         Total energy at the start of the run [J]; (T,) for states of several runs.
     actuators
         (T, A, 2) value and power of each actuator of inverse dynamics.
     muscles
-        Muscles of inverse dynamics; None where there are none.
+        Muscles of inverse dynamics; None if there are none.
     elapsed
-        (T,) wall time since the first step [s]; empty where not known.
+        (T,) wall time since the first step [s]; empty if not known.
     multipliers
-        (T, m) multipliers computed by the method; None where it has none, as at the start.
+        (T, m) multipliers computed by the method; None if there are none, as at the start.
     z
         (T, Z) first-order states; empty if they are not known.
     """
@@ -156,7 +156,8 @@ class States:
         first = len(known.forces) + len(known.muscles)
         found = np.zeros_like(self.coordinate)
         for place, joint in enumerate(known.friction, first):
-            # the value of an angle is the torque on the second body; that of a length is a tension, which pulls it back
+            # The value of an angle is the torque on the second body. That of a length is a tension, which pulls the
+            # second body back.
             sign = 1.0 if known.joint_units[joint] == "rad" else -1.0
             found[:, joint] = sign * self.observed.forces[:, place, 2]
         return found
@@ -172,8 +173,9 @@ class States:
         return ground_reactions(self.mechanism.contacts, self._contacts)
 
     def of_contacts(self, name: str, *, of_ground: bool = False) -> np.ndarray:
-        """Return a quantity (T, C) of the contacts, or (T, F) or (T, F, 2) of the bodies that may touch the ground;
-        empty if there are no contacts.
+        """Return a quantity (T, C) of the contacts, or (T, F) or (T, F, 2) of the bodies that may touch the ground.
+
+        Empty if there are no contacts.
 
         Raises
         ------
@@ -208,8 +210,9 @@ class States:
         return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
 
     def _energetics(self, name: str) -> np.ndarray:
-        """Return the power of the fibres or the power that muscles consume (T, M); the excitation of muscles of inverse
-        dynamics counts as their activation.
+        """Return the power of the fibres, or the power that muscles consume, (T, M).
+
+        In inverse dynamics, the excitation is assumed to equal the activation.
         """
         own = self.muscles
         if self.q.ndim > 2:
@@ -244,7 +247,9 @@ class States:
         return np.asarray(fiber if name == "fiber_length" else self.of_muscles("rate")[:, number] * along / fiber)
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Return the values (T, m) of the constraint rows, in the order of the archive, from those of pairs."""
+        """Return the values (T, m) of the constraint rows, in the order of the archive, given those of the pairs of
+        rows.
+        """
         return joint_sums(self.mechanism).by_row(values)
 
     @cached_property
@@ -254,7 +259,9 @@ class States:
 
     @property
     def method_multiplier(self) -> np.ndarray:
-        """(T, m) multipliers computed by the method; index-1 multipliers at the start, where it has none."""
+        """(T, m) multipliers computed by the method; index-1 multipliers at the start, where the method has not
+        computed any.
+        """
         return self.multiplier if self.multipliers is None else self.multipliers
 
     @cached_property

@@ -32,8 +32,10 @@ UNITS_OF_ELEMENT: Mapping[str, Mapping[str, str]] = {
     "value_row_units": MULTIPLIER_UNITS,
     "multiplier_row_units": MULTIPLIER_UNITS,
 }
-"""Units of quantities by the array that holds the units, and by the element's unit of length or angle. For other
-arrays, the unit is that of the element."""
+"""Units of quantities, by the array with the units of elements, and by the element's unit of length or angle.
+
+For other arrays, the unit is that of the element.
+"""
 
 _T = ("time",)
 _N = ("interval",)
@@ -90,7 +92,9 @@ def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
 
 
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
-    """Return a kind of arrays without the group in their paths; `since` and `optional` hold for all of them."""
+    """Return a kind whose arrays are given without the group in their paths; `since` and `optional` apply to all of
+    them.
+    """
     placed = (
         replace(array, path=f"{group}/{array.path}", since=max(array.since, since), optional=array.optional or optional)
         for array in arrays
@@ -101,7 +105,7 @@ def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False
 def _taken(
     name: str, dims: tuple[str, ...], units: str, what: str, take: Callable[[States], np.ndarray], **more: Any
 ) -> Recorded:
-    """Return an array that is taken from states; see `Recorded` for the further arguments."""
+    """Return an array that is computed from states; see `Recorded` for the further arguments."""
     return Recorded(name, dims, units, what, take=take, **more)
 
 
@@ -110,7 +114,7 @@ def _texts(name: str, dim: str, what: str, texts: Callable[[ArchiveNames], Seque
 
 
 def _units(name: str, dim: str, of: str, units: Callable[[ArchiveNames], Sequence[str]], **more: Any) -> Array:
-    """Return an array of units that follow from those of the lengths or angles of elements."""
+    """Return an array of units that are determined by the units of the lengths or angles of elements."""
     derived = UNITS_OF_ELEMENT.get(name, {})
 
     def texts(names: ArchiveNames) -> Sequence[str]:
@@ -500,7 +504,7 @@ KINDS = (
 """All kinds, in the order of the groups of the archive."""
 
 ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "markers"]
-"""Groups of the kinds that `output.quantities` chooses."""
+"""Groups of quantities that can be selected by `output.quantities`."""
 
 BY_WORD: Mapping[str, Kind] = {kind.word: kind for kind in KINDS if kind.word}
 BY_GROUP: Mapping[str, Kind] = {kind.group: kind for kind in KINDS}
@@ -517,7 +521,7 @@ def sizes_of(names: ArchiveNames) -> dict[str, int]:
 
 
 def quantities_of_events() -> str:
-    """Return the quantities that expressions of events may contain, as an enumeration of kinds."""
+    """Return the quantities that expressions of events may contain, as a list in words."""
     kinds = []
     for kind in KINDS:
         names = [name for name, attribute in kind.attributes.items() if attribute.in_events]

@@ -25,7 +25,7 @@ KINDS: dict[Kind, type[Plugin]] = {item_class.kind: item_class for item_class in
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of an item: its distribution, the version of it, and the entry point."""
+    """Origin of an item: its distribution, the version of the distribution, and the entry point."""
 
     distribution: str
     version: str
@@ -47,12 +47,12 @@ class Registered:
 
     @property
     def id(self) -> str:
-        """The long id, ``distribution:name``."""
+        """The full id, ``distribution:name``."""
         return f"{self.origin.distribution}:{self.plugin.name}"
 
     @property
     def spec_name(self) -> str:
-        """The name in a canonical spec: short for mbdkit's own items, long for all others."""
+        """The name in a canonical spec: the short name for mbdkit's own items, the full id for all others."""
         return self.name if self.origin.distribution == "mbdkit" else self.id
 
 
@@ -60,9 +60,10 @@ class Registered:
 class Report:
     """Result of loading an entry point or one of its items, for ``mbdkit plugins list`` and ``doctor``.
 
-    `status` is ``ok``, ``clash`` (two distributions use the short name; the long id works), ``error``, or ``disabled``
-    (an environment variable excludes the distribution, which was not imported). `kind` is None for an entry point that
-    returned no items; `seconds` is its loading time.
+    `status` is ``ok``, ``clash`` (two distributions use the short name; the full id is still valid), ``error``, or
+    ``disabled`` (an environment variable excludes the distribution, which was not imported). `kind` is None for an
+    entry
+    point that returned no items. `seconds` is the loading time of the entry point.
     """
 
     id: str
@@ -109,7 +110,8 @@ class Registry:
         Parameters
         ----------
         name
-            Name of the distribution, compared as package indices do (case, dots, dashes and underscores do not count).
+            Name of the distribution. As in package indices, case is ignored, and dots, dashes and underscores are
+            equal.
         """
         return normalized_name(name) in {normalized_name(item.origin.distribution) for item in self.items}
 
@@ -125,7 +127,7 @@ class Registry:
         )
 
     def names(self, kind: Kind) -> list[str]:
-        """Return the names of the items of one kind: the short name where it is unique, else the long id."""
+        """Return the names of the items of one kind: the short name if it is unique, otherwise the full id."""
         return [item.id if len(self._namesakes(kind, item.name)) > 1 else item.name for item in self.of_kind(kind)]
 
     def accepted(self, item: Registered) -> list[str]:
@@ -133,12 +135,12 @@ class Registry:
         return [item.id] if len(self._namesakes(item.kind, item.name)) > 1 else [item.name, item.id]
 
     def get(self, kind: Kind, name: str) -> Registered:
-        """Return the item of this kind by short name or long id.
+        """Return the item of this kind with a short name or full id.
 
         Raises
         ------
         SpecError
-            If there is none, or if several distributions use the short name.
+            If there is no such item, or if several distributions use the short name.
         """
         namesakes = self._namesakes(kind, name)
         label, key = KINDS[kind].label(), KINDS[kind].key
@@ -159,7 +161,9 @@ class Registry:
         raise SpecError(message + self.advice(name), key=key)
 
     def advice(self, name: str) -> str:
-        """Return why the distribution of a long id is not loaded, as the end of an error message; else empty."""
+        """Return the reason why the distribution in a full id is not loaded, as the end of an error message; otherwise
+        empty.
+        """
         distribution, colon, _ = name.partition(":")
         here = [report for report in self._reports if report.origin.distribution == distribution]
         if not colon or not distribution:
@@ -186,7 +190,7 @@ class Registry:
 
 @functools.cache
 def named_options(item: Registered) -> type[BaseModel]:
-    """Return the class of the item's options including its name; strict and frozen even if the plugin's class is
+    """Return the class of the item's options, including its name; strict and frozen even if the class of the plugin is
     not.
     """
     options: type[BaseModel] = create_model(
@@ -204,8 +208,9 @@ def named_options(item: Registered) -> type[BaseModel]:
 
 
 def name_type(item: Registered) -> Any:
-    """Return the type of the key that names the item in a spec; it accepts any of its names and converts them to the
-    canonical one.
+    """Return the type of the key that names the item in a spec.
+
+    The type accepts any name of the item, and converts it to the canonical one.
     """
     names = dict.fromkeys([item.spec_name, item.name, item.id])
     return Annotated[

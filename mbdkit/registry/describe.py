@@ -17,7 +17,7 @@ from mbdkit.registry.policy import API
 
 Schema = dict[str, Any]
 WIDTH = 80
-DEEPEST = 6  # limits the levels of nested options, because the options of a plugin may be recursive
+DEEPEST = 6  # largest number of levels of nested options, because the options of a plugin may be recursive
 
 
 def listing(installed: Registry) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def listing_text(installed: Registry) -> str:
 
 
 def find(name: str, installed: Registry | None = None) -> list[Registered]:
-    """Return the items of a name or id: one, or several of the same name.
+    """Return the items with a name or id; several if they have the same name.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
     for name, value in claims.items():
         if isinstance(value, bool):
             texts.append((name, "yes" if value else "no"))
-        elif isinstance(value, Mapping):  # such as orders by formulation
+        elif isinstance(value, Mapping):  # for example, orders by formulation
             for inner, numbers in value.items():
                 shown = [f"{key} {number:g}" for key, number in numbers.items() if number is not None]
                 texts.append((f"{name} on {inner}", listed(shown)))
@@ -153,7 +153,7 @@ def claim_texts(claims: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _option_lines(options: type[BaseModel]) -> list[str]:
-    if not options.model_fields:  # pydantic cannot make a schema of BaseModel itself
+    if not options.model_fields:  # pydantic cannot create a schema of BaseModel itself
         return ["  none"]
     schema = options.model_json_schema()
     lines: list[str] = []
@@ -178,7 +178,7 @@ def options_in(schema: Schema, deepest: int = DEEPEST) -> Iterator[tuple[str, st
 
 def _options(schema: Schema, definitions: Schema, prefix: str, deepest: int) -> Iterator[tuple[str, str, str, str]]:
     for name, info in schema.get("properties", {}).items():
-        if "const" in info:  # a key with one value only, such as `type`, which stands in the heading
+        if "const" in info:  # a key with only one value, such as `type`, which is part of the heading
             continue
         inside = _inside(info, definitions)
         default = info.get("default")
@@ -190,7 +190,7 @@ def _options(schema: Schema, definitions: Schema, prefix: str, deepest: int) -> 
 
 
 def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
-    """Return the schemas of the mappings inside an option, each with the suffix for its key path."""
+    """Return the schemas of the mappings inside an option, each with the suffix to append to its key path."""
     if "$ref" in info:
         target = definitions[info["$ref"].rpartition("/")[2]]
         return [("", target)] if "properties" in target else []
@@ -219,7 +219,7 @@ def _without(schema: Schema, key: str) -> Schema:
 
 
 def _kind(info: Schema) -> Any:
-    """Return the type in a schema, of a number that may have a unit as well."""
+    """Return the type in a schema; the type of a number that may have a unit is that of a number."""
     kind = info.get("type")
     return kind[0] if isinstance(kind, list) else kind
 

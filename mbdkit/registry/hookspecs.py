@@ -1,6 +1,6 @@
 """The hooks that a plugin may implement; a plugin is a module behind an entry point of the group ``mbdkit``.
 
-A distribution offers a module as a plugin in its ``pyproject.toml``::
+A distribution declares a module as a plugin in its ``pyproject.toml``::
 
     [project.entry-points.mbdkit]
     anything = "my_package.my_module"

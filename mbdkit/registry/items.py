@@ -1,4 +1,4 @@
-"""The items that a plugin offers: one class for each kind of plugin, and the claims of integrators."""
+"""Classes of the items that a plugin can offer, one for each kind of plugin, and the claims of integrators."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
-"""Keys of every element of type ``law`` and arguments of `Mechanism.law`; options of a law have other names."""
+"""Keys of every element of type ``law``, and arguments of `Mechanism.law`; options of a law must have other names."""
 
 
 class Orders(NamedTuple):
@@ -43,32 +43,34 @@ class Claims:
     multiplier_order
         Order of convergence of the multipliers that the method itself computes; None if it computes none.
     symmetric
-        A step by -h undoes a step by h.
+        Whether a step by -h undoes a step by h.
     symplectic
-        The method conserves the symplectic form of an unconstrained Hamiltonian system.
+        Whether the method conserves the symplectic form of an unconstrained Hamiltonian system.
     quadratic_invariants
-        The method conserves quadratic first integrals.
+        Whether the method conserves quadratic first integrals.
     adaptive
-        The method chooses its own step sizes; ``time.step`` is only the first one.
+        Whether the method chooses its own step sizes; ``time.step`` is then only the first of them.
     stages
         Number of stages; None where the method has no stages.
     drift
-        One sentence on how the constraints drift; ``none`` claims that they hold in positions to round-off.
+        One sentence on how the constraint residuals drift; ``none`` claims that the constraints hold in positions to
+        round-off.
     constraints_hold
-        Levels, of ``position`` and ``velocity``, at which the constraints hold to round-off after every step, on the
-        first formulation.
+        The levels among ``position`` and ``velocity`` at which the constraints hold to round-off after every step, on
+        the first of `formulations`.
     needs
-        What the method needs of the equations of motion beside accelerations, such as ``"tangents"``.
+        What the method evaluates of the equations of motion besides accelerations, such as ``"tangents"``.
     formulations
         Formulations of the equations that the method supports.
     stabilizations
-        Supported stabilizations, of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``. Baumgarte's
-        terms are part of the equations; the step loop applies the projections.
+        Supported stabilizations: some of ``none``, ``baumgarte``, ``projection`` and ``symmetric-projection``.
+        Baumgarte's terms are part of the equations; the step loop applies the projections.
     mechanisms
-        What mechanisms the method supports, as a noun phrase; empty: all. Of others, it raises
-        UnsupportedMechanismError, and checks that use them are skipped.
+        The mechanisms that the method supports, as a noun phrase; empty if it supports all. For other mechanisms the
+        method raises UnsupportedMechanismError, and conformance checks that use such mechanisms are skipped.
     orders
-        Orders by formulation, where they differ from `order` and `multiplier_order`, which hold for the first one.
+        Orders by formulation, where they differ from `order` and `multiplier_order`, which are those on the first
+        formulation.
     """
 
     order: float | None = None
@@ -96,9 +98,9 @@ class Claims:
 class Plugin:
     """Base of the item classes.
 
-    A new kind of plugin is a subclass with the class attributes below and the fields of the item, an entry in
-    `ITEM_CLASSES`, and a hook specification in `mbdkit.registry.hookspecs`. Loading, naming, listing and reporting of
-    errors are common to all kinds.
+    A new kind of plugin needs a subclass with the class attributes below and the fields of the item, an entry in
+    `ITEM_CLASSES`, and a hook specification in `mbdkit.registry.hookspecs`. All kinds are loaded, named and listed in
+    the same way, and their errors are reported in the same way.
     """
 
     kind: ClassVar[str]
@@ -106,9 +108,9 @@ class Plugin:
     hook: ClassVar[str]
     """Name of the hook that returns a list of such items."""
     key: ClassVar[str]
-    """Key of a spec that names such an item, for error messages."""
+    """Key in a spec whose value names such an item; error messages mention it."""
     name_key: ClassVar[str] = "name"
-    """Key that holds the name beside the item's options."""
+    """Key in a spec that gives the name of the item, beside the item's options."""
 
     if (
         TYPE_CHECKING
@@ -132,11 +134,11 @@ class Plugin:
 
     @classmethod
     def label(cls) -> str:
-        """Return the name of the kind as used in a sentence."""
+        """Return the name of the kind as it is written in sentences."""
         return cls.kind.replace("-", " ")
 
     def check(self) -> None:
-        """Check the types of the fields, since a plugin may pass anything.
+        """Check the types of the fields, because a plugin may pass any objects.
 
         Raises
         ------
@@ -155,7 +157,7 @@ class Plugin:
             raise PluginError("its references are not a tuple of texts")
 
     def claimed(self) -> Mapping[str, Any]:
-        """Return the item's claims with default options, by name; empty where it makes none."""
+        """Return the claims of the item with default options, by name; empty if the item makes no claims."""
         return {}
 
     def _check_callable(self, *fields: str) -> None:
@@ -177,8 +179,8 @@ class ModelPlugin(Plugin):
     options
         Pydantic model of the parameters, without ``name``.
     build
-        Turns an instance of `options` into a Mechanism; raises SpecError for parameters that make none. Any other
-        exception counts as a failure of the plugin.
+        Function that takes an instance of `options` and returns a `Mechanism`. It raises SpecError if no mechanism has
+        these parameters; any other exception counts as a failure of the plugin.
     references
         BibTeX entries of the sources.
     """
@@ -212,9 +214,9 @@ class IntegratorPlugin(Plugin):
     options
         Pydantic model of the options, without ``name``.
     create
-        Turns an instance of `options` into the method that the simulation steps.
+        Function that takes an instance of `options` and returns the method.
     claims
-        Turns an instance of `options` into the claims of that method.
+        Function that takes an instance of `options` and returns the `Claims` of that method.
     references
         BibTeX entries of the sources.
     dense_output
@@ -239,10 +241,10 @@ class IntegratorPlugin(Plugin):
         self._check_callable("create", "claims")
 
     def claimed(self) -> Mapping[str, Any]:
-        """Return the claims with default options, by name; empty where an option has no default."""
+        """Return the claims with default options, by name; empty if an option has no default."""
         try:
             claims: Any = self.claims(self.options())
-        except (Exception, SystemExit):  # an option without default, or any failure of the plugin
+        except (Exception, SystemExit):  # an option has no default, or the plugin fails in any way
             return {}
         if not isinstance(claims, Claims):
             return {}
@@ -261,9 +263,9 @@ class ForceLawPlugin(Plugin):
     summary
         One line that describes the law.
     options
-        Pydantic model of the options, which are keys beside ``type``, ``law`` and ``pathway`` in the element.
+        Pydantic model of the options. In the element of a spec they are keys beside ``type``, ``law`` and ``pathway``.
     law
-        The law, as an ``ExpressionLaw`` in SymPy or as a ``FunctionLaw`` that Numba compiles.
+        The law: an ``ExpressionLaw`` written in SymPy, or a ``FunctionLaw`` that Numba compiles.
     references
         BibTeX entries of the sources.
     """
@@ -282,7 +284,8 @@ class ForceLawPlugin(Plugin):
     def check(self) -> None:
         """Check the types of the fields and the names of the options; raises PluginError."""
         super().check()
-        # Recognised by attributes instead of by class, because the registry may not import the room `mechanism`.
+        # Laws are recognised by their attributes instead of their class, because `mbdkit.registry` may not import
+        # `mbdkit.mechanism`.
         law: Any = self.law
         is_law = hasattr(law, "passive") and (hasattr(law, "force") or hasattr(law, "function"))
         if not is_law or isinstance(law, type):
@@ -307,11 +310,11 @@ class StudyPlugin(Plugin):
     summary
         One line that describes the study.
     spec
-        File of the study spec (YAML, TOML or JSON). Files that it names are relative to its folder.
+        File of the study spec (YAML, TOML or JSON). Paths in it are relative to the folder of this file.
     verdict
-        Takes the `mbdkit.Study`, complete or not, and returns the `mbdkit.analysis.verdict.Verdict` that its report
-        shows; None for the general verdict of a study. Import what it needs inside the function: plugins are loaded
-        whenever mbdkit starts.
+        Function that takes the `mbdkit.Study`, complete or not, and returns the `mbdkit.analysis.verdict.Verdict` that
+        the report shows; None for the general verdict of a study. It should import large packages inside the function,
+        because plugins are loaded whenever mbdkit starts.
     references
         BibTeX entries of the sources.
     """
@@ -328,7 +331,7 @@ class StudyPlugin(Plugin):
 
     @property
     def options(self) -> type[BaseModel]:
-        """The model of its options: a study has none."""
+        """The model of the options, which is empty, because a study has no options."""
         from pydantic import BaseModel
 
         return BaseModel
@@ -359,8 +362,9 @@ class MeasurePlugin(Plugin):
     units
         Unit of the number, such as ``N m``; ``1`` for a pure number.
     take
-        Takes the `mbdkit.Run`, complete or not, and an instance of `options`, and returns the number: nan if it cannot
-        be computed for this run. Import what it needs inside the function: plugins are loaded whenever mbdkit starts.
+        Function that takes the `mbdkit.Run`, complete or not, and an instance of `options`, and returns the number: nan
+        if it cannot be computed for this run. It should import large packages inside the function, because plugins are
+        loaded whenever mbdkit starts.
     references
         BibTeX entries of the sources.
     """
@@ -393,7 +397,7 @@ ITEM_CLASSES: tuple[type[Plugin], ...] = (ModelPlugin, IntegratorPlugin, ForceLa
 
 
 def described(thing: object) -> str:
-    """Return what kind of object was passed, as a part of an error message."""
+    """Return a noun phrase for the class of an object, as a part of an error message."""
     if isinstance(thing, type):
         return f"the class {thing.__name__}"
     return "nothing" if thing is None else f"an object of type {type(thing).__name__}"

@@ -1,5 +1,5 @@
-"""Loading of plugins: each entry point separately, so that a broken plugin causes a warning and does not affect
-others.
+"""Loading of plugins. Each entry point is loaded separately, so that a broken plugin causes a warning and leaves the
+others usable.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class EntryPoint(Protocol):
 
     @property
     def dist(self) -> Any:
-        """Distribution, with `name` and `version`."""
+        """Distribution, an object with `name` and `version`."""
         ...
 
     def load(self) -> Any:
@@ -69,20 +69,21 @@ def registry() -> Registry:
 
 
 def load_installed() -> Registry:
-    """Load all installed plugins again, without an error for those that cannot be loaded."""
+    """Load all installed plugins again. Those that cannot be loaded are skipped without an error."""
     return load_registry(importlib.metadata.entry_points(group=GROUP), Policy.of())
 
 
 def load_registry(entry_points: Iterable[EntryPoint], policy: Policy | None = None) -> Registry:
-    """Load each entry point separately; if one fails, its items are skipped, with one line of warning and a report.
+    """Load each entry point separately. If one fails, its items are skipped, a warning of one line is printed, and the
+    failure is listed in the registry.
 
     Parameters
     ----------
     entry_points
-        Entry points of the group ``mbdkit``. In the registry, items of mbdkit come first, then the others by
-        distribution.
+        Entry points of the group ``mbdkit``. In the registry, the items of mbdkit itself come first, followed by the
+        others in the order of their distributions.
     policy
-        Which distributions are loaded; all of them by default.
+        Decides which distributions are loaded; by default all of them.
     """
     policy = policy or Policy()
     entry_points = sorted(entry_points, key=_order)

@@ -12,16 +12,16 @@ from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
 
 API = 1
-"""Version of the plugin API: the hooks, their return values, and the arguments of methods, laws and models.
+"""Version of the plugin API: of the hooks, of their return values, and of the arguments of methods, laws and models.
 
-The version is increased when existing plugins would stop working, not when features are added.
+The version is increased when existing plugins would stop working, but not when features are added.
 """
 
 OLDEST_API = 1
 """The oldest version of the plugin API that is still supported."""
 
 API_NAME = "mbdkit_api"
-"""Name of the variable with which a plugin module declares the API version that it was written for."""
+"""Name of the variable in which a plugin module declares the API version that it was written for."""
 
 ALLOW, DISABLE, STRICT = "MBDKIT_PLUGINS", "MBDKIT_DISABLE_PLUGINS", "MBDKIT_STRICT_PLUGINS"
 
@@ -90,7 +90,9 @@ class Policy:
         return None
 
     def unknown(self, distributions: set[str]) -> str | None:
-        """Return a message about allowed or disabled names that have no plugin installed, or None."""
+        """Return a message on the allowed or disabled names for which no plugin is installed; None if there are
+        none.
+        """
         here = {normalized_name(name) for name in distributions}
         told = [
             f"{variable} names {listed([repr(name) for name in sorted(names - here)], 'and')}, "
@@ -106,5 +108,5 @@ def _names(text: str) -> frozenset[str]:
 
 
 def normalized_name(distribution: str) -> str:
-    """Return the name of a distribution, normalized as in PEP 503 for comparison."""
+    """Return the name of a distribution in the normalized form of PEP 503, in which names are compared."""
     return re.sub(r"[-_.]+", "-", distribution).lower()

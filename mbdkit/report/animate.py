@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 
 def animate(run: Run, path: str | os.PathLike[str]) -> Path:
-    """Write an animation of a run to a file, whose path is returned. An existing file is replaced.
+    """Write an animation of a run to a file and return the path of the file. An existing file is replaced.
 
-    Every frame is a recorded row of the run. A GIF or MP4 shows runs of 2 to 16 s in real time; a longer run is
-    accelerated and a shorter one slowed down by a round factor, which is stated. On a page the reader sets the speed.
+    Every frame is a recorded row of the run. A GIF or MP4 shows runs of 2 to 16 s in real time. Longer runs are
+    accelerated and shorter ones are slowed down by a round factor, which the animation states. On an HTML page the
+    reader sets the speed.
 
     Parameters
     ----------
@@ -33,7 +34,8 @@ def animate(run: Run, path: str | os.PathLike[str]) -> Path:
     Raises
     ------
     SpecError
-        The suffix is unknown, the run has no rows, ffmpeg is needed and not installed, or the file cannot be written.
+        If the suffix is unknown, the run has no rows, ffmpeg is needed but not installed, or the file cannot be
+        written.
     """
     target = check_suffix(path, tuple(WRITERS), "an animation")
     require_rows(run)
@@ -53,7 +55,8 @@ def page(run: Run, numbers: int = 450_000) -> str:
     Parameters
     ----------
     numbers
-        Approximate number of pose values in it, six bytes each; by default about three megabytes.
+        Approximate number of pose values in the page. Each takes six bytes; the default amounts to about three
+        megabytes.
     """
     return render("animation.html", {"caption": caption(run), "films": [film_data(run, numbers)]})
 

@@ -1,4 +1,6 @@
-"""The answer of a run: largest forces of joints, force elements and beams, with times and errors."""
+"""The section on the answer of a run: the largest forces in joints, force elements and beams, with their times and
+errors.
+"""
 
 from __future__ import annotations
 
@@ -22,17 +24,17 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 50
-"""Largest number of joints, force elements or beams in a table, which has those with the largest forces."""
+"""Largest number of joints, force elements or beams in a table, which lists those with the largest forces."""
 
 
 @dataclass(frozen=True)
 class Peaks:
-    """Largest magnitudes of J curves.
+    """Largest magnitudes of J curves, each at its own time.
 
     Parameters
     ----------
     value, time
-        (J,) largest magnitude and its time [s]; nan if no value is finite.
+        (J,) largest magnitude and its time [s]; nan if a curve has no finite value.
     """
 
     value: Array
@@ -40,8 +42,10 @@ class Peaks:
 
     @classmethod
     def of(cls, time: Array, data: object, magnitude: Callable[[Array], Array] = np.abs) -> Peaks:
-        """Return the largest magnitudes in an array or dataset (T, J, ...) whose rows are at `time` (T,)."""
-        array: np.ndarray = data  # type: ignore[assignment]  # an HDF5 dataset is read by slicing
+        """Return the largest magnitudes in an array or dataset (T, J, ...) whose rows belong to the times `time`
+        (T,).
+        """
+        array: np.ndarray = data  # type: ignore[assignment] # an HDF5 dataset is read by slicing
         value, when = np.full(array.shape[1], -1.0), np.full(array.shape[1], np.nan)
         for block in blocks(len(time), int(np.prod(array.shape[1:]))):
             part = magnitude(np.asarray(array[block], dtype=np.float64))
@@ -56,16 +60,17 @@ class Peaks:
 
 @dataclass(frozen=True)
 class _Quantity:
-    """Forces or torques of the joints, with the known part of them.
+    """Largest forces or torques of the joints, over the whole run and over the rows with known errors.
 
     Parameters
     ----------
     peaks, known
-        Largest values over the run, and over the rows for which errors are known; `known` is None without a check.
+        Largest values over the run, and over the rows whose errors are known. `known` is None if errors were not
+        estimated.
     error
-        (J,) estimated errors over these rows.
+        (J,) estimated errors of `known`.
     known_until
-        Time of the last of these rows [s].
+        Time of the last row whose errors are known [s]; infinite if all are known.
     """
 
     name: str
@@ -81,7 +86,7 @@ class _Quantity:
         return self.known is not None and math.isinf(self.known_until)
 
     def columns(self) -> list[Column]:
-        """Return the headings of its columns."""
+        """Return the headings of the columns for this quantity."""
         columns = [Column(f"largest {self.name}", self.unit), Column(f"time of the {self.name}", "s")]
         if self.known is not None and not self.is_complete:
             columns.append(Column(f"largest {self.name} until {self.known_until:.4g} s", self.unit))
@@ -90,7 +95,7 @@ class _Quantity:
         return columns
 
     def cells(self, joint: int, floor: float) -> list[Cell]:
-        """Return the cells of a joint; empty ones if its value is not above `floor`."""
+        """Return the cells of a joint; they are empty if its largest value is not above `floor`."""
         value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
         if value <= floor:
             return [None] * len(self.columns())
@@ -102,7 +107,7 @@ class _Quantity:
         return cells
 
     def told(self, joint: int) -> str:
-        """Return the largest value of a joint with its error and time."""
+        """Return the largest value of a joint with its error and time, as text."""
         value, time = float(self.peaks.value[joint]), float(self.peaks.time[joint])
         if self.known is None or time > self.known_until:
             unknown = "" if self.known is None else ", error unknown"
@@ -111,7 +116,7 @@ class _Quantity:
 
 
 def answer_section(run: Run) -> Section | None:
-    """Return the section on forces and torques of a run that has rows; None if it recorded none."""
+    """Return the section on the forces and torques of a run that has rows; None if the run recorded none of them."""
     tables: list[Table] = []
     sentences: list[str] = []
     if run.joint_names and run.records("joints/reaction_force"):
@@ -160,7 +165,9 @@ def _quantity(run: Run, name: str, unit: str, path: str, magnitude: Callable[[Ar
 
 
 def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Sequence[_Quantity], floor: float) -> Table:
-    """Return the table of some of the joints, limited to those with the largest forces, with the power of drivers."""
+    """Return the table of the joints in `columns`, at most `ROWS`, which are those with the largest forces; for
+    drivers, it also shows the largest power.
+    """
     most = np.nan_to_num(np.max(np.stack([one.peaks.value for one in found]), axis=0), nan=np.inf)
     chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])
     used = [one for one in found if any(one.peaks.value[column] > floor for column in chosen)]
@@ -188,7 +195,7 @@ def _table(run: Run, name: str, title: str, columns: Sequence[int], found: Seque
 
 
 def _of_forces(run: Run) -> Table:
-    """Return the table of the largest force, torque and power of each force element."""
+    """Return the table of the largest force or torque, and of the largest power, of each force element."""
     time, loads = np.asarray(run.time), distributed_loads(run)
     value, power = (Peaks.of(time, run.dataset(f"forces/{name}")) for name in ("value", "power"))
     forces = list(run.forces.values())
@@ -214,12 +221,12 @@ def _of_forces(run: Run) -> Table:
 
 
 def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
-    """Return the section on the beams of a run that has rows; None if it recorded none.
+    """Return the section on the beams of a run that has rows; None if the run has no recorded beams.
 
     Parameters
     ----------
     mechanism
-        The mechanism of its spec; None if its model is not available.
+        The mechanism of the run's spec; None if its model is not available.
     """
     if not has_beams(run):
         return None
@@ -235,7 +242,7 @@ def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
 
 
 def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | None:
-    """Return the drawing of the mechanism in a row, its beams coloured by their bending moments."""
+    """Return the drawing of the mechanism at a row, with beams coloured by their bending moments."""
     pose = take(run.dataset("trajectory/position"), np.array([row], dtype=np.intp))[0]
     named = NamedPose.of(mechanism, list(run.bodies), pose, np.asarray(run.time)[row : row + 1])
     moments = bending_moments(run, named.drawing.beams)
@@ -252,7 +259,7 @@ def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | Non
 
 
 def _beam_table(run: Run) -> Table:
-    """Return the table of the largest internal forces and strain energy of each beam."""
+    """Return the table of the largest internal forces and of the largest strain energy of each beam."""
     columns = [Column("beam")]
     for name, unit in (("bending moment", "N m"), ("shear force", "N"), ("axial force", "N")):
         columns += [Column(f"largest {name}", unit), Column("distance from a", "m"), Column("time", "s")]

@@ -1,4 +1,6 @@
-"""Charts of a design's report: loads before and after, Pareto fronts, and goals around the best point."""
+"""Charts in the report of a design: loads before and after, Pareto fronts, and goals along the variables around the
+best point.
+"""
 
 from __future__ import annotations
 
@@ -24,18 +26,20 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 POINT_WORDS = {"start": "at the start", "best": "at the best point"}
-"""Words for the points that have archives."""
+"""Names in sentences of the points whose runs are stored in archives."""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 _JOINT_ERRORS = {"torque": "torque_error"} | dict.fromkeys(("force", "force_x", "force_y"), "reaction_error")
-"""Estimated errors of the quantities of joints."""
+"""Names of the arrays with the estimated errors of the quantities of joints."""
 
 Pair = dict[str, "Run"]
-"""The runs of a scenario at the ``start`` and at the ``best`` point."""
+"""The runs of one scenario, at the ``start`` and at the ``best`` point."""
 
 
 def load_charts(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Figure]:
-    """Yield a chart over time of each quantity in goals and limits, before and after."""
+    """Yield a chart over time, at the start and at the best point, of each quantity that the goals and limits
+    contain.
+    """
     for number, (scenario, pair) in enumerate(pairs.items()):
         spec = design.spec.specs[scenario]
         for index, quantity in enumerate(_quantities(design, spec)):
@@ -50,14 +54,14 @@ def load_charts(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Figure]:
 
 
 def quantity_words(quantity: Quantity, unit: str) -> str:
-    """Return a quantity in words that begin with a capital, such as ``Torque of knee_motor``."""
+    """Return a phrase for a quantity that begins with a capital letter, such as ``Torque of knee_motor``."""
     kind = _kind(quantity, unit)
     owner = "" if quantity.kind == "energy" else f" of {quantity.name}"
     return f"{kind[:1].upper()}{kind[1:]}{' energy' if quantity.kind == 'energy' else ''}{owner}"
 
 
 def _kind(quantity: Quantity, unit: str) -> str:
-    if quantity.attribute == "value":  # of a force element or an actuator
+    if quantity.attribute == "value":  # the value of a force element or of an actuator
         return {"N": "force", "N m": "torque"}.get(unit, "value")
     if (quantity.kind, quantity.attribute, unit) == ("forces", "length", "rad"):
         return "angle"
@@ -65,7 +69,7 @@ def _kind(quantity: Quantity, unit: str) -> str:
 
 
 def _quantities(design: Design, spec: RunSpec | InverseSpec) -> Sequence[Quantity]:
-    """Return the quantities in goals and limits that change over time."""
+    """Return the quantities over time that the expressions of goals and limits contain."""
     found: dict[Quantity, None] = {}
     for measure in design.spec.defined_measures():
         parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
@@ -84,7 +88,9 @@ def _line(which: str, quantity: Quantity, run: Run) -> Line:
 
 
 def _error(quantity: Quantity, run: Run, time: np.ndarray) -> np.ndarray | None:
-    """Return the estimated error (K,) of a quantity at some times, nan where unknown; None if none is estimated."""
+    """Return the estimated error (K,) of a quantity at the times `time` (K,), nan where it is unknown; None if no error
+    is estimated for this quantity.
+    """
     if (quantity.kind, quantity.attribute) == ("actuators", "value"):
         rows = np.searchsorted(np.asarray(run.time), time, side="right") - 1
         return np.asarray(run.actuators[quantity.name].value_error)[rows]
@@ -125,7 +131,8 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
     Parameters
     ----------
     around
-        Cuts along the variables with the design's own settings, whose name is empty, and with others.
+        Cuts along the variables by name of the settings of the runs. The empty name stands for the design's own
+        settings.
     units
         Units of the goals by name.
     """
@@ -154,5 +161,5 @@ def _common(units: Mapping[str, str]) -> str:
 
 
 def variable_unit(design: Design, name: str) -> str:
-    """Return the unit of a variable; empty if it is not known."""
+    """Return the unit of a variable; empty if it is unknown."""
     return key_unit(variable_path(name), design.spec.specs.values())

@@ -1,4 +1,6 @@
-"""The report of a design: the device at the start and at the best point, its loads, and the certification."""
+"""The report of a design: the mechanism at the start and at the best point, its loads, and the certification of the
+gain.
+"""
 
 from __future__ import annotations
 
@@ -38,19 +40,20 @@ if TYPE_CHECKING:
     from mbdkit.designs.point import DesignPoint
 
 _NUMBERS = 60_000
-"""Largest number of pose values of each film."""
+"""Largest number of pose values in each animation."""
 COSTS = 2
-"""Largest number of loads in the headline that the design increases."""
+"""Largest number of loads in the headline; they are loads that the design increases."""
 
 
 @contextmanager
 def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
-    """Yield the report of a design with a result; points around the best one are evaluated.
+    """Provide the report of a design that has a result, as a context in which its archives are open. Points around the
+    best point are evaluated for it.
 
     Parameters
     ----------
     workers
-        Number of processes that evaluate.
+        Number of processes that evaluate the points.
     """
     folder = DesignFolder(path)
     design = folder.read()
@@ -112,7 +115,9 @@ def _page(
 
 
 def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
-    """Yield the sections with the device at the start and at the best point, and with its forces in each scenario."""
+    """Yield the sections that show the mechanism at the start and at the best point, and its forces in each
+    scenario.
+    """
     name, pair = next(iter(pairs.items()))
     for which, run in pair.items():
         pose = np.asarray(run.array("trajectory/position")[0])
@@ -131,12 +136,12 @@ def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
 
 
 def _value(design: Design, point: DesignPoint, name: str) -> str:
-    """Return the value of a variable at a point with its unit."""
+    """Return the value of a variable at a point, with its unit, as text."""
     return f"{point.variables[name]:.6g} {variable_unit(design, name)}".rstrip()
 
 
 def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, Any]]:
-    """Yield the motions at the best point and at the start."""
+    """Yield the animations of the runs at the best point and at the start."""
     for scenario, pair in pairs.items():
         for which in reversed(WHICH):
             yield film_of(pair[which], _NUMBERS, f"{scenario}, {which}" if scenario else which)

@@ -1,4 +1,4 @@
-"""The verdict on a design: its gain, the reliability of the gain, and the tables of its points."""
+"""The verdict on a design: its gain, whether the gain exceeds the errors, and the tables of its points."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 SAME = 1e-3
-"""Difference of two optima that counts as zero: of goals relative to the start, of variables relative to the bounds."""
+"""Largest difference at which two optima count as equal: of goals relative to the start, of variables relative to the
+distance of their bounds.
+"""
 
 
 def design_verdict(design: Design) -> Verdict:
@@ -46,7 +48,7 @@ def design_verdict(design: Design) -> Verdict:
 
 
 def _gains(design: Design) -> Iterator[Claim]:
-    """Yield a claim for each goal: that it gains more than the estimated errors."""
+    """Yield for each goal the claim that its gain exceeds the estimated errors."""
     for one in design.gains:
         unit = f" {one.unit}" if one.unit else ""
         known = "of unknown error" if np.isnan(one.error) else f"with an estimated error of {one.error:.1g}{unit}"
@@ -72,7 +74,7 @@ def _limits(design: Design) -> Iterator[Claim]:
 
 
 def _compared(design: Design, one: Comparison) -> Claim:
-    """Return the claim that other settings of the runs find the same best point."""
+    """Return the claim that the search with other settings of the runs finds the same best point."""
     name = f"compared-{[*design.spec.compare].index(one.name) + 1}"
     statement = f"With {one.name}, the best point is the same."
     if one.believed is None or one.actual is None:
@@ -99,7 +101,7 @@ def _compared(design: Design, one: Comparison) -> Claim:
 
 
 def _tables(design: Design) -> Iterator[Table]:
-    """Yield the tables of variables, of goals and limits in each scenario, of comparisons, and of a Pareto front."""
+    """Yield the tables of variables, of goals and limits in each scenario, of comparisons, and of the Pareto front."""
     start, best = design.start.variables, design.best.variables
     rows: list[tuple[Cell, ...]] = [
         (key_words(name), variable.bounds[0], start[name], best[name], variable.bounds[1],
@@ -133,7 +135,7 @@ def _goal_table(design: Design) -> Table:
 
 
 def costs_table(costs: Sequence[Cost]) -> Table:
-    """Return the table of the loads that the design changes."""
+    """Return the table of the loads that differ between the start and the best point."""
     rows: list[tuple[Cell, ...]] = [
         (one.scenario, one.label, one.unit, one.start, one.best, None if np.isinf(one.share) else 100 * one.share)
         for one in costs
@@ -147,7 +149,7 @@ def costs_table(costs: Sequence[Cost]) -> Table:
 
 
 def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
-    """Return the table of the goals with one number off its value at the best point."""
+    """Return the table of the goals at the best point when one number of the model deviates from its value."""
     units = goal_units(design.spec)
     columns = [Column("number"), Column("off by")]
     for name in design.best.goals:
@@ -165,7 +167,7 @@ def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
 
 
 def _comparison_table(design: Design) -> Table:
-    """Return the table of the best points that searches with other settings of the runs find."""
+    """Return the table of the best points found by searches with other settings of the runs."""
     (goal,) = design.best.goals
     best = design.best
     rows: list[tuple[Cell, ...]] = [("this design", *best.variables.values(), best.goals[goal], best.goals[goal],

@@ -1,4 +1,4 @@
-"""Arrows of the forces of joints, loads and springs to scale: in a drawing at several times, and in the player."""
+"""Forces of joints, loads and springs as arrows to scale, in drawings at several times and in the player."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ FRAMES, FRAMES_NARROW = 6, 3
 ARROW = 0.45
 """Length of the longest arrow, as a share of the height of the mechanism."""
 CONTACT = 0.05
-"""Share of the peak of a load at which its contact begins."""
+"""A contact begins where a load exceeds this share of its largest value."""
 KEY = 0.15
-"""Space for the legend above the frames, as a share of their height."""
+"""Height of the space for the legend above the frames, as a share of the height of the frames."""
 KINDS = (("joint", "force in a joint"), ("load", "measured load"), ("spring", "force element"))
-"""Class of the arrows in `templates/drawing.css`, and what they show."""
+"""Kinds of arrows, which are classes in `templates/drawing.css`, and the texts that explain them."""
 
 _PLACES = {
     "joint": "in joints, on the second body",
@@ -43,7 +43,7 @@ Arrow = tuple[str, Array, Array]
 
 
 def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
-    """Return the drawing of a run in several frames; None if its model is not available, or has very many bodies."""
+    """Return the drawing of a run at several times; None if its model is not available, or has too many bodies."""
     if not _has_arrows(run, mechanism):
         return None
     assert mechanism is not None
@@ -66,9 +66,10 @@ def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> 
     Returns
     -------
     dict
-        The film; if there are forces, with ``arrows``: their ``kinds`` (A), the ``texts`` of the kinds, the ``scale``
-        [m/N], the ``longest`` force [N], and ``values``, x, y [m] and force x, y [N] of each arrow, frame by frame. Its
-        ``view`` then shows the arrows as well, about the same centre.
+        The data `film`. If there are forces, the key ``arrows`` is added: ``kinds`` (A,) of the arrows, the ``texts``
+        of the kinds, the ``scale`` [m/N], the ``longest`` force [N], and ``values``, the position x, y [m] and the
+        force x, y [N] of each arrow, frame by frame. The ``view`` is then enlarged about its centre until it contains
+        the arrows.
     """
     if not _has_arrows(run, mechanism):
         return film
@@ -96,7 +97,7 @@ def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> 
 
 
 def _widened(view: list[float], points: Array) -> list[float]:
-    """Return a view [m] about the same centre that shows some points (P, 2) as well."""
+    """Return a view [m] enlarged about its centre so that it contains the points (P, 2)."""
     found = []
     for axis, (low, high) in enumerate((view[:2], view[2:])):
         middle = (low + high) / 2
@@ -106,12 +107,12 @@ def _widened(view: list[float], points: Array) -> list[float]:
 
 
 def _has_arrows(run: Run, mechanism: Mechanism | None) -> bool:
-    """Return whether the model is available, and has so few bodies that arrows do not hide them."""
+    """Return whether the model is available and has at most `CROWD` bodies, which arrows do not hide."""
     return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= CROWD
 
 
 def _box(frame: NamedPose) -> Array:
-    """Return the points (P, 2) [m] of the bodies of a frame."""
+    """Return the points (P, 2) [m] of the drawn bodies in a frame."""
     return np.asarray(frame.drawing.world(frame.pose)[frame.drawing.owner >= 0])
 
 
@@ -142,7 +143,9 @@ def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
 
 
 def _moments(run: Run, count: int) -> Array:
-    """Return the times [s] of the frames: the middles of equal parts of the first cycle, or over the motion."""
+    """Return the times [s] of the frames: the middles of equal parts of the first cycle or, without a cycle, equal
+    distances over the motion.
+    """
     cycle = _cycle(run)
     if cycle is None:
         return np.linspace(run.time[0], run.time[-1], count)
@@ -151,7 +154,9 @@ def _moments(run: Run, count: int) -> Array:
 
 
 def _cycle(run: Run) -> tuple[float, float] | None:
-    """Return begin and end [s] of the first cycle, by contacts of the first load that has two; None without any."""
+    """Return begin and end [s] of the first cycle, which are the first two beginnings of contact of one load; None if
+    no load has two.
+    """
     for load in run.loads.values():
         size = np.linalg.norm(load.force, axis=1)
         starts = crossings(np.asarray(run.time), size, CONTACT * float(np.max(size))).tolist()
@@ -161,7 +166,9 @@ def _cycle(run: Run) -> tuple[float, float] | None:
 
 
 def _covered(boxes: list[Array], arrows: list[list[Arrow]], shifts: list[Array], scale: float) -> Array:
-    """Return the points (P, 2) [m] of all frames and the ends of their arrows, side by side, and room for the key."""
+    """Return the points (P, 2) [m] that the drawing must contain: the bodies and the ends of the arrows of all frames
+    side by side, and a point above them, which leaves space for the legend.
+    """
     points = [box + shift for box, shift in zip(boxes, shifts, strict=True)]
     for arrow, shift in zip(arrows, shifts, strict=True):
         points += [(point + scale * force + shift)[None] for _, point, force in arrow]
@@ -190,7 +197,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
 
 
 def _arrow(canvas: Canvas, kind: str, start: Array, along: Array) -> None:
-    """Draw a force from `start` [px]; forces too short for a head are left out."""
+    """Draw a force at `start` [px]; arrows too short for a head are not drawn."""
     vector = along * (1.0, -1.0)
     length = float(np.hypot(*vector))
     if length > 4.0:
@@ -198,7 +205,7 @@ def _arrow(canvas: Canvas, kind: str, start: Array, along: Array) -> None:
 
 
 def _key(canvas: Canvas, longest: float, scale: float, kinds: set[str]) -> None:
-    """Draw the legend: the colours of the arrows, and an arrow of a round force."""
+    """Draw the legend: the colours of the arrows, and an arrow whose length stands for a round force."""
     y = 14.0
     for kind, text in KINDS:
         if kind in kinds:

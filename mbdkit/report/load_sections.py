@@ -1,4 +1,6 @@
-"""Sections of the report of inverse dynamics: loads in pictures and numbers, and where model and data disagree."""
+"""Sections in the report of inverse dynamics: the loads as pictures and numbers, and the disagreement of model and
+data.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,13 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 BARS = 24
-"""Largest number of bars of a unit, those of the largest peaks."""
+"""Largest number of bars for each unit; the largest peaks are shown."""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 
 
 def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ...]:
-    """Return the sections of a run of inverse dynamics with two rows or more; none of another run."""
+    """Return the sections of a run of inverse dynamics that has at least two rows; empty for other runs."""
     if run.kind != "inverse" or len(run.time) < 2:
         return ()
     elements = workload(run).elements
@@ -40,7 +42,9 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
 
 
 def inverse_charts(run: Run) -> list[Figure]:
-    """Return charts of the residuals of the data, by unit, and of the misalignment of the data."""
+    """Return charts of the residuals of the data, one for each unit, of the joint forces with muscles, and of the
+    misalignment of the data.
+    """
     if run.kind != "inverse":
         return []
     time, observed = np.asarray(run.time), list(run.motion.values())
@@ -66,7 +70,9 @@ def inverse_charts(run: Run) -> list[Figure]:
 
 
 def _muscles(run: Run) -> tuple[Section, ...]:
-    """Return the section on joint forces with and without muscles, and on reserves; none without muscles."""
+    """Return the section on joint forces with and without muscles, and on reserve actuators; empty if there are no
+    muscles.
+    """
     if not run.muscles:
         return ()
     without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
@@ -111,7 +117,7 @@ def _muscles(run: Run) -> tuple[Section, ...]:
 
 
 def _contact_chart(run: Run) -> list[Figure]:
-    """Return the chart of the joint forces with and without muscles; none without muscles."""
+    """Return the chart of the joint forces with and without muscles; empty if there are no muscles."""
     if not run.muscles:
         return []
     lines: list[Line] = []
@@ -164,7 +170,9 @@ def _bars(elements: tuple[ElementWorkload, ...]) -> Illustration:
 
 
 def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
-    """Return a horizontal bar for each element: forces first, then torques, each to its own scale."""
+    """Return a drawing with one horizontal bar for each element: first forces, then torques, each with their own
+    scale.
+    """
     left, right, step = (150.0, 110.0, 22.0) if width > NARROW else (130.0, 80.0, 22.0)
     letters = 22 if width > NARROW else 19
     parts, y = [], 8.0
@@ -190,7 +198,7 @@ def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
 
 
 def _disagreement(run: Run) -> Section:
-    """Return the section on the residuals of the columns, and on the misalignment of the data."""
+    """Return the section on the residuals of the data columns and on the misalignment of the data."""
     time = np.asarray(run.time)
     rows: list[tuple[Cell, ...]] = []
     worst: dict[str, tuple[float, str, float]] = {}

@@ -1,4 +1,4 @@
-"""The methods section of a report: formulation, models and integrators of run specs, with references."""
+"""The methods section of a report: formulation, models and integrators of the run specs, with references."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> 
     Parameters
     ----------
     specs
-        Run specs as plain mappings, each with the names of its model and integrator.
+        Run specs as plain mappings, each with the names of model and integrator.
     sources
         Further BibTeX entries, such as those of a packaged study.
     """
@@ -68,7 +68,7 @@ def methods(specs: Iterable[Mapping[str, Any]], sources: Iterable[str] = ()) -> 
 
 
 def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[str, Any]]]:
-    """Return the names in a section of the specs, each with its distinct options."""
+    """Return each name that a section of the specs contains, with the distinct options used with it."""
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for spec in specs:
         if kind not in spec:  # inverse dynamics has no integrator
@@ -86,7 +86,7 @@ def _find(kind: Kind, name: str) -> Registered | None:
 
 
 def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
-    """Return a paragraph on a model or integrator: summary, claims, and all values that runs used of each setting."""
+    """Return a paragraph on a model or integrator: its summary, its claims, and for each setting all values used."""
     values: dict[str, dict[str, None]] = {}
     for options in used:
         for key, value in options.items():
@@ -107,10 +107,12 @@ def _paragraph(item: Registered, used: list[dict[str, Any]]) -> str:
 
 
 def _claims(plugin: IntegratorPlugin, options: Mapping[str, Any], *, alone: bool) -> str:
-    """Return the claims of an integrator with these options; the order only if they are the only ones."""
+    """Return the claims of an integrator with these options. The order is included only if all runs have the same
+    options.
+    """
     try:
         claims = plugin.claims(plugin.options.model_validate_json(json.dumps(options)))
-    except (Exception, SystemExit):  # another version of a plugin may refuse them or fail in any way
+    except (Exception, SystemExit):  # another version of a plugin may refuse the options, or fail in any way
         return ""
     return _claim_words(claims, alone) if isinstance(claims, Claims) else ""
 

@@ -29,7 +29,7 @@ ROWS = 200
 _TIMES = 400  # recorded times at which loads are evaluated for the drawing
 _PLACE = {"type", "bodies", "body", "reaction_body", "points", "point", "at", "from_", "to", "pathway", "law", "value"}
 _PLACE |= {"motion", "frame"}
-"""Fields of elements that give positions, or that are described elsewhere."""
+"""Keys of elements that are not listed as options, because they give positions or are described elsewhere."""
 
 
 def model_section(run: Run, mechanism: Mechanism | None) -> Section:
@@ -38,7 +38,7 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
     Parameters
     ----------
     mechanism
-        The mechanism of its spec; None if its model is not available.
+        The mechanism of the run's spec; None if its model is not available.
     """
     pose = take(run.dataset("trajectory/position"), np.array([0], dtype=np.intp))[0]
     times = np.asarray(run.time)[:: max(1, len(run.time) // _TIMES)]
@@ -54,7 +54,9 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
 
 
 def element_tables(shown: NamedPose) -> list[Table]:
-    """Return tables of the bodies, beams, joints, force elements and markers of a mechanism, without empty ones."""
+    """Return tables of the bodies, beams, joints, force elements and markers of a mechanism; empty tables are left
+    out.
+    """
     tables = [_bodies(shown)]
     if shown.mechanism is not None:
         tables += [_beams(shown.mechanism), _joints(shown), _forces(shown), _markers(shown)]
@@ -78,7 +80,7 @@ def composition(mechanism: Mechanism) -> str:
 
 
 def drawing(shown: NamedPose) -> Illustration:
-    """Return the drawing of a mechanism with the names of its elements."""
+    """Return the drawing of a mechanism, labelled with the names of its elements."""
     elements = shown.mechanism
     names = list(shown.drawing.links)
     if elements is not None:
@@ -146,7 +148,7 @@ def _joints(shown: NamedPose) -> Table:
 def _without_empty_data(
     rows: list[tuple[Cell, ...]], columns: list[Column]
 ) -> tuple[list[tuple[Cell, ...]], list[Column]]:
-    """Return rows and columns without the last column if none of its cells has a text."""
+    """Return rows and columns without the last column if all its cells are empty."""
     if any(row[-1] for row in rows):
         return rows, columns
     return [row[:-1] for row in rows], columns[:-1]
@@ -227,7 +229,7 @@ def _force_details(force: Any, shown: NamedPose) -> str:
 
 
 def _options(force: Any) -> list[str]:
-    """Return the options of a spring, damper or force law that are not zero, with units where these are known."""
+    """Return the options of a spring, damper or force law that are not zero, with their units where known, as text."""
     told = []
     for name in type(force).model_fields:
         value = getattr(force, name)

@@ -1,4 +1,4 @@
-"""`report`: a run archive, or the folder of a study or design, as a self-contained page, and its charts as images."""
+"""`report`: write the report of a run, study or design as one self-contained page, and its charts as images."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def report(
     figures: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the report of a run, study or design and return its file; see `write_report`."""
+    """Write the report of a run, study or design and return the path of the page; see `write_report`."""
     return write_report(path, output, figures=figures, overwrite=overwrite)[0]
 
 
@@ -45,11 +45,11 @@ def write_report(
     path
         A run archive, or the folder of a study or of a design.
     output
-        The page, ending in .html; by default ``NAME-report.html`` beside the archive or ``report.html`` in the folder.
-        If it ends in .md, verdict, claims and tables are written as Markdown.
+        Path of the page, ending in .html; by default ``NAME-report.html`` beside the archive, or ``report.html`` in the
+        folder. If the path ends in .md, the verdict, the claims and the tables are written as Markdown.
     figures
-        Folder for the charts as PNG and SVG. By default charts of a run or design are not written, and charts of a
-        study are written to ``figures`` in its folder, unless `output` is given.
+        Folder for the charts as PNG and SVG. By default the charts of a run or design are not written; those of a study
+        are written to ``figures`` in its folder, unless `output` is given.
     overwrite
         Whether existing files may be replaced.
     workers
@@ -58,7 +58,8 @@ def write_report(
     Raises
     ------
     SpecError
-        `path` does not exist, or the page or a chart cannot be written. Files are checked before any is written.
+        If `path` does not exist, or if the page or a chart cannot be written. All files are checked before the first
+        one is written.
     """
     source = Path(path)
     is_folder = os.path.isdir(source)
@@ -81,7 +82,8 @@ def write_report(
             temporary.write_bytes(page.encode())
         drawn = document.verdict.figures
         if folder is not None and not (stands and all(file.exists() for file in image_files(drawn, folder))):
-            write_chart_images(drawn, folder)  # slow, so skipped if the page is unchanged and all images exist
+            # slow, and therefore skipped if the page is unchanged and all images exist
+            write_chart_images(drawn, folder)
     return target, document.verdict
 
 

@@ -1,4 +1,4 @@
-"""The page of a report, of a run, study or design: its contents, the JSON data of its charts, and its HTML."""
+"""The page of the report of a run, study or design: its contents, the JSON data of its charts, and its HTML."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class ReportPage:
     verdict
         The verdict with its charts and tables.
     headline
-        Labels and texts of the numbers that answer the run, study or design, shown first.
+        Labels and texts of the main results of the run, study or design, which are shown first.
     tone
-        ``good``, ``warn`` or ``alarm`` if the first headline, the verdict, has a colour.
+        Colour of the first headline, which is the verdict: ``good``, ``warn`` or ``alarm``; empty without a colour.
     films
-        Data of animations, as `film_data` returns them.
+        Data of the animations, as returned by `film_data`.
     failures
-        Table of the failed runs with reasons.
+        Table of the failed runs with the reasons.
     reproduce, commands, spec, spec_file
         Instructions for reproducing the results: a sentence, commands, the spec, and the name of its file.
     sections
         Sections above the verdict: the model, and the largest forces.
     beside_verdict
-        Names of the tables and charts that are shown below the claims of the verdict, not with the others.
+        Names of the tables and charts that are shown below the claims of the verdict instead of among the others.
     """
 
     title: str
@@ -82,21 +82,21 @@ class ReportPage:
         return [(anchor, title) for anchor, title, there in sections if there]
 
     def figures(self, *, beside: bool) -> tuple[Figure, ...]:
-        """Return the charts below the claims of the verdict, or the others."""
+        """Return the charts shown below the claims of the verdict if `beside` is true, otherwise the other charts."""
         return tuple(figure for figure in self.verdict.figures if (figure.name in self.beside_verdict) == beside)
 
     def tables(self, *, beside: bool) -> tuple[Table, ...]:
-        """Return the tables below the claims of the verdict, or the others."""
+        """Return the tables shown below the claims of the verdict if `beside` is true, otherwise the other tables."""
         return tuple(table for table in self.verdict.tables if (table.name in self.beside_verdict) == beside)
 
     @property
     def figure_data(self) -> dict[str, Any]:
-        """Data of the charts."""
+        """Data of the charts, as JSON values."""
         return charts_data(self.verdict.figures)
 
     @property
     def summaries(self) -> dict[str, Table]:
-        """Table of each chart by name, as its text alternative."""
+        """Tables by name of the chart, each of which is the text alternative of that chart."""
         return {figure.name: _summary(figure) for figure in self.verdict.figures}
 
     def html(self) -> str:
@@ -118,7 +118,7 @@ def cell_text(value: Cell) -> str:
 
 
 def _exact(value: Cell) -> str:
-    """Return a number of a table with all its digits, to sort and to download; empty if it is not a number."""
+    """Return a number of a table with all its digits, for sorting and downloads; empty for other values."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return repr(value) if is_number and math.isfinite(value) else ""  # type: ignore[arg-type]
 
@@ -134,11 +134,13 @@ FILTERS: dict[str, Callable[..., Any]] = {
     "mark": _MARKS.__getitem__,
     "numeric": _is_numeric,
 }
-"""Filters that the macros of `templates/parts.html` need."""
+"""Filters that the macros in `templates/parts.html` use."""
 
 
 def _summary(figure: Figure) -> Table:
-    """Return a table of the points of a chart or, if there are many, of ends and extremes of its curves."""
+    """Return a table of the points of a chart. For charts with many points it has the ends and extremes of each
+    curve.
+    """
     x, y = figure.x.title, figure.y.title
     seen = [(line, figure.visible(line)) for line in figure.lines]
     if sum(int(np.sum(mask)) for _, mask in seen) <= 60:
@@ -164,16 +166,17 @@ def _summary(figure: Figure) -> Table:
 
 
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-"""Dashes that distinguish lines of the same colour."""
+"""Dash patterns that distinguish lines of the same colour."""
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "x")
 
 Numbers = list[float | None]
 
 
 def charts_data(charts: Iterable[Figure]) -> dict[str, Any]:
-    """Return the JSON data of charts: `figures` by name, and the `columns` of numbers that their lines refer to.
+    """Return the JSON data of charts: ``figures`` by name, and ``columns``, the arrays of numbers that the lines refer
+    to by index.
 
-    Lines over the same times share a column.
+    Lines with the same times share a column.
     """
     columns: dict[tuple[float | None, ...], int] = {}
 
@@ -223,7 +226,7 @@ def _axis_data(axis: Axis) -> dict[str, Any]:
 
 
 def _numbers(values: np.ndarray, axis: Axis) -> Numbers:
-    """Return values rounded to seven digits; None for values that the axis cannot show."""
+    """Return values rounded to seven digits; None in place of values that the axis cannot show."""
     return [
         float(f"{value:.7g}") if abs(value) < np.inf and (value > 0 or not axis.log) else None
         for value in np.asarray(values, dtype=np.float64).tolist()

@@ -1,4 +1,6 @@
-"""The charts of a run's report: forces first, drift last, with marks at events and one colour for each thing."""
+"""Charts in the report of a run: those of forces first, those of drift last, with marks at events. Each body and joint
+has the same colour in all charts.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 MARKS = 60
-"""Largest number of event crossings that are marked."""
+"""No events are marked if a run has more event crossings than this."""
 DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance")
 """Charts that show how well the constraints and the energy hold."""
 _TIME = Axis("time", "s")
@@ -40,7 +42,7 @@ _OF_JOINTS = (
 
 
 def run_charts(run: Run) -> tuple[Figure, ...]:
-    """Return the charts of a run that has rows, except those of quantities that it did not record."""
+    """Return the charts of a run that has rows. Quantities that the run did not record are left out."""
     of_kinds = {kind: list(plot_module(kind).charts(run)) for kind in PLOT_KINDS}
     charts = [chart for kind in _FIRST for chart in of_kinds.pop(kind, [])]
     recorded = [chart for path in RECORDED for chart in recorded_charts(run, path)]
@@ -64,7 +66,9 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
 
 
 def _colors(run: Run) -> Mapping[str, Mapping[str, str]]:
-    """Return the colours of curves by name of the chart and of the curve; other curves take colours in order."""
+    """Return the colours of curves by the name of the chart and the label of the curve; curves not listed take colours
+    in order.
+    """
     drawing = draw_spec(run.spec, tuple(run.bodies))
     traces = choose_traces(drawing)
     paths = {trace.label: color for trace, color in zip(traces, trace_colors(drawing, traces), strict=True)}
@@ -79,7 +83,9 @@ def _colored(chart: Figure, colors: Mapping[str, str]) -> Figure:
 
 
 def _marks(run: Run) -> tuple[Mark, ...]:
-    """Return marks at the times of events, only the first of each event with its name; none if there are too many."""
+    """Return marks at the times of events; empty if there are too many. Only the first mark of each event has its
+    name.
+    """
     if len(run.events) > MARKS:
         return ()
     named: set[str] = set()
@@ -91,7 +97,7 @@ def _marks(run: Run) -> tuple[Mark, ...]:
 
 
 LINES = len(PALETTE)
-"""Largest number of curves in a chart, which shows those with the largest values."""
+"""Largest number of curves in a chart; those with the largest values are shown."""
 COMPONENTS = 4
 """Largest number of joints whose force components are shown: the joints with the largest forces."""
 _POINTS = 1_000
@@ -99,7 +105,7 @@ _SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_
 
 
 def component_charts(run: Run) -> list[Figure]:
-    """Return a chart of the force components in the frames of both bodies for each of the joints with large forces."""
+    """Return for each joint with large forces a chart of the force components in the frames of both bodies."""
     if not all(run.records(path) for _, path in _SIDES):
         return []
     time, data = np.asarray(run.time), run.dataset("joints/reaction_force")
@@ -125,7 +131,9 @@ def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
 
 
 def recorded_charts(run: Run, path: str) -> list[Figure]:
-    """Return the charts of an array that the table of quantities describes, without those whose values are all zero."""
+    """Return the charts of a recorded array, one for each group of its columns. Charts whose values are all zero are
+    left out.
+    """
     array = RECORDED[path]
     if not array.charts or not run.records(path):
         return []
@@ -143,7 +151,9 @@ def recorded_charts(run: Run, path: str) -> list[Figure]:
 
 
 def _lines(run: Run, path: str, names: Any, chosen: Any) -> tuple[Line, ...]:
-    """Return lines of the chosen columns of an array, of many those with the largest values; none if all are zero."""
+    """Return lines of the `chosen` columns of an array; if these are many, only those with the largest values. The
+    result is empty if all values are zero.
+    """
     columns = list(chosen)
     time, data = np.asarray(run.time), run.dataset(path)
     peaks = np.nan_to_num(Peaks.of(time, data).value[columns]) if columns else np.zeros(0)

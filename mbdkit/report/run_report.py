@@ -36,7 +36,7 @@ def run_report(run: Run) -> ReportPage:
     Raises
     ------
     SpecError
-        The run has no rows.
+        If the run has no rows.
     """
     require_rows(run)
     head = caption(run)
@@ -73,7 +73,7 @@ def film_of(run: Run, numbers: int, label: str = "") -> dict[str, Any]:
 
 
 def mechanism_of(run: Run) -> Mechanism | None:
-    """Return the mechanism of the spec of a run; None if its model is not available."""
+    """Return the mechanism of the spec of a run; None if the model is not available."""
     try:
         return build_mechanism(run.spec)
     except (Exception, SystemExit):  # a missing, outdated or broken plugin must not prevent a report
@@ -81,13 +81,15 @@ def mechanism_of(run: Run) -> Mechanism | None:
 
 
 def _alarm(run: Run, ending: str) -> str:
-    """Return the most important message: that the run did not end, or that its results must not be trusted."""
+    """Return the warning at the top of the page: that the run stopped early, or that its results must not be trusted;
+    empty if there is none.
+    """
     questioned = f"VERDICT: {run.verdict.upper()}" if run.verdict in ("doubtful", "bad") else ""
     return ending.partition(": ")[0] or questioned  # the verdict contains the reason
 
 
 def environment(provenance: Mapping[str, Any], first: Mapping[str, str]) -> Table:
-    """Return the table of the provenance of a run, with the rows `first` at its top."""
+    """Return the table of the provenance of a run; the rows `first` come first."""
     rows: list[tuple[Cell, ...]] = [(name, str(value)) for name, value in first.items()]
     rows += [(name.replace("_", " "), str(value)) for name, value in sorted(provenance.items())]
     return Table("environment", "Environment", columns_of("item; value"), tuple(rows))

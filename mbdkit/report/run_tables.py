@@ -1,4 +1,6 @@
-"""Tables of the report of a run besides model and largest forces: misalignment, contacts, errors, events, cost."""
+"""Tables in the report of a run, except those of the model and of the largest forces: misalignment, contacts, errors,
+events and cost.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ _QUANTITIES = (
 
 
 def run_tables(run: Run) -> tuple[Table, ...]:
-    """Return the tables of a run: those of its misalignment and errors first."""
+    """Return the tables of a run. Those of its misalignment and errors come first."""
     tables = [_joints(run)] if run.joint_names else []
     if len(run.contacts):
         tables.append(_contacts(run))
@@ -43,7 +45,7 @@ def run_tables(run: Run) -> tuple[Table, ...]:
 
 
 def _events(run: Run) -> Table:
-    """Return the table of event crossings, limited to the first."""
+    """Return the table of event crossings, at most the first `EVENTS`."""
     specs = run.spec["events"]
     columns = columns_of("event; zero crossing of; direction; time [s]")
     rows: list[tuple[Cell, ...]] = [
@@ -83,7 +85,9 @@ def _joints(run: Run) -> Table:
 
 
 def _contacts(run: Run) -> Table:
-    """Return the table of what contacts do wrong, overlap and creep, and of their largest forces and impulses."""
+    """Return the table of the contacts: overlap and creep, which would be zero in exact contacts, and the largest
+    forces and impulses.
+    """
     columns = columns_of(
         "contact; between; largest overlap [m]; largest creep [m/s]; largest normal force [N]; impacts; "
         "largest impulse [N s]"
@@ -104,7 +108,7 @@ def _contacts(run: Run) -> Table:
 
 
 def _impulses(run: Run) -> Table:
-    """Return the table of the largest impulses of joints at impacts of contacts."""
+    """Return the table of the largest impulses that impacts of contacts cause in the joints."""
     impacts, bodies = run.impacts, [joint.bodies for joint in run.joints.values()]
     size, torque = np.linalg.norm(impacts.reaction_impulse, axis=2), np.abs(impacts.reaction_torque_impulse)
     order = np.sort(np.argsort(-np.max(size, axis=0), kind="stable")[:JOINTS])
@@ -120,7 +124,7 @@ def _impulses(run: Run) -> Table:
 
 
 def _errors(run: Run, accuracy: Accuracy) -> Table:
-    """Return the table of the estimated errors of the bodies."""
+    """Return the table of the largest estimated errors of the bodies."""
     columns = columns_of("body; position [m]; angle [rad]; velocity [m/s]; angular velocity [rad/s]")
     count = accuracy.rows_known
     errors = (accuracy.position_error, accuracy.velocity_error)
@@ -141,7 +145,9 @@ def _errors(run: Run, accuracy: Accuracy) -> Table:
 
 
 def _one_node_of_each_beam(run: Run, size: np.ndarray) -> np.ndarray:
-    """Return the indices of bodies, of the nodes of each beam only that with the largest `size`, (B,)."""
+    """Return indices of bodies in an array (B,). Of the nodes of each beam, it contains only the one with the largest
+    `size` (B,).
+    """
     beams = run.beams.values() if has_beams(run) else ()
     names, shown = list(run.bodies), np.ones(len(size), dtype=bool)
     for beam in beams:

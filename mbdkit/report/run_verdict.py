@@ -1,4 +1,4 @@
-"""The verdict on one run with its grounds: completion, misalignment of its joints, and energy balance."""
+"""The verdict on one run and its reasons: completion, misalignment of the joints, and energy balance."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _trust(run: Run) -> Claim:
 
 
 def _accuracy(run: Run) -> list[Claim]:
-    """Return the claim on the estimated errors; none if they were not estimated."""
+    """Return the claim on the estimated errors; empty if errors were not estimated."""
     accuracy = run.accuracy
     told = accuracy_sentence(run)
     if accuracy is None or not told:

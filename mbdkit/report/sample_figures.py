@@ -1,4 +1,4 @@
-"""Charts and tables of a study with a sample: distributions, sensitivities, and quantiles over time."""
+"""Charts and tables of a study with a random sample: distributions, sensitivities, and quantiles over time."""
 
 from __future__ import annotations
 
@@ -24,20 +24,22 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 _FEWEST = 8
-"""Smallest number of values for which a distribution is shown."""
+"""A distribution is shown only if at least this number of values is known."""
 _MOST_BINS = 60
 _MOST_DOTS = 2000
 _MOST_GROUPS = 4
 _MOST_VARIABLES = 6
-"""Variables against which a measure is drawn: those with the largest total indices or, without these, correlations."""
+"""Largest number of variables in charts: those with the largest total Sobol indices or, without indices, with the
+largest correlations.
+"""
 _BANDS = (0.05, 0.25, 0.5, 0.75, 0.95)
 _RESAMPLES = 200
-"""Number of bootstrap samples for each number of members in charts of convergence; tables use more."""
+"""Number of bootstrap samples for each point in charts of convergence; tables use more."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """A measure of the runs of one sample; `values` are nan where a run is not complete."""
+    """A measure of the runs of one sample. Its `values` are nan where a run is not complete."""
 
     study: Study
     group: SampleGroup
@@ -46,32 +48,34 @@ class _Measured:
 
     @property
     def name(self) -> str:
-        """Name of its column."""
+        """Name of the column of the measure."""
         return self.quantity.columns[0]
 
     @property
     def axis(self) -> Axis:
-        """Its axis, logarithmic if the values cover more than a decade."""
+        """Axis of the measure; logarithmic if the values cover about a decade or more."""
         return replace(self.quantity.axis, log=is_wide(self.values))
 
     @property
     def where(self) -> dict[str, int | float | str] | None:
-        """Labels that select its sample; None in a study with one sample."""
+        """Labels that select the runs of the sample; None in a study with a single sample."""
         if not self.group.words:
             return None
         return ({"family": self.group.family} if self.group.family else {}) | dict(self.group.axes)
 
     @property
     def told(self) -> str:
-        """Sentence on the runs that the sample belongs to; empty in a study with one sample."""
+        """Sentence that says which runs belong to the sample; empty in a study with a single sample."""
         return f" Runs with: {self.group.words}." if self.group.words else ""
 
     def slug(self, *words: str) -> str:
-        """Return a name of a chart."""
+        """Return a name for a chart of this measure, for use in file names."""
         return re.sub(r"[^a-z0-9]+", "-", "-".join([*words, self.name, self.group.words]).lower()).strip("-")
 
     def sensitivity(self, members: int | None = None, **options: int) -> Sensitivity | None:
-        """Return the Sobol indices; None if the sample gives none."""
+        """Return the Sobol indices from the first `members` of the sample, by default from all; None if the sample does
+        not determine them.
+        """
         sample = self.study.spec.sample
         if sample is None or sample.design != "saltelli":
             return None
@@ -82,8 +86,10 @@ class _Measured:
 
 
 def sample_figures(study: Study) -> tuple[Figure, ...]:
-    """Return the charts of a study with a sample: for each measure a histogram, charts over the variables, and how the
-    indices converge; and quantiles over time of the quantities in the measures, if the study stores them.
+    """Return the charts of a study with a sample.
+
+    There are, for each measure, a histogram, charts over the variables, and charts of the convergence of the Sobol
+    indices; and quantiles over time of the quantities in the measures, if the study stores these.
     """
     figures: list[Figure] = []
     for measure in _measures(study):
@@ -94,7 +100,7 @@ def sample_figures(study: Study) -> tuple[Figure, ...]:
 
 
 def sample_tables(study: Study) -> tuple[Table, ...]:
-    """Return the tables of Sobol indices, if the sample gives them, and of quantiles of the measures."""
+    """Return the tables of Sobol indices, if the sample determines them, and of quantiles of the measures."""
     several = len(sample_groups(study)) > 1
     indices: list[tuple[Cell, ...]] = []
     spreads: list[tuple[Cell, ...]] = []
@@ -134,14 +140,16 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
 
 
 def _measures(study: Study) -> Iterator[_Measured]:
-    """Yield the measures that differ between the runs of a sample, those that the study defines first."""
+    """Yield the measures whose values differ between the runs of a sample. Measures that the study defines come
+    first.
+    """
     defined = {measure.name for measure in study.spec.defined_measures()}
     quantities = sorted(asked_measures(study), key=lambda one: one.columns[0] not in defined)
     for group in sample_groups(study)[:_MOST_GROUPS]:
         for quantity in quantities:
             try:
                 values = measured(study, quantity.columns[0], group.places)
-            except MbdkitError:  # an error against a reference, which samples do not have
+            except MbdkitError:  # an error against a reference run, which samples do not have
                 continue
             known = values[np.isfinite(values)]
             if len(known) >= _FEWEST and np.ptp(known) > ROUND_OFF * np.max(np.abs(known)):
@@ -154,7 +162,7 @@ def _histogram(one: _Measured) -> Figure:
     bins = min(_MOST_BINS, max(5, round(len(known) ** 0.5)))
     ends = float(known.min()), float(known.max())
     edges = np.geomspace(*ends, bins + 1) if axis.log else np.linspace(*ends, bins + 1)
-    edges[[0, -1]] = ends  # rounded by geomspace
+    edges[[0, -1]] = ends  # geomspace rounds its ends
     counts, _ = np.histogram(known, edges)
     x, y = np.repeat(edges, 2), np.concatenate([[0], np.repeat(counts, 2), [0]]).astype(float)
     line = Line("runs", x, y, "line", band=np.stack([x, y], axis=1))
@@ -166,7 +174,7 @@ def _histogram(one: _Measured) -> Figure:
 
 
 def _scatters(one: _Measured) -> Iterator[Figure]:
-    """Yield charts of a measure over the most influential variables."""
+    """Yield charts of a measure over the most influential variables, one point per run."""
     table = one.study.grid(one.group.family).table
     known = np.flatnonzero(np.isfinite(one.values))
     keys = [key for key, column in table.items() if column.dtype.kind in "fi" and np.ptp(column[known]) > 0]
@@ -187,13 +195,13 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
 
 
 def _is_logarithmic(study: Study, key: str) -> bool:
-    """Return whether the axis of a variable is logarithmic, as its distribution is."""
+    """Return whether the axis of a variable is logarithmic, because its distribution is."""
     sample = study.spec.sample
     return sample is not None and next(iter(sample.variables[key])).startswith(("log", "reciprocal"))
 
 
 def _convergence(one: _Measured) -> list[Figure]:
-    """Return charts of the Sobol indices over the number of members."""
+    """Return charts of the Sobol indices against the number of members of the sample."""
     sample = one.study.spec.sample
     whole = one.sensitivity(resamples=1)
     if sample is None or whole is None or sample.n < 2 * _FEWEST:
@@ -223,12 +231,12 @@ def _convergence(one: _Measured) -> list[Figure]:
 
 
 def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
-    """Yield charts of quantiles over time of the quantities that the measures reduce."""
+    """Yield charts over time of quantiles of the quantities in the measures."""
     one = _Measured(study, group, Quantity(("time",), "", Axis("")), np.empty(0))
     for text in _quantities(study):
         try:
             bands = study.quantiles(text, _BANDS, where=one.where)
-        except MbdkitError:  # it is not stored, has parameters, or is a vector
+        except MbdkitError:  # the quantity is not stored, has parameters, or is a vector
             continue
         lowest, low, middle, high, highest = bands.values
         x = bands.time
@@ -246,14 +254,14 @@ def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
 
 
 def _quantities(study: Study) -> list[str]:
-    """Return the quantities that the measures of a study reduce over time; the angle of the last body if there are
-    none.
+    """Return the quantities that the measures of a study reduce to numbers; if there are none, the angle of the last
+    body.
     """
     found: dict[str, None] = {}
     for measure in study.spec.defined_measures():
         try:
             tree = ast.parse(measure.expression, mode="eval")
-        except SyntaxError:  # names that are not those of Python
+        except SyntaxError:  # a name in the expression is not a Python name
             continue
         for node in ast.walk(tree):
             match node:

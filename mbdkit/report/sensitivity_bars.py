@@ -1,4 +1,6 @@
-"""Bars of the sensitivities of goals and limits at the best point of a design, with their signs."""
+"""Bar charts of the sensitivities of goals and limits at the best point of a design; the side of a bar shows the
+sign.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ def sensitivity_section(
     Parameters
     ----------
     words
-        Words for the variables by name.
+        Names of the variables as written in sentences, by name in the spec.
     units
         Units of goals and limits by scenario and name.
     """
@@ -46,7 +48,9 @@ def _name(one: Sensitivity) -> str:
 
 
 def _both(one: Sensitivity, name: str) -> str:
-    """Return the changes on both sides of a corner."""
+    """Return the changes for an increase and a decrease of a variable, which differ at a corner of the measure, as
+    text.
+    """
     down, up = one.corners[name]
     return f"{up:+.3g} if increased, {down:+.3g} if decreased"
 
@@ -80,9 +84,9 @@ def _svg(
 
 
 def _bars(one: Sensitivity, words: Mapping[str, str], width: float, y: float) -> Iterator[Markup]:
-    """Yield a bar to the left or to the right for each variable, with its name and value, below `y` [px]."""
+    """Yield a bar for each variable, to the left or right by its sign, with name and value, starting at `y` [px]."""
     is_wide = width > NARROW
-    left, side = (300.0, 80.0) if is_wide else (0.0, 70.0)  # room for names, and for numbers on each side
+    left, side = (300.0, 80.0) if is_wide else (0.0, 70.0)  # space for the names, and for the numbers on each side
     middle, half = (left + width) / 2, (width - left) / 2 - side
     top = y
     most = max((abs(value) for value in one.changes.values() if np.isfinite(value)), default=0.0) or 1.0

@@ -1,4 +1,6 @@
-"""General charts of a study: misalignment, error and cost against axes and each other, with guides of orders."""
+"""General charts of a study: misalignment, error and cost against the axes of the study and against each other, with
+guide lines for orders of convergence.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,13 @@ if TYPE_CHECKING:
     from mbdkit.studies.study_point import StudyPoint
 
 _DECADE = 8.0
-"""Ratio of largest to smallest value above which an axis is logarithmic."""
+"""Ratio of largest to smallest value from which an axis is logarithmic."""
 _SPREAD = f"{TIMED} Bands reach to the upper quartile."
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A value of each run that is drawn, with its title, its axis, and columns of the bounds of its spread."""
+    """A value of each run that is drawn: its title, its axis, and the columns with the bounds of its spread."""
 
     columns: tuple[str, ...]
     title: str
@@ -37,15 +39,15 @@ class Quantity:
 
     @property
     def is_error(self) -> bool:
-        """Whether smaller values cost more work."""
+        """Whether smaller values of the quantity cost more computing time, as errors do."""
         return any(word in self.columns[0] for word in _ERRORS)
 
     def of(self, points: Sequence[StudyPoint]) -> np.ndarray:
-        """Return the value of each point, the sum of its columns."""
+        """Return the value of the quantity for each point: the sum of its columns."""
         return np.array([sum(value(point, column) for column in self.columns) for point in points])
 
     def bounds(self, points: Sequence[StudyPoint]) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the lower and the upper bound of each value; None without a spread."""
+        """Return lower and upper bounds of the values; None if the quantity has no spread."""
         if self.spread is None:
             return None
         low, high = (np.array([value(point, column) for point in points]) for column in self.spread)
@@ -59,12 +61,14 @@ _WORK = Quantity(
     caption="Operations are evaluations of the right-hand side, evaluations of Jacobians and factorizations.",
 )
 _ERRORS = ("error", "misalignment", "balance", "defect", "trend")
-"""Words in the names of measures that are shown against the cost."""
+"""A measure is shown against the cost if its name contains one of these words."""
 _USUAL = ("misalignment_max", "end_error")
 
 
 def study_figures(study: Study) -> tuple[Figure, ...]:
-    """Return charts of every family of a study: each requested measure against its numeric axes and its cost."""
+    """Return charts for every family of a study, of each requested measure against the numeric axes and against the
+    cost.
+    """
     figures: list[Figure] = []
     for name, title in study.families.items():
         points = study.family(name)
@@ -84,14 +88,14 @@ def study_figures(study: Study) -> tuple[Figure, ...]:
 
 
 def measure_columns(study: Study) -> list[tuple[Column, str]]:
-    """Return headings and names of the columns of the index with the measures requested by the study."""
+    """Return heading and name of the columns of the index that contain the requested measures."""
     return [(Column(measure.axis.label, measure.axis.unit), measure.columns[0]) for measure in asked_measures(study)]
 
 
 def asked_measures(study: Study) -> Iterator[Quantity]:
-    """Yield the measures requested by the study; the most relevant ones if it requests all."""
+    """Yield the measures that the study requests; if it requests all, the most relevant ones."""
     asked: Any = study.spec.measures
-    usual = _USUAL[:1] if study.spec.in_blocks else _USUAL  # runs in blocks have no reference
+    usual = _USUAL[:1] if study.spec.in_blocks else _USUAL  # runs in blocks have no reference run
     defined = [measure.name for measure in study.spec.defined_measures()]
     entries = asked if isinstance(asked, list | tuple) else defined or usual
     named = [name for entry in entries for name in ([entry] if isinstance(entry, str) else entry)]
@@ -99,7 +103,7 @@ def asked_measures(study: Study) -> Iterator[Quantity]:
         units, long_name = study.described(name)
         words = name if name in defined else _measure_words(name)
         title = words.removeprefix("largest ")
-        if name not in defined:  # names of users keep their capitals
+        if name not in defined:  # names that users define keep their capital letters
             title = title.capitalize()
         unit = "" if units == "1" else units
         caption = f"{name}: {long_name}." if name in defined else f"{long_name[:1].upper()}{long_name[1:]}."
@@ -123,13 +127,15 @@ def _wall_time(points: Sequence[StudyPoint]) -> Quantity:
 
 
 def is_wide(values: np.ndarray) -> bool:
-    """Return whether values are shown on a logarithmic axis: not negative, and over a decade or tiny."""
+    """Return whether values are shown on a logarithmic axis: none is negative, and the nonzero ones span at least the
+    ratio `_DECADE`.
+    """
     known = values[np.isfinite(values) & (values != 0)]
     return bool(len(known)) and bool(np.all(known > 0)) and float(known.max() / known.min()) >= _DECADE
 
 
 def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], family: str, title: str) -> list[Figure]:
-    """Return the chart of a quantity over an axis; none if its values are not numeric."""
+    """Return the chart of a quantity over an axis of the study; empty if its values are not numbers."""
     labels = [point.axes[key] for point in points]
     if not all(isinstance(label, int | float) for label in labels) or len(set(labels)) < 2:
         return []
@@ -156,7 +162,7 @@ def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], fa
 def _against_cost(
     measure: Quantity, cost: Quantity, points: Sequence[StudyPoint], family: str, title: str
 ) -> list[Figure]:
-    """Return the chart of a measure over the cost; none if that is the same for all runs."""
+    """Return the chart of a measure over the cost; empty if all runs have the same cost."""
     costs = cost.of(points)
     if len(np.unique(costs[np.isfinite(costs)])) < 2:
         return []
@@ -183,14 +189,16 @@ def _against_cost(
 
 
 def _band(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
-    """Return the outline between two curves of bounds, each x and y (K,); None if they are not known."""
+    """Return the outline of the area between two curves, each x and y (K,); None if no point of both is known."""
     first, second = np.stack(one, axis=-1), np.stack(other, axis=-1)
     known = np.all(np.isfinite(first) & np.isfinite(second), axis=1)
     return np.concatenate([first[known], second[known][::-1]]) if np.any(known) else None
 
 
 def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, list[StudyPoint]]]:
-    """Return label, method and points of each group of runs that differ along one axis only, in its order."""
+    """Return label, method and points of each group of runs that differ along the axis `along` only, in the order of
+    that axis.
+    """
     found: dict[tuple[str, str], list[StudyPoint]] = {}
     for point in points:
         label = ", ".join(value_words(key, point) for key in point.axes if key != along)
@@ -210,18 +218,18 @@ def _slug(*words: str) -> str:
 
 
 _NEAR = 0.3
-"""Largest distance of an observed order from a whole number for which a guide is drawn."""
+"""A guide is drawn if the observed order differs from a whole number by at most this."""
 _BELOW = 2.5
-"""Factor by which a guide lies below its curve."""
+"""Factor by which a guide lies below the curve."""
 
 
 def with_slope_guides(figure: Figure) -> Figure:
-    """Return a chart with a guide for each whole order that a curve over the step has; other charts are unchanged.
+    """Return a chart with a guide line for each whole order of convergence that its curves have.
 
     Parameters
     ----------
     figure
-        Any chart; one over the step has ``step`` as the label of its x axis.
+        Any chart. Guides are added only if the label of the x axis is ``step``.
     """
     if not (figure.x.log and figure.y.log and figure.x.label == "step"):
         return figure

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
 _FILMS = 6
 _LISTED = 500
-"""Number of runs of a study with a sample that the page lists."""
+"""Largest number of runs of a study with a sample that the page lists."""
 _READ = 20
-"""Number of runs of such a study whose specs and provenance the page shows."""
+"""Number of runs of a study with a sample whose specs and provenance the page shows."""
 _NUMBERS = 40_000  # pose values of each film
 _COLUMNS = (
     (Column("largest misalignment", "m"), "misalignment_max"),
@@ -56,7 +56,7 @@ _TIMED = (
     (Column("upper quartile", "s"), "wall_q3_s"),
 )
 _OF_A_RUN = ("command", "assembly", "model", "integrator")
-"""Provenance that is specific to a run."""
+"""Entries of the provenance that differ between the runs of a study."""
 
 
 def study_report(study: Study) -> ReportPage:
@@ -65,7 +65,7 @@ def study_report(study: Study) -> ReportPage:
     Raises
     ------
     SpecError
-        The study names an unknown verdict.
+        If the study names an unknown verdict.
     """
     states = Counter(study.statuses())
     missing = states["missing"] + sum(point.status == "missing" for point in study.references)
@@ -88,7 +88,7 @@ def study_report(study: Study) -> ReportPage:
 
 
 def settings(study: Study) -> str:
-    """Return the number of runs of a study by status, as one line."""
+    """Return the numbers of runs of a study by status and verdict, as one line."""
     states = Counter(study.statuses())
     parts = [count(len(study.points), "run")]
     if len(study.families) > 1:
@@ -100,7 +100,9 @@ def settings(study: Study) -> str:
 
 
 def _verdict(study: Study) -> Verdict:
-    """Return the verdict of the study with general charts if it has none, and with the table of all runs."""
+    """Return the verdict of the study, with the table of all runs, and with the general charts if it has no charts of
+    its own.
+    """
     verdict = judge(study)
     figures = tuple(with_slope_guides(figure) for figure in verdict.figures)
     tables = verdict.tables
@@ -112,12 +114,12 @@ def _verdict(study: Study) -> Verdict:
 
 
 def _listed(study: Study) -> Sequence[StudyPoint]:
-    """Return the points that the page lists: the first ones of a study with a sample."""
+    """Return the points that the page lists: all, or the first ones of a study with a sample."""
     return study.points[:_LISTED] if study.spec.has_table else study.points
 
 
 def _read(study: Study) -> Sequence[StudyPoint]:
-    """Return the points whose specs and provenance the page shows: a few for a study with a sample."""
+    """Return the points whose specs and provenance the page shows: all, or a few of a study with a sample."""
     if not study.spec.has_table:
         return study.points
     first = [group.places[0] for group in sample_groups(study)]
@@ -126,7 +128,7 @@ def _read(study: Study) -> Sequence[StudyPoint]:
 
 
 def runs_table(study: Study) -> Table:
-    """Return the table of all runs of a study: values on the axes, status, verdict, measures and cost."""
+    """Return the table of all runs of a study: their values on the axes, status, verdict, measures and cost."""
     points = _listed(study)
     units = None
     if study.spec.has_table:
@@ -178,7 +180,7 @@ def _failures(study: Study) -> Table:
 
 
 def _films(study: Study) -> Iterable[dict[str, Any]]:
-    """Yield the animation of one run of each family: that with the largest misalignment that is not rated bad."""
+    """Yield one animation for each family: that of the run with the largest misalignment among those not rated bad."""
     if study.spec.has_table:
         return
     for name in list(study.families)[:_FILMS]:
@@ -200,7 +202,7 @@ def _specs(study: Study) -> list[dict[str, Any]]:
 
 
 def _spec_of(point: StudyPoint) -> dict[str, Any]:
-    """Return the canonical spec of a run, from its archive if a plugin is not installed."""
+    """Return the canonical spec of a run; if a plugin is not installed, it is read from the archive."""
     try:
         return dict(json.loads(point.spec.canonical_json()))
     except SpecError:
@@ -211,7 +213,7 @@ def _spec_of(point: StudyPoint) -> dict[str, Any]:
 
 
 def _environment(study: Study) -> Table:
-    """Return the table of the provenance of all runs, with all distinct values."""
+    """Return the table of the provenance of all runs; each entry lists all distinct values."""
     said: dict[str, dict[str, None]] = {}
     for point in (*_read(study), *study.references):
         run = study.run(point)

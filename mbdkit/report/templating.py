@@ -1,4 +1,4 @@
-"""HTML pages from the templates in this folder, with texts escaped and all files inlined."""
+"""HTML pages made from the templates in this folder. Texts are escaped, and all files are inlined."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
     Parameters
     ----------
     values
-        Values that it shows; texts are escaped. So are control characters, on the whole page: in JSON, this does not
-        change their meaning.
+        Values that the template uses. Texts among them are escaped for HTML. Control characters are escaped on the
+        whole page, which does not change the meaning of JSON.
     """
     environment = _environment()
     environment.filters.update(filters or {})
@@ -28,13 +28,13 @@ def render(template: str, values: Mapping[str, Any], filters: Mapping[str, Calla
 
 
 def script_json(value: Any) -> Markup:
-    """Return compact JSON for a script element, escaped so that it cannot end the element."""
+    """Return compact JSON for a script element. It is escaped so that no text in it can end the element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
 
 
 def inline(name: str) -> Markup:
-    """Return a style sheet or script of this folder, unescaped."""
+    """Return the text of a style sheet or script in this folder, not escaped."""
     return Markup(files("mbdkit.report").joinpath("templates", name).read_text(encoding="utf-8"))
 
 

@@ -13,12 +13,12 @@ from mbdkit.report.report_page import ReportPage, cell_text
 
 
 def headlines(verdict: Verdict) -> tuple[Table, ...]:
-    """Return the headline tables of a verdict."""
+    """Return the tables of a verdict that contain its headline numbers."""
     return tuple(table for table in verdict.tables if table.headline)
 
 
 def terminal_text(verdict: Verdict) -> str:
-    """Return claims and headline tables for the terminal; empty if there is no headline table."""
+    """Return claims and headline tables as text for the terminal; empty if there is no headline table."""
     shown = headlines(verdict)
     if not shown:
         return ""
@@ -30,7 +30,9 @@ def terminal_text(verdict: Verdict) -> str:
 
 
 def json_values(verdict: Verdict) -> dict[str, Any]:
-    """Return the sentence, claims and headline tables of a verdict as JSON values; {} if it has no headline table."""
+    """Return the sentence, the claims and the headline tables of a verdict as JSON values; {} if it has no headline
+    table.
+    """
     shown = headlines(verdict)
     if not shown:
         return {}
@@ -41,7 +43,9 @@ def json_values(verdict: Verdict) -> dict[str, Any]:
 
 
 def markdown_text(document: ReportPage) -> str:
-    """Return a report as Markdown: its first sections, verdict, claims, and headline tables or, without any, all."""
+    """Return a report as Markdown: its first sections, the verdict, the claims, and the headline tables. Without
+    headline tables all tables are included.
+    """
     verdict = document.verdict
     parts = [f"# {markdown(document.title)}", markdown(document.settings), markdown(document.alarm)]
     for section in document.sections:
@@ -68,6 +72,6 @@ def _cells(table: Table) -> list[list[str]]:
 
 
 def _piped(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown; the first row is its heading."""
+    """Return a table in Markdown; the first of `rows` is the heading."""
     heading, *others = ["| " + " | ".join(markdown(cell) for cell in row) + " |" for row in rows]
     return "\n".join([heading, "| " + " | ".join(["---"] * len(rows[0])) + " |", *others])

@@ -26,7 +26,7 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 @dataclass(frozen=True)
 class _Flavour:
-    """Template values that differ between the kinds of project."""
+    """Values in the templates that differ between the kinds of project."""
 
     kind: Kind
     what: str
@@ -98,14 +98,14 @@ def new_project(name: str, kind: NewKind, folder: Path | None = None) -> Path:
     Parameters
     ----------
     name
-        Name of the distribution and of its folder; the name of the plugin is the same without a leading ``mbdkit-``.
+        Name of the distribution and of its folder. The name of the plugin is the same without a leading ``mbdkit-``.
     folder
         Parent folder; by default the working directory.
 
     Raises
     ------
     SpecError
-        The name is invalid or in use.
+        If the name is invalid or in use.
     """
     target = (folder or Path()) / name
     package, item = name.replace("-", "_"), name.removeprefix("mbdkit-")
@@ -145,7 +145,7 @@ def _check_free(name: str, package: str, item: str, kind: Kind) -> None:
 
 
 def _files(name: str, package: str, item: str, kind: NewKind) -> dict[str, str]:
-    """Return the text of each file by its path in the project."""
+    """Return the text of each file of the project by its path."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     flavour = _FLAVOURS[kind]

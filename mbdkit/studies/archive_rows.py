@@ -108,7 +108,7 @@ class ArchiveRows:
         return taken | {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
 
     def with_second_run(self, row: Row, made: Outcome | None, before: Row | None) -> Row:
-        """Return a row completed by the measures that need a second run.
+        """Return a row to which the measures that need a second run are added.
 
         They are taken from the outcome `made` if this call has computed the second run, otherwise from `before`, the
         row of the
@@ -126,6 +126,6 @@ class ArchiveRows:
         return replace(row, values={**row.values, **second}, second_run=note)
 
     def with_timings(self, row: Row, seconds: tuple[float, ...]) -> Row:
-        """Return a row completed by repeated timings [s]."""
+        """Return a row to which repeated timings [s] are added."""
         values = {**row.values, **quartiles(seconds)} if self.timed else row.values
         return replace(row, values=values, repeats=seconds)

@@ -1,7 +1,7 @@
 """Assemble the symbolic equations of a mechanism, a `SymbolicSystem`, from the definitions of its elements.
 
-Each joint lists its constraints by kind, so a new joint type needs no change here. The generalized forces follow from
-the virtual work of a force along a pathway, or of a load at a point, of the definitions.
+Each joint lists its constraints by kind, so that a new joint type needs no change here. The generalized forces follow
+from the virtual work of a force along a pathway, or of a load at a point.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ Jet = tuple[sp.Expr, sp.Expr, sp.Expr]
 """A motion and its first two time derivatives."""
 
 _LETTERS = {"stiffness": ("k", "k"), "damping": ("c", "c"), "free_length": ("l", r"\ell")}
-"""Symbol name and LaTeX of common law parameters; the symbol of any other parameter has the name of its option."""
+"""Symbol name and LaTeX of common parameters of laws. For any other parameter, the symbol is named after the option."""
 
 _KINKED = (sp.Abs, sp.Min, sp.Max)
 
@@ -136,7 +136,9 @@ class _Builder:
         return symbol
 
     def parameter(self, value: float, letter: str, *owners: str, tex: str = "") -> sp.Expr:
-        """Return a parameter as a number, or as a symbol with the names of its owners as index; zero stays a number."""
+        """Return a parameter as a number, or as a symbol whose index is the names of its owners. Zero is always
+        returned as a number.
+        """
         if self.numbers or value == 0:
             return _number(value)
         key = (value, letter, owners)
@@ -240,9 +242,10 @@ class _Builder:
         self.add_tension(name, force, lambda length, rate: stiffness * (length - free) + damping * rate)
 
     def add_law(self, name: str, force: Law) -> None:
-        """Add the force F of a law on its pathway, Q = -F s_q.
+        """Add the force F of a law along its pathway, Q = -F s_q.
 
-        F is an expression for an `ExpressionLaw`; for any other law it is an undefined function of length, rate, time.
+        F is an expression if the law is an `ExpressionLaw`; for other laws it is an undefined function of length, rate
+        and time.
         """
         law = force.force_law
         if law.states:
@@ -267,7 +270,9 @@ class _Builder:
         pathway: Pathway | SpringDamper | TorsionSpring,
         tension: Callable[[sp.Expr, sp.Expr], sp.Expr],
     ) -> None:
-        """Add the forces -F s_q of a tension F, a function of length and rate, to the bodies of every segment."""
+        """Add the forces -F s_q of a tension F to the bodies of every segment of a pathway; F is a function of length
+        and rate.
+        """
         parts = [(one, self.segment_parameters(name, one)) for one in pathway.segments(self.mechanism.joints)]
         whole = [self.segment_length(*part) for part in parts]
         for index, (segment, parameters) in enumerate(parts):
@@ -279,7 +284,7 @@ class _Builder:
             self.add(-tension(length, rate) * gradient.T, *segment.bodies, parameters)
 
     def segment_parameters(self, name: str, segment: Segment) -> list[sp.Expr]:
-        """Return the parameters p0 to p5 of a segment of the pathway of a force."""
+        """Return the parameters p0 to p5 of a segment of the pathway of force element `name`."""
         (a, b), points = segment.bodies, segment.points
         named = next(one.constants for one in d.PATHWAYS if one.name == segment.kind)
         constants = [
@@ -289,7 +294,7 @@ class _Builder:
         return [*self.point(name, a, points[:2]), *self.point(name, b, points[2:]), *constants]
 
     def segment_length(self, segment: Segment, parameters: Sequence[sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
-        """Return length and rate of a segment in the symbols of the mechanism."""
+        """Return the length of a segment and its rate, in the symbols of the mechanism."""
         length, gradient = _pathway_terms(segment.kind)
         rate = (gradient * sp.Matrix(d.BODY_VELOCITIES))[0]
         a, b = segment.bodies
@@ -313,14 +318,14 @@ class _Builder:
         return UndefinedFunction(word, __dict__={"_imp_": staticmethod(force), "_latex": latex})
 
     def add(self, terms: sp.Matrix, a: str, b: str, parameters: Sequence[sp.Expr]) -> None:
-        """Add generalized forces (6, 1) in the symbols of the definitions to those of bodies `a` and `b`."""
+        """Add generalized forces (6, 1), given in the symbols of the definitions, to those of bodies `a` and `b`."""
         first, second = self.bodies.index(a), self.bodies.index(b)
         here = self.values(first, second, parameters)
         self.spread([_shortest(x).xreplace(here) for x in terms], first, second, self.forces)
 
     def add_beam(self, name: str, beam: Beam) -> None:
-        """Add the forces of a beam on its nodes, to which the force conjugate to the state of each cross-section is
-        distributed.
+        """Add the forces of a beam on its nodes. Each cross-section contributes the force conjugate to its state,
+        distributed to the nodes by the shape functions.
         """
         held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.section_stiffness), strict=True))
         retardation = self.parameter(beam.damping, "tau", name, tex=r"\tau")
@@ -342,7 +347,7 @@ class _Builder:
                     self.forces[3 * node + axis] -= one
 
     def section_parameters(self, name: str, stiffness: Sequence[float]) -> list[sp.Expr]:
-        """Return axial, shear and bending stiffness of a beam as parameters."""
+        """Return the axial, shear and bending stiffness of a beam as parameters."""
         return [self.parameter(k, letter, name) for k, letter in zip(stiffness, ("EA", "GA", "EI"), strict=True)]
 
     # ---- symbols of the definitions replaced by those of the mechanism ---------------------------------------------
@@ -355,7 +360,9 @@ class _Builder:
         motion: Jet | None = None,
         center: Center | None = None,
     ) -> dict[sp.Symbol, sp.Expr]:
-        """Return what replaces each symbol of the definitions in an element between bodies `a` and `b`."""
+        """Return a mapping from each symbol of the definitions to its expression in an element between bodies `a` and
+        `b`.
+        """
         at_rest = [sp.Integer(0)] * 3
         q, v = (
             [x for body in (a, b) for x in (whole[3 * body : 3 * body + 3] or at_rest)] for whole in (self.q, self.v)
@@ -373,7 +380,9 @@ class _Builder:
         return values
 
     def spread(self, terms: Sequence[sp.Expr], a: int, b: int, whole: list[sp.Expr]) -> None:
-        """Add six terms to the columns of two bodies in a row `whole` (n,) of the system; ground has no columns."""
+        """Add six terms to the columns of bodies `a` and `b` in a row `whole` (n,) of the system; ground has no
+        columns.
+        """
         for i, term in enumerate(terms):
             place = 3 * (a, b)[i // 3] + i % 3
             if place < len(whole):
@@ -407,8 +416,8 @@ def _section_terms() -> sp.Matrix:
 def _section_state(
     whole: Sequence[sp.Expr], nodes: Sequence[int], shape: Sequence[sp.Expr], slope: Sequence[sp.Expr]
 ) -> tuple[sp.Expr, ...]:
-    """Return the state of a cross-section from the coordinates `whole` of all bodies, or the rates of this state from
-    their velocities.
+    """Return the state of a cross-section if `whole` are the coordinates of all bodies, or the rates of the state if
+    they are the velocities.
     """
     x, y, angle = ([whole[3 * node + axis] for node in nodes] for axis in range(3))
     return tuple(
@@ -418,7 +427,7 @@ def _section_state(
 
 
 def _shortest(expr: sp.Expr) -> sp.Expr:
-    """Return the form of an expression, as given, expanded or factored, that has the fewest operations."""
+    """Return the form of an expression with the fewest operations: as given, expanded, or factored."""
     return min((expr, sp.expand(expr), sp.factor_terms(sp.expand(expr))), key=sp.count_ops)
 
 
@@ -433,7 +442,7 @@ def _number(value: float) -> sp.Expr:
 
 
 def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
-    """Return the displacement of a moving center and its first two derivatives at a relative angle."""
+    """Return the displacement of a moving center at a relative angle, and its first two derivatives by the angle."""
     values: dict[sp.Symbol, sp.Expr] = {}
     for symbols, (_, function) in zip(d.CENTER, center.functions, strict=True):
         jet = _jet(function, expression_of)
@@ -442,7 +451,9 @@ def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
 
 
 def _jet(motion: Any, parse: Callable[[str], Expression] = Expression.parse) -> Jet:
-    """Return the value and the first two time derivatives of a motion: a number, an expression in t, or a table."""
+    """Return the value and the first two time derivatives of a motion, which is a number, an expression in t, or a
+    table.
+    """
     if isinstance(motion, Table):
         value = _spline(motion)
         within = _within_the_period(motion)
@@ -457,7 +468,7 @@ def _jet(motion: Any, parse: Callable[[str], Expression] = Expression.parse) -> 
 
 
 def _spline(table: Table) -> sp.Expr:
-    """Return the piecewise polynomial of a table; the first and last pieces extrapolate it."""
+    """Return the piecewise polynomial of a table, whose first and last pieces also extrapolate."""
     curve = curve_of(table)
     times = curve.x.tolist()
     degree = len(curve.c) - 1
@@ -469,7 +480,9 @@ def _spline(table: Table) -> sp.Expr:
 
 
 def _within_the_period(table: Table) -> sp.Expr | None:
-    """Return the time within the table at which a periodic table is evaluated; None if the table is not periodic."""
+    """Return the time, shifted into the first period, at which a periodic table is evaluated; None if the table is not
+    periodic.
+    """
     if not table.period:
         return None
     first = _number(table.table[0][0])
@@ -477,7 +490,7 @@ def _within_the_period(table: Table) -> sp.Expr | None:
 
 
 def _angle(value: float) -> sp.Expr:
-    """Return a number as a simple fraction of pi if it equals one within one ulp, otherwise as a decimal."""
+    """Return a number as a simple fraction of pi if the two agree within one ulp, otherwise as a decimal."""
     part = Fraction(value / math.pi).limit_denominator(12)
     if part and abs(value - float(part) * math.pi) <= math.ulp(value):
         return sp.Rational(part.numerator, part.denominator) * sp.pi
@@ -493,5 +506,5 @@ _SPECIAL = {
 
 
 def _text(name: str) -> str:
-    """Return a name as text within LaTeX mathematics."""
+    """Return a name as text for use within LaTeX mathematics."""
     return rf"\text{{{''.join(_SPECIAL.get(letter, letter) for letter in name)}}}"

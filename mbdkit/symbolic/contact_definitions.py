@@ -1,10 +1,10 @@
 """Contacts in SymPy: gap, normal, forces and slip of two shapes, and the functions that evaluate them.
 
-The first body has a line, polygon, circle or hole; the second body a circle with center c and radius r, or a point with
-r = 0. The normal n points from the first body to the second. Both forces act at the point
-``P = c - n (r + gap/2)``, midway between the two outlines, whose velocity on the second body relative to the first has
-the components ``gap'`` along n, and the slip along n turned by -90 degrees. The second
-body gets the force ``N n + T t``.
+The first body has a line, polygon, circle or hole as its outline; the second body has a circle with center c and radius
+r, or a point, for which r = 0. The normal n points from the first body to the second. The normal force N and the
+friction force T act at the point ``P = c - n (r + gap/2)``, midway between the two outlines. The velocity of the second
+body at P, relative to that of the first body at P, has the component ``gap'`` along n and the slip along t, which is n
+turned by -90 degrees. The force on the second body is ``N n + T t``.
 """
 
 from __future__ import annotations
@@ -23,30 +23,31 @@ from mbdkit.mechanism.joint_friction import regularised_friction
 
 FIRST = sp.symbols("x1 y1 th1 vx1 vy1 w1", real=True)
 SECOND = sp.symbols("x2 y2 th2 vx2 vy2 w2", real=True)
-"""Position, angle, velocity and angular velocity of the two bodies."""
+"""Position, angle, velocity and angular velocity of the first and of the second body."""
 cx, cy, r = CIRCLE = sp.symbols("cx cy r", real=True)
-"""Center in the frame of the second body, and radius."""
+"""Center of the circle in the frame of the second body, and its radius."""
 LAW = sp.symbols("stiffness dissipation release curvature static kinetic transition", positive=True)
-"""Numbers of the laws; see `mbdkit.mechanism.contacts.Contact.law_numbers`."""
+"""Parameters of the laws of normal force and friction; see `mbdkit.mechanism.contacts.Contact.law_numbers`."""
 LAWS = ("none", "hertz", "linear", "smooth")
-"""Forms of the normal force; rigid contacts have none."""
+"""Laws of the normal force; rigid contacts use ``none``."""
 
 CF, BD, BV = 1e-5, 300.0, 50.0
-"""Constants of smoothing of Simbody's SmoothSphereHalfSpaceForce, the defaults of OpenSim."""
+"""Smoothing constants of Simbody's SmoothSphereHalfSpaceForce, with the default values of OpenSim."""
 
 choose = sp.Function("choose")
-"""``choose(x, a, b)`` is a where x > 0, else b. SymPy's ``Piecewise`` would be rearranged whenever it is nested, which
-takes minutes for polygons."""
+"""``choose(x, a, b)`` is a where x > 0, and b elsewhere. SymPy would rearrange nested ``Piecewise`` expressions, which
+takes minutes for polygons.
+"""
 
 VALUES = ("gap", "normal_force", "friction_force", "slip")
 WRENCHES = ("x1", "y1", "torque1", "x2", "y2", "torque2")
-"""Force (x, y) and torque at the centre of mass, on the first and on the second body."""
+"""Force (x, y) and torque about the centre of mass, first those on the first body, then those on the second."""
 PLACES = ("point_x", "point_y", "normal_x", "normal_y")
-"""The point P at which forces act, and the normal, in the global frame."""
+"""Names of the global coordinates of the point P at which the forces act, and of the normal."""
 
 
 def numbers_of(kind: tuple[str, int]) -> tuple[sp.Symbol, ...]:
-    """Return the symbols of the numbers of a kind of geometry, in the order of `ContactPair.numbers`."""
+    """Return the symbols of the parameters of a kind of geometry, in the order of `ContactPair.numbers`."""
     name, count = kind
     if name == "line":
         return (*CIRCLE, *sp.symbols("px py mx my", real=True))
@@ -58,13 +59,13 @@ def numbers_of(kind: tuple[str, int]) -> tuple[sp.Symbol, ...]:
 
 
 class Steps:
-    """Names intermediate quantities in their order, so that formulas stay small; a name stands for its expression."""
+    """Assigns symbols to intermediate quantities in the order of their computation, so that formulas stay small."""
 
     def __init__(self) -> None:
         self.named: list[tuple[sp.Symbol, sp.Expr]] = []
 
     def __call__(self, expression: sp.Expr) -> sp.Expr:
-        """Return the name of an expression; numbers and symbols need none."""
+        """Return a symbol that stands for an expression; numbers and symbols are returned unchanged."""
         if expression.is_Atom:
             return expression
         symbol = sp.Symbol(f"s{len(self.named)}", real=True)
@@ -84,14 +85,15 @@ class Steps:
 
 
 Outline = tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]
-"""Gap, normal (x, y), and a number that is positive where the row may exert a force."""
+"""Gap, normal (x, y), and a number that is positive where this geometry may exert a force."""
 
 
 def geometry(kind: tuple[str, int], step: Steps) -> Outline:
-    """Return the gap of a kind of geometry, its normal in the global frame, and where it acts."""
+    """Return gap, normal in the global frame, and the condition for a force (see `Outline`) of a kind of geometry."""
     (x1, y1, th1), (x2, y2, th2) = FIRST[:3], SECOND[:3]
     px, py = step.rotated(th2, cx, cy)
-    gx, gy = step(x2 + px - x1), step(y2 + py - y1)  # the center from the first body's centre of mass
+    # vector from the first body's centre of mass to the center of the circle
+    gx, gy = step(x2 + px - x1), step(y2 + py - y1)
     numbers = numbers_of(kind)[3:]
     if kind[0] in ("circles", "hole"):
         ox, oy = step.rotated(th1, *numbers[:2])
@@ -99,7 +101,7 @@ def geometry(kind: tuple[str, int], step: Steps) -> Outline:
         if kind[0] == "hole":  # the wall pushes the circle towards the center
             return numbers[2] - r - distance, -nx, -ny, sp.Integer(1)
         return distance - r - numbers[2], nx, ny, sp.Integer(1)
-    ux, uy = step.rotated(-th1, gx, gy)  # the center in the frame of the first body
+    ux, uy = step.rotated(-th1, gx, gy)  # the center of the circle in the frame of the first body
     of_kind = {"line": _of_line, "inside": _of_corner, "edge": _of_edge}[kind[0]]
     gap, mx, my, active = of_kind(ux, uy, numbers, step)
     return gap, *step.rotated(th1, mx, my), active
@@ -111,8 +113,10 @@ def _of_line(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps
 
 
 def _of_corner(ux: sp.Expr, uy: sp.Expr, edges: Sequence[sp.Symbol], step: Steps) -> Outline:
-    """A point in a polygon is pushed out through the nearest edge; outside, the gap is the largest of the distances
-    from the lines of the edges, which are points and normals.
+    """Return the outline for a corner (circle of radius r) against a polygon.
+
+    A corner inside is pushed out through the nearest edge. Outside, the gap is the largest distance from the lines
+    through the edges. `edges` has a point and a normal of each edge.
     """
     rows = [edges[i : i + 4] for i in range(0, len(edges), 4)]
     (height, mx, my), *others = [(step((ux - px) * mx + (uy - py) * my), mx, my) for px, py, mx, my in rows]
@@ -123,8 +127,11 @@ def _of_corner(ux: sp.Expr, uy: sp.Expr, edges: Sequence[sp.Symbol], step: Steps
 
 
 def _of_edge(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps) -> Outline:
-    """A row acts where the nearest part of the polygon is its edge from b to e, or the corner b after the edge from a
-    to b; elsewhere its gap is the distance from the edge.
+    """Return the outline for an edge of a polygon, from b to e, and its corner b, at which the preceding edge from a
+    ends.
+
+    This geometry exerts a force if its edge or its corner b is the part of the polygon nearest to the circle; elsewhere
+    its gap is the distance from the edge.
     """
     ax, ay, bx, by, ex, ey = numbers[:6]
     deepest = step(_of_corner(ux, uy, numbers[6:], step)[0] + r)
@@ -139,7 +146,8 @@ def _of_edge(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps
         outside = choose(-along, at_corner, choose(along - size, at_end, at_edge))
         return step(choose(deepest, outside, inside))
 
-    far = choose(height, height, -height)  # rows of other edges do not overlap
+    # positive on both sides of the edge, so that only the nearest edge can overlap
+    far = choose(height, height, -height)
     distance = where_it_is(to_corner, to_end, far, choose(deepest - height, -height, height))
     mx, my = where_it_is(dx, tx, ty, ty), where_it_is(dy, ty, -tx, -tx)
     active = where_it_is(choose(past, 1, 0), sp.Integer(0), choose(height, 1, 0), choose(deepest - height, 0, 1))
@@ -147,7 +155,7 @@ def _of_edge(ux: sp.Expr, uy: sp.Expr, numbers: Sequence[sp.Symbol], step: Steps
 
 
 def normal_force(law: str, depth: sp.Expr, rate: sp.Expr) -> sp.Expr:
-    """Return the normal force of a law at an indentation and its rate."""
+    """Return the normal force of a law for an indentation and its rate."""
     k, c, release, curvature = LAW[:4]
     if law == "none":
         return sp.Integer(0)
@@ -166,7 +174,7 @@ def normal_force(law: str, depth: sp.Expr, rate: sp.Expr) -> sp.Expr:
 def friction_force(law: str, normal: sp.Expr, slip: sp.Expr) -> sp.Expr:
     """Return Coulomb's friction force; see `mbdkit.mechanism.joint_friction.regularised_friction`.
 
-    The slip of the smooth law is ``sqrt(slip^2 + CF)``, as in SmoothSphereHalfSpaceForce.
+    The law ``smooth`` replaces the magnitude of the slip by ``sqrt(slip^2 + CF)``, as SmoothSphereHalfSpaceForce does.
     """
     if law != "smooth":
         return regularised_friction(normal, slip, LAW[4:], choose)
@@ -180,14 +188,15 @@ def friction_force(law: str, normal: sp.Expr, slip: sp.Expr) -> sp.Expr:
 
 @dataclass(frozen=True)
 class Definition:
-    """The quantities of a contact.
+    """Formulas for the quantities of a contact.
 
     Attributes
     ----------
     steps
-        Intermediate quantities in terms of `FIRST`, `SECOND`, the numbers of the kind, `LAW` and earlier ones.
+        Symbols of intermediate quantities with their expressions in `FIRST`, `SECOND`, the parameters of the geometry,
+        `LAW` and earlier intermediate quantities.
     quantities
-        Those of `VALUES`, followed by those of `WRENCHES` and of `PLACES`.
+        Expressions for `VALUES`, `WRENCHES` and `PLACES`, in this order.
     """
 
     steps: tuple[tuple[sp.Symbol, sp.Expr], ...]
@@ -197,7 +206,9 @@ class Definition:
 def sliding(
     second: tuple[sp.Expr, sp.Expr], first: tuple[sp.Expr, sp.Expr], normal: tuple[sp.Expr, sp.Expr], step: Steps
 ) -> tuple[sp.Expr, sp.Expr]:
-    """Return slip and rate of the gap at a point, given from the centres of mass of the second and the first body."""
+    """Return the slip and the rate of the gap at a point. `second` and `first` are the vectors to the point from the
+    centres of mass of the second and of the first body.
+    """
     (*_, vx1, vy1, w1), (*_, vx2, vy2, w2) = FIRST, SECOND
     (px, py), (ox, oy), (nx, ny) = second, first, normal
     vx, vy = step(vx2 - w2 * py - vx1 + w1 * oy), step(vy2 + w2 * px - vy1 - w1 * ox)
@@ -206,12 +217,13 @@ def sliding(
 
 @lru_cache(maxsize=64)
 def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definition:
-    """Return the definition of a contact.
+    """Return the formulas of a contact.
 
     Parameters
     ----------
     kind
-        Kind of geometry, ``line``, ``circles``, ``hole``, ``inside`` or ``edge``, and the number of edges of a polygon.
+        Kind of geometry, which is ``line``, ``circles``, ``hole``, ``inside`` or ``edge``, and the number of edges of
+        the polygon.
     law
         One of `LAWS`.
     has_friction
@@ -221,7 +233,8 @@ def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definitio
     gap, nx, ny, active = (step(one) for one in geometry(kind, step))
     (x1, y1), (x2, y2, th2) = FIRST[:2], SECOND[:3]
     px, py = step.rotated(th2, cx, cy)
-    px, py = (step(p - (r + gap / 2) * n) for p, n in ((px, nx), (py, ny)))  # P from the second body's centre of mass
+    # vector to P from the second body's centre of mass
+    px, py = (step(p - (r + gap / 2) * n) for p, n in ((px, nx), (py, ny)))
     ox, oy = step(x2 + px - x1), step(y2 + py - y1)
     slip, rate = sliding((px, py), (ox, oy), (nx, ny), step)
     normal = step(choose(active, normal_force(law, -gap, -rate), 0) if active != 1 else normal_force(law, -gap, -rate))
@@ -233,7 +246,7 @@ def definition(kind: tuple[str, int], law: str, has_friction: bool) -> Definitio
 
 
 class _Printer(NumPyPrinter):
-    """Writes powers as products and roots, which are rounded correctly for arrays of any length."""
+    """Writes powers as products and roots, whose rounding does not depend on the length of arrays."""
 
     def _print_Pow(self, expr: Any, rational: bool = False) -> str:
         if expr.exp == sp.Rational(3, 2):
@@ -248,7 +261,7 @@ class _Printer(NumPyPrinter):
 
 @lru_cache(maxsize=64)
 def contact_function(kind: tuple[str, int], law: str, has_friction: bool) -> Callable[..., list[Any]]:
-    """Return a function that evaluates a `definition` for numbers, arrays, or operands that are traced."""
+    """Return a function that evaluates the `definition` for numbers, arrays, or traced operands."""
     arguments = (*FIRST, *SECOND, *numbers_of(kind), *LAW)
     functions = {"choose": _choose, **{name: _of_each(name) for name in ("cos", "sin", "tanh")}}
     defined = definition(kind, law, has_friction)
@@ -267,8 +280,8 @@ def _choose(condition: Any, first: Any, second: Any) -> Any:
 
 
 def _of_each(name: str) -> Callable[[Any], Any]:
-    """Return a function that computes the items of arrays one by one, because the last bits of NumPy's functions depend
-    on how many there are.
+    """Return a function that evaluates the items of arrays one by one. NumPy's own functions round differently for
+    arrays of different lengths.
     """
     of_any, of_number = getattr(np, name), getattr(math, name)
 

@@ -1,4 +1,6 @@
-"""Rows of rigid contacts: gap and slip, their gradients, and what velocities add to their second derivatives."""
+"""Constraint rows of rigid contacts: gap and slip, their gradients, and the velocity-dependent terms of their second
+time derivatives.
+"""
 
 from __future__ import annotations
 
@@ -17,29 +19,30 @@ TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)
 _ANGLES = (FIRST[2], SECOND[2])
 _BY_TURN = dict(zip((f(angle) for angle in _ANGLES for f in (sp.cos, sp.sin)), TURNED, strict=True))
 ARGUMENTS = (*FIRST[:2], *TURNED[:2], *FIRST[3:], *SECOND[:2], *TURNED[2:], *SECOND[3:])
-"""Arguments of the functions, for each body x, y, cosine and sine of its angle, and the velocities; then the numbers of
-the geometry."""
+"""Arguments of the functions: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of
+the geometry follow.
+"""
 
 
 class _Moving(Steps):
-    """Names intermediate quantities, and differentiates them along the motion."""
+    """Assigns symbols to intermediate quantities, and differentiates them with respect to time."""
 
     def __init__(self) -> None:
         super().__init__()
         (x1, y1, _, *rates1), (x2, y2, _, *rates2) = FIRST, SECOND
         (c1, s1, c2, s2), w1, w2 = TURNED, rates1[2], rates2[2]
-        #: Rates of the quantities that change; all others, velocities among them, are constant.
+        #: Rates of the symbols that change with time; all others, including the velocities, are taken as constant.
         self.rates: dict[sp.Basic, sp.Expr] = {
             x1: rates1[0], y1: rates1[1], c1: -s1 * w1, s1: c1 * w1,
             x2: rates2[0], y2: rates2[1], c2: -s2 * w2, s2: c2 * w2,
         }  # fmt: skip
 
     def __call__(self, expression: sp.Expr) -> sp.Expr:
-        """Return the name of an expression."""
+        """Return a symbol that stands for an expression."""
         return super().__call__(expression.xreplace(_BY_TURN))
 
     def rate(self, quantity: sp.Expr) -> sp.Expr:
-        """Return the rate of a quantity at constant velocities."""
+        """Return the rate of a quantity for constant velocities."""
         known = dict(self.named)
         if quantity in known and quantity not in self.rates:
             self.rates[quantity] = self(self._derivative(known[quantity]))
@@ -58,17 +61,21 @@ class _Moving(Steps):
 
 @lru_cache(maxsize=16)
 def gap_function(kind: tuple[str, int]) -> Callable[..., Any]:
-    """Return a function of `ARGUMENTS` and the numbers of a kind of geometry, arrays of one shape: the gaps."""
+    """Return a function that computes the gaps of a kind of geometry. It takes `ARGUMENTS` and the parameters of the
+    geometry, as arrays of one shape.
+    """
     step = _Moving()
     return _function(kind, step, [geometry(kind, step)[0]], is_of_arrays=True)
 
 
 @lru_cache(maxsize=16)
 def row_function(kind: tuple[str, int], *, is_of_arrays: bool) -> Callable[..., list[Any]]:
-    """Return a function of `ARGUMENTS` and the numbers of a kind of geometry, numbers or arrays of one shape.
+    """Return a function that computes the constraint rows of a kind of geometry.
 
-    It returns gap, slip, the rows n and t (6 each) with ``gap' = n . v`` and ``slip = t . v``, and the right-hand sides
-    of ``n . a = -n' . v`` and ``t . a = -t' . v``, with which gap' and slip do not change.
+    It takes `ARGUMENTS` and the parameters of the geometry, as numbers or as arrays of one shape. It returns the gap,
+    the slip, the rows n and t (6 components each), with ``gap' = n . v`` and ``slip = t . v``, and the right-hand sides
+    of ``n . a = -n' . v`` and ``t . a = -t' . v``. Accelerations that satisfy these equations leave gap' and slip
+    constant.
     """
     step = _Moving()
     gap, *normal, _ = geometry(kind, step)

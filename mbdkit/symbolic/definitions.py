@@ -1,8 +1,8 @@
 """Position-level definitions of all elements in SymPy, from which all derivatives in the kernels are generated.
 
 A planar body has the coordinates ``q = (x, y, theta)``: centre of mass and orientation. A body-fixed point ``s`` of
-body ``b`` has the global position ``r_b + R(theta_b) s``. An element connects a first body ``a`` and a second body
-``b``; ground is a body fixed at ``q = 0``.
+body ``b`` has the global position ``r_b + R(theta_b) s``. An element connects a first body ``a`` with a second body
+``b``. Ground is a body fixed at ``q = 0``.
 """
 
 from __future__ import annotations
@@ -25,18 +25,21 @@ ca, sa, cb, sb = sp.symbols("ca sa cb sb", real=True)
 ax, ay, bx, by = sp.symbols("ax ay bx by", real=True)
 """Global components of the vectors from the centres of mass to the two points."""
 nx, ny = sp.symbols("nx ny", real=True)
-"""Global components of the normal of a line whose direction in the frame of the first body is ``(p4, p5)``."""
+"""Global components of the normal of a line. The direction of the line in the frame of the first body is ``(p4,
+p5)``.
+"""
 gx, gy, length = sp.symbols("gx gy length", positive=True)
-"""The gap ``p_b - p_a`` and its norm."""
+"""The vector ``p_b - p_a`` between the two points, and its norm."""
 straight = sp.Symbol("straight", positive=True)
 tangent_x, tangent_y = sp.symbols("tangent_x tangent_y", real=True)
 """Length of the tangent from one point to a circle around the other point, and components of its direction. The signed
 radius of the circle is ``p4``."""
 CENTER = (sp.symbols("cx0:4", real=True), sp.symbols("cy0:4", real=True))
-"""Displacement (x, y) of a moving point in the frame of the first body, and its first three derivatives by the relative
-angle ``theta_b - theta_a``."""
+"""Displacement (x, y) of a moving point in the frame of the first body, and its first three derivatives with respect to
+the relative angle ``theta_b - theta_a``.
+"""
 _TURNED = (sp.symbols("hx0:4", real=True), sp.symbols("hy0:4", real=True))
-"""Global components of these vectors."""
+"""Global components of the vectors in `CENTER`."""
 
 SECTION = sp.symbols("dx dy th dth", real=True)
 """State of a cross-section of a beam: derivatives of its position (x, y) by the arc length, its angle, and the
@@ -52,7 +55,9 @@ SECTION_DAMPING = sp.symbols("da ds db", real=True)
 SECTION_REFERENCE = sp.symbols("e0 g0 k0", real=True)
 """Axial strain plus 1, shear strain and curvature of the stress-free beam."""
 along, across = sp.symbols("along across", real=True)
-"""Components of the derivative of the position along the normal of the cross-section, and across it."""
+"""Components of the derivative of the position: along the normal of the cross-section, and in the plane of the
+cross-section.
+"""
 _dx, _dy, _th, _dth = SECTION
 
 INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
@@ -73,10 +78,10 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     **{hx: ca * cx - sa * cy for hx, cx, cy in zip(_TURNED[0], *CENTER, strict=True)},
     **{hy: sa * cx + ca * cy for hy, cx, cy in zip(_TURNED[1], *CENTER, strict=True)},
 }
-"""Named intermediate quantities, each in terms of coordinates, parameters and earlier ones."""
+"""Intermediate quantities by symbol, each as an expression in coordinates, parameters and earlier quantities."""
 
-# These rules keep derivatives in terms of the intermediates: the derivative of a rotated vector by its angle is the
-# same vector rotated by 90 degrees.
+# These rules express derivatives in the intermediate quantities themselves. For example, the derivative of a rotated
+# vector by its angle is the vector rotated by another 90 degrees.
 _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     ca: {tha: -sa},
     sa: {tha: ca},
@@ -101,20 +106,22 @@ _DERIVATIVES[length] = {
 _DERIVATIVES[straight] = {
     q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / straight for q in BODY_COORDINATES
 }
-_turning = {  # rate of the direction of the tangent
+_turning = {  # rates of the direction of the tangent
     q: (tangent_x * _DERIVATIVES[gy].get(q, 0) - tangent_y * _DERIVATIVES[gx].get(q, 0)) / straight
     for q in BODY_COORDINATES
 }
 _DERIVATIVES[tangent_x] = {q: -tangent_y * _turning[q] for q in BODY_COORDINATES}
 _DERIVATIVES[tangent_y] = {q: tangent_x * _turning[q] for q in BODY_COORDINATES}
-for _i in range(3):  # it rotates with the first body, and depends on the relative angle
+for _i in range(3):  # each vector rotates with the first body and depends on the relative angle
     (_hx, _hy), (_next_hx, _next_hy) = ((_TURNED[0][_k], _TURNED[1][_k]) for _k in (_i, _i + 1))
     _DERIVATIVES[_hx] = {tha: -_hy - _next_hx, thb: _next_hx}
     _DERIVATIVES[_hy] = {tha: _hx - _next_hy, thb: _next_hy}
 
 
 def differentiate(expr: sp.Expr, symbol: sp.Symbol) -> sp.Expr:
-    """Return the total derivative of `expr` by `symbol`, with the intermediates as functions of the coordinates."""
+    """Return the total derivative of `expr` with respect to `symbol`, in which the intermediate quantities depend on
+    the coordinates.
+    """
     total = expr.diff(symbol)
     for inner, rules in _DERIVATIVES.items():
         if symbol in rules and expr.has(inner):
@@ -135,7 +142,7 @@ class ConstraintKind:
     rows: tuple[sp.Expr, ...]
     note: str
     constants: tuple[tuple[str, str], ...] = ()
-    """Name and LaTeX of the parameters after the points, ``p4`` and ``p5``."""
+    """Name and LaTeX of the parameters ``p4`` and ``p5``, which follow the points."""
 
 
 _ARM = (xb + bx - xa, yb + by - ya)
@@ -167,18 +174,19 @@ CONSTRAINTS = (
 
 @dataclass(frozen=True)
 class PathwayKind:
-    """A generalised length ``s(q_a, q_b)`` along which a scalar force law acts; the force on q is ``-F s_q``.
+    """A generalised length ``s(q_a, q_b)``. A law gives a scalar force F along it, whose generalized force is ``-F
+    s_q``.
 
-    The length of a pathway over several joints is the sum of such lengths, its segments.
+    A pathway over several joints has several segments; its length is the sum of their lengths.
     """
 
     name: str
     length: sp.Expr
     note: str
     constants: tuple[tuple[str, str], ...] = ()
-    """Name and LaTeX of the parameters after the points, ``p4`` and ``p5``."""
+    """Name and LaTeX of the parameters ``p4`` and ``p5``, which follow the points."""
     slopes: tuple[sp.Expr, sp.Expr] | None = None
-    """Derivatives by `gx` and `gy` of the function that is differentiated instead of the length."""
+    """Derivatives by `gx` and `gy` that are used instead of those of `length`."""
 
 
 PATHWAYS = (
@@ -199,9 +207,9 @@ PATHWAYS = (
         "s = coordinate of b's point in a's frame, along a direction [m]",
         (("e_x", "e^{x}"), ("e_y", "e^{y}")),
     ),
-    # The derivatives are those of the length of the tangent plus r times the angle of its direction. The length of a
-    # string around a circle is the sum of two such terms with opposite r, up to multiples of 2 pi r. Each term depends
-    # on two bodies only.
+    # The slopes are the derivatives of the length of the tangent plus r times the angle of its direction. The length of
+    # a string around a circle is the sum of two such terms with opposite r, up to multiples of 2 pi r. Each term
+    # depends on only two bodies.
     PathwayKind(
         "tangent", straight, "s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent", (("r", "r"),), (tangent_x, tangent_y)
     ),
@@ -212,21 +220,23 @@ SECTION_STRAINS = tuple(
     strain - reference for strain, reference in zip((along, across, _dth), SECTION_REFERENCE, strict=True)
 )
 """Axial strain, shear strain and curvature of a planar beam (E. Reissner, J. Appl. Math. Phys. 23, 1972; J. C. Simo and
-L. Vu-Quoc, J. Appl. Mech. 53, 1986)."""
+L. Vu-Quoc, J. Appl. Mech. 53, 1986).
+"""
 
 
 def derive_section() -> dict[str, sp.Matrix]:
     """Derive the forces of a cross-section of a beam from its strain energy and its dissipation.
 
-    The strain energy is ``h/2 (EA axial^2 + GA shear^2 + EI curvature^2)``. The stress of a Kelvin-Voigt material has a
-    part proportional to the rates of the strains, which follows from a dissipation function of the same form.
+    The strain energy is ``h/2 (EA axial^2 + GA shear^2 + EI curvature^2)``. The material is a Kelvin-Voigt material: a
+    part of the stress is proportional to the strain rates. This part follows from a dissipation function of the same
+    form as the strain energy.
 
     Returns
     -------
     dict
-        ``force`` (4, 1) conjugate to `SECTION`, its derivatives ``stiffness`` and ``damping`` (4, 4) by `SECTION` and
-        `SECTION_RATES`, ``stress`` (3, 1): axial force, shear force and bending moment, and ``energy`` (2, 1): strain
-        energy and dissipated power.
+        ``force`` (4, 1), conjugate to `SECTION`; its derivatives ``stiffness`` and ``damping`` (4, 4) with respect to
+        `SECTION` and `SECTION_RATES`; ``stress`` (3, 1), which are axial force, shear force and bending moment; and
+        ``energy`` (2, 1), which are strain energy and dissipated power.
     """
     rates = jacobian(SECTION_STRAINS, SECTION) * sp.Matrix(SECTION_RATES)
     energy = sum(k * e**2 for k, e in zip(SECTION_STIFFNESS, SECTION_STRAINS, strict=True)) * SECTION_LENGTH / 2
@@ -251,7 +261,7 @@ def derive_constraint(kind: ConstraintKind) -> dict[str, sp.Matrix]:
     Parameters
     ----------
     kind
-        The constraint, ``r`` rows.
+        The constraint, which has ``r`` rows.
 
     Returns
     -------

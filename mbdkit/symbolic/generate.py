@@ -56,10 +56,12 @@ _LEVELS = {
         "Evaluate d(Phi_q^T lam)/dq (P, 36), d gamma/dv (P, 12) and d(Phi_q a - gamma)/dq (P, 12) of every pair.",
     ),
 }
-"""Arguments of a constraint kernel after ``k, a, b, m``, and the docstring of the loop over all pairs, by level."""
+"""By level: the arguments of a constraint kernel after ``k, a, b, m``, and the docstring of the loop over all pairs of
+rows.
+"""
 
 ALWAYS_WRITTEN = "gamma"
-"""Array whose zeros are written as well: other kernels store right-hand sides in it, or add to it."""
+"""Array of which kernels also write the zeros, because other kernels store right-hand sides in it or add to it."""
 
 _READS = {
     **{name: f"q[3*a+{i}]" for i, name in enumerate(("xa", "ya", "tha"))},
@@ -85,13 +87,13 @@ _READS = {
         for i, symbol in enumerate((d.SECTION_LENGTH, *d.SECTION_STIFFNESS, *d.SECTION_REFERENCE, *d.SECTION_DAMPING))
     },
 }
-"""Array element from which a kernel reads each symbol."""
+"""The array element from which a kernel reads each symbol."""
 
 
 class _Printer(PythonCodePrinter):
     """Prints function names without a module, and small powers as products and square roots.
 
-    Only operations that are expected in an element definition are printed; any other power raises ValueError.
+    Only powers that are expected in an element definition are printed; any other power raises ValueError.
     """
 
     def __init__(self) -> None:
@@ -120,9 +122,9 @@ class _Printer(PythonCodePrinter):
 
 
 def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, sp.Matrix]]) -> str:
-    """Return the source of a kernel that writes `outputs`, pairs of array name and matrix, into their arrays.
+    """Return the source of a kernel that writes `outputs`, which are pairs of array name and matrix.
 
-    Entries that are identically zero are left out, apart from those of `ALWAYS_WRITTEN`.
+    Entries that are identically zero are not written, except those of `ALWAYS_WRITTEN`.
     """
     targets: list[str] = []
     expressions: list[sp.Expr] = []
@@ -141,7 +143,9 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
 
 
 def _reads(expressions: Iterable[sp.Expr], printer: _Printer) -> list[str]:
-    """Return the lines that load the symbols and compute the intermediates that `expressions` need, in order."""
+    """Return the lines that load the symbols and compute the intermediate quantities in `expressions`, in the order of
+    computation.
+    """
     used = set().union(*(e.free_symbols for e in expressions))
     inner = []
     for symbol, expr in reversed(d.INTERMEDIATES.items()):
@@ -237,7 +241,7 @@ def _loop_over_pairs(level: str, kinds: Sequence[str]) -> str:
 
 
 def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
-    """Return the kernels of a pathway: length with gradient, and second derivatives unless all are zero."""
+    """Return the kernels of a pathway: its length and gradient, and its second derivatives unless all are zero."""
     outputs = [("s", terms["length"]), ("grad", terms["gradient"])]
     kernels = [_kernel(f"{name}_gradient", "k, a, b, q, cs, p, s, grad", f"Length {note} and its gradient.", outputs)]
     if _mask(terms["hessian"]):
@@ -249,7 +253,7 @@ def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[
 
 
 def _section_kernels(terms: dict[str, sp.Matrix]) -> list[str]:
-    """Return the kernels of a cross-section of a beam: forces with stress and energy, and tangents."""
+    """Return the kernels of a cross-section of a beam: forces with stress and energy, and the tangents."""
     forces = [(name, terms[name]) for name in ("force", "stress", "energy")]
     tangents = [(name, terms[name]) for name in ("stiffness", "damping")]
     note = "Force conjugate to the state of a cross-section, its stress, its strain energy and its dissipated power."

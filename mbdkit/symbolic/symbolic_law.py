@@ -17,8 +17,9 @@ from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
 LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
 
 SIDE = "mbdkit_side_"
-"""Prefix of the parameters that select the side of a discontinuity of a law (`mbdkit.gradients.law_corners`); beyond
-the discontinuity, the potential does not belong to the force."""
+"""Prefix of parameters that select one side of each discontinuity of a law (`mbdkit.gradients.law_corners`). On the
+other side, the potential is not that of the force.
+"""
 
 _CORNERED = (sp.Abs, sp.Min, sp.Max, sp.Heaviside, sp.sign)
 
@@ -29,7 +30,7 @@ def law_expressions(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, 
     Raises
     ------
     PluginError
-        If the law is not a SymPy expression in these symbols.
+        If the law is not a SymPy expression in these arguments and parameters.
     """
     potential = 0 if law.potential is None else law.potential
     return _expression(law.force, names, ARGUMENTS), _expression(potential, names, ARGUMENTS[:1])
@@ -61,7 +62,8 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
     Parameters
     ----------
     example
-        Names of the law's parameters in the order of the array, with example values for the check of the potential.
+        Names of the law's parameters in the order of the array ``parameters``, with example values at which the
+        potential is checked.
 
     Raises
     ------
@@ -93,7 +95,7 @@ def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
 
 
 def smooth_pieces(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp.Expr]:
-    """Return force and potential of a law with all discontinuities as conditions of ``Piecewise``; see
+    """Return force and potential of a law, with all discontinuities written as conditions of ``Piecewise``; see
     `law_expressions`.
     """
     force, potential = (_without_corners(expression) for expression in law_expressions(law, names))
@@ -101,15 +103,16 @@ def smooth_pieces(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, sp
 
 
 def _without_corners(expression: sp.Expr) -> sp.Expr:
-    # Derivatives of Abs, Min and the like lead to DiracDelta, which `law_source` rejects; those of Piecewise do not.
+    # Derivatives of Abs, Min and similar functions contain DiracDelta, which `law_source` rejects; those of Piecewise
+    # do not.
     return expression.rewrite(sp.Piecewise) if expression.has(*_CORNERED) else expression
 
 
 def _check_potential(force: sp.Expr, potential: sp.Expr, example: Mapping[str, float]) -> None:
     """Raise PluginError unless dV/ds equals the force at rate zero.
 
-    Both are compared numerically at 40 random lengths for each of the scales, which are 1 and the absolute value of
-    each parameter. The random numbers are the same in every call.
+    The two are compared at 40 random lengths for each of several scales, which are 1 and the absolute value of each
+    parameter. The random numbers are the same in every call.
     """
     at_rest = force.subs(RATE, 0)
     if at_rest.has(T):

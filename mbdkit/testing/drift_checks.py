@@ -83,7 +83,7 @@ def _must_hold(integrator: IntegratorUnderTest, level: str) -> str:
 
 
 def _worst(run: Run, level: str) -> float:
-    """Return the largest misalignment of a complete run [m or m/s], else NaN."""
+    """Return the largest misalignment of a complete run [m or m/s]; NaN if the run is not complete."""
     if run.status != "complete":
         return math.nan
     if level == "position":

@@ -1,6 +1,7 @@
 """Convergence with the step and the tolerance.
 
-Exactness on polynomials, the observed order on nonlinear non-autonomous problems, and errors of adaptive methods.
+The checks are exactness on polynomials, observed orders on nonlinear non-autonomous problems, and errors of adaptive
+methods.
 """
 
 from __future__ import annotations
@@ -33,24 +34,26 @@ PROBLEMS: dict[str, Model] = {
     **{f"resting: {name}": model for name, model in RESTING.items()},
 }
 USUAL = tuple(name for name in PROBLEMS if not name.startswith("resting"))
-"""The problems that have a check of their own."""
+"""The problems that have their own check."""
 ENDS = dict.fromkeys(PROBLEMS, 1.0) | {"driven-pendulum": 3.0}
-"""Duration of each [s]: long enough that errors follow a power of the step before they reach rounding."""
+"""Duration of each problem [s]; long enough that errors follow a power of the step before they reach rounding."""
 BELOW, ABOVE = 0.2, 0.5
-"""An order lower than claimed by more than `BELOW` fails; one higher by more than `ABOVE` is a warning."""
+"""An observed order below the claimed one by more than `BELOW` fails; above it by more than `ABOVE` is a warning."""
 MOST_STEPS, MOST_PYTHON_STEPS = 8192, 1024
 FIRST_STEPS = 5
 HIGH = 8
-"""Order above which errors may reach rounding before they follow a power of the step."""
+"""For orders above this, errors may reach rounding before they follow a power of the step."""
 BELOW_HIGH = 0.5
-"""Like `BELOW`, for high orders, for which few step sizes are neither too coarse nor dominated by round-off. An
-observed order between both limits is inconclusive."""
+"""Replaces `BELOW` for high orders, for which few step sizes are neither too coarse nor dominated by round-off.
+
+An observed order between both limits is inconclusive.
+"""
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
 OBEYS = 10.0
-"""Least factor by which four decades of tolerance must reduce the error of an adaptive method."""
+"""Smallest factor by which the error of an adaptive method must decrease over four decades of the tolerance."""
 POLYNOMIAL = 1e-13
 NEAR_ROUNDING = 1e-11
-"""Errors below this count as rounding, where the order need not hold."""
+"""Errors below this count as rounding, for which the order need not hold."""
 FINEST = 3
 """Number of finest refinements over which the order is measured."""
 
@@ -132,7 +135,9 @@ class Convergence:
 
     @property
     def observed_of_multipliers(self) -> ObservedOrder:
-        """The observed order of the multipliers, down to the smallest error: rounding grows as steps shrink."""
+        """The observed order of the multipliers, down to the smallest error, because rounding grows as steps become
+        smaller.
+        """
         errors = self.multiplier_errors
         some = slice(0, 1 + int(np.nanargmin(errors))) if np.isfinite(errors).any() else slice(None)
         return observed_order(self.steps[some], errors[some])
@@ -154,7 +159,7 @@ def convergence(integrator: IntegratorUnderTest, problem: str) -> Convergence:
 
 
 def compare_orders(claimed: float, observed: ObservedOrder, errors: np.ndarray, what: str = "order") -> Result:
-    """Compare an observed order with the claimed one."""
+    """Compare an observed order with the claimed one; return the result of the check."""
     finite = errors[np.isfinite(errors)]
     if len(finite) == 0:
         return failed("no run completed at any step size")

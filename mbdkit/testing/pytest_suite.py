@@ -20,10 +20,11 @@ class ConformanceWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Case:
-    """A check of a plugin as a test; calling it runs the check.
+    """A check of a plugin as a test; calling the object runs the check.
 
-    A failure raises AssertionError, a remark issues a ConformanceWarning. A check that does not apply, or whose
-    property is not claimed, is skipped.
+    A failure raises AssertionError, and a remark issues a ConformanceWarning. A check that does not apply, or whose
+    property
+    is not claimed, is skipped.
     """
 
     kind: Kind

@@ -86,7 +86,7 @@ def stability_function(tableau: ButcherTableau, z: complex) -> complex:
 
 
 def at_infinity(tableau: ButcherTableau) -> float:
-    """Return the modulus of the stability function at minus infinity; inf if it is unbounded."""
+    """Return the modulus of the stability function at minus infinity; inf if it is unbounded there."""
     with mpmath.workdps(60):
         a, b, _ = (mpmath.matrix(x.tolist()) for x in tableau.floats())
         s = tableau.stages

@@ -9,7 +9,7 @@ Model = dict[str, Any]
 
 
 def _rod(length: float, mass: float, joint: tuple[float, float], angle: float, rate: float = 0.0) -> Model:
-    """Return a uniform rod whose left end is at `joint`, at rest there."""
+    """Return a uniform rod at rest whose left end is at `joint`."""
     c, s, r = math.cos(angle), math.sin(angle), length / 2
     return {
         "mass": mass,
@@ -53,7 +53,7 @@ FORCED_PENDULUM: Model = {**_two_rods((-0.6, 0.1)), "forces": _forces()}
 
 
 def forced_pendulum(start: float) -> Model:
-    """Return the forced pendulum whose forces begin at the time `start` [s] as those above begin at 0."""
+    """Return the forced pendulum with forces that begin at the time `start` [s] instead of 0."""
     return {**FORCED_PENDULUM, "forces": _forces(start)}
 
 
@@ -116,13 +116,13 @@ BEAM: Model = {
     },
     "forces": {"motor": {"type": "torque", "body": "crank", "value": "4 + 2*sin(5*t)"}},
 }
-"""A soft beam of two elements, clamped to a crank under a torque that depends on time."""
+"""A soft beam of two elements, clamped to a crank under a time-dependent torque."""
 
 SWINGING: Model = _two_rods((-1.0, -1.9))
-"""A conservative double pendulum at swings that are large, but not chaotic within some seconds."""
+"""A conservative double pendulum with large swings, which are not chaotic within some seconds."""
 
 FREE_FOUR_BAR: Model = {**FOUR_BAR, "forces": {}, "gravity": [0.0, -2.0]}
-"""The four-bar without loads in weak gravity: conservative and closed."""
+"""The four-bar linkage without loads in weak gravity, a conservative closed loop."""
 
 ORBIT: Model = {
     "name": "mechanism",
@@ -160,7 +160,7 @@ OUT_OF_REACH: Model = {
     **_two_rods((-0.8, 0.8)),
     "forces": {},
 }
-"""Two rods whose far end a driver pulls beyond their reach within a second."""
+"""Two rods; a driver pulls their far end beyond their reach within a second."""
 OUT_OF_REACH["joints"]["pull"] = {
     "type": "driver",
     "bodies": ["ground", "rod2"],
@@ -192,7 +192,7 @@ COASTING_BODY: Model = {
         }
     },
 }
-"""A free body that turns fast, in free fall: the acceleration is constant."""
+"""A free body in free fall that rotates fast; its acceleration is constant."""
 
 RESTING: dict[str, Model] = {
     "a horizontal rod": {**_two_rods((0.0, 0.0)), "bodies": {"rod1": _rod(1.0, 1.0, (0.0, 0.0), 0.0)}},
@@ -215,8 +215,10 @@ RESTING: dict[str, Model] = {
         },
     },
 }
-"""Starts at rest at which derivatives of the motion vanish by symmetry or by equilibrium, so that an error estimate may
-vanish by accident."""
+"""Starts at rest at which derivatives of the motion vanish, by symmetry or in equilibrium.
+
+An error estimate may vanish by accident there.
+"""
 RESTING["a horizontal rod"]["joints"] = {"J1": SWINGING["joints"]["J1"]}
 
 

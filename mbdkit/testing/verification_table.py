@@ -1,7 +1,7 @@
 """Table of the verification of all built-in integrators, for the README of this folder.
 
-``python -m mbdkit.testing.verification_table README.md`` verifies them within a minute or two and replaces the
-table in that file; without a file it prints the table. The exit status is 1 if one is not verified.
+``python -m mbdkit.testing.verification_table README.md`` verifies them within a minute or two and replaces the table in
+that file; without a file it prints the table. The exit status is 1 if an integrator is not verified.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Verdicts on runs: the criteria, and the numbers to which they are applied."""
+"""Verdicts on runs: the criteria, and the quantities that they are applied to."""

@@ -1,4 +1,4 @@
-"""Compute the verdict on a run from a few numbers, with the limits defined here.
+"""The verdict on a run, computed from a few numbers with the limits defined here.
 
 A verdict is one of four levels. ``good`` needs an estimate of the error. Without one the best level is ``unknown``: a
 run with small misalignments and a good energy balance can still be wrong, like that of a chaotic double pendulum after
@@ -18,18 +18,20 @@ LEVELS: tuple[Level, ...] = ("good", "unknown", "doubtful", "bad")
 """All levels, from the best to the worst."""
 
 NOTHING_SUSPICIOUS = "nothing suspicious seen; error not estimated"
-"""Meaning of the level ``unknown`` if there are no further reasons."""
+"""Reason shown with the level ``unknown`` if there are no others."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The values of a quantity above which a run is doubtful, and above which it is bad."""
+    """The values of a quantity above which a run is doubtful and above which it is bad."""
 
     doubtful: float
     bad: float
 
     def level(self, value: float) -> Level | None:
-        """Return the level of a value; None if it is not above either limit. A value that is not finite is bad."""
+        """Return the level of a value; None if the value is not above either limit. Values that are not finite are
+        bad.
+        """
         if not value <= self.bad:  # also true for nan
             return "bad"
         return "doubtful" if value > self.doubtful else None
@@ -39,7 +41,7 @@ class Limits:
 
 
 MISALIGNMENT = Limits(1e-4, 1e-3)
-"""Largest misalignment, as a share of the mechanism's size; of angles, in radians.
+"""Limits of the largest misalignment, as a share of the mechanism's size; for angles, in radians.
 
 Measured in 246 runs of 2 to 3 s (eight mechanisms, seven methods, five steps) against Gauss with five stages. A joint
 force was wrong by more than 5 % of its peak in 64 % of the bad runs, in 11 % of the doubtful runs, in 7 % of the runs
@@ -47,7 +49,7 @@ with values between a tenth of the first limit and the first limit, and in none 
 """
 
 ENERGY = Limits(1e-3, 0.05)
-"""Largest absolute energy balance, as a share of the largest kinetic energy.
+"""Limits of the largest absolute energy balance, as a share of the largest kinetic energy.
 
 In the same runs, a joint force was wrong by more than 5 % of its peak in 97 % of the bad runs, in 35 % of the doubtful
 runs, in 3 % of the runs with values between a tenth of the first limit and the first limit, and in none with smaller
@@ -62,13 +64,16 @@ All of 61 runs in which an implicit step had accepted a spurious solution of its
 """
 
 BRANCH_ANGLE, BRANCH_RATIO = 0.25, 4.0
-"""A run is suspected to have left its branch of the motion near a minimum of the distance to singularity. The path is
-the shortest one around the minimum of at least 2 % of the mechanism's characteristic length. On it, the line of the
-velocity must turn by at least the first value [rad], and by at least the second value times the length of the path.
-The threshold is an angle because another branch of the motion starts in a different direction."""
+"""A run is suspected of having left its branch of the motion near a minimum of the distance to singularity. The
+criterion uses the shortest path around the minimum that has at least 2 % of the mechanism's characteristic length. On
+this path the line of the velocity must turn by at least the first value [rad], and by at least the second value times
+the length of the path. The threshold is an angle because another branch of the motion starts in a different direction.
+"""
 
 ROUNDING = 1e4
-"""Energies below this multiple of the round-off of the largest energy count as zero; this matters for runs at rest."""
+"""Energies below this multiple of the round-off of the largest energy count as zero. This matters for mechanisms at
+rest.
+"""
 
 ROUND_OFF = 1e-12
 """A misalignment up to this share of the mechanism's size counts as round-off in double precision."""
@@ -85,10 +90,10 @@ class BranchSuspicion:
     time
         Time of the smallest distance to singularity [s].
     angle
-        Angle between the lines of the velocities before and after it, in the mass metric [rad].
+        Angle between the lines of the velocities before and after `time`, in the mass metric [rad].
     path
-        Length of the path between these two states in the mass metric, as a share of the mechanism's characteristic
-        length, the longest link.
+        Length of the path between the states before and after `time` in the mass metric, as a share of the mechanism's
+        characteristic length, which is the longest link.
     """
 
     time: float
@@ -97,7 +102,7 @@ class BranchSuspicion:
 
     @property
     def counts(self) -> bool:
-        """Whether the turn is so sharp that the run has probably left its branch."""
+        """Whether the turn is so sharp that the run has probably left its branch of the motion."""
         return self.angle >= BRANCH_ANGLE and self.angle >= BRANCH_RATIO * self.path
 
 
@@ -115,10 +120,10 @@ class EstimatedErrors:
     known_until
         Time up to which the errors are known [s]; nan if none is.
     asked, reached
-        Requested accuracy of positions, and the largest estimated error of positions, as shares of the mechanism's
+        Requested accuracy of positions and largest estimated error of positions, both as shares of the mechanism's
         size.
     missed
-        Why the accuracy was not reached, as a clause; empty if it was reached, or if the reason is unknown.
+        Reason why the accuracy was not reached, as a clause; empty if it was reached or if the reason is unknown.
     """
 
     position: float
@@ -130,10 +135,10 @@ class EstimatedErrors:
 
 
 KNOWN_POSITION = Limits(1e-2, 0.1)
-"""Estimated error of positions and angles, as a share of the mechanism's size."""
+"""Limits of the estimated errors of positions and angles, as a share of the mechanism's size."""
 
 KNOWN_REACTION = Limits(1e-2, 0.1)
-"""Estimated error of joint forces, as a share of the largest force in the joint."""
+"""Limits of the estimated errors of joint forces, as a share of the largest force in the joint."""
 
 
 @dataclass(frozen=True)
@@ -155,13 +160,13 @@ class Evidence:
     kinetic
         Largest kinetic energy [J].
     energy
-        Largest absolute value of any energy: kinetic, potential, work or dissipated [J]; its rounding error is that of
-        the balance.
+        Largest absolute value of any energy: kinetic, potential, work or dissipated [J]. Its rounding error is that of
+        the energy balance.
     balance
         Largest absolute energy balance [J].
     energy_jump, energy_jump_time
-        Largest change of the energy balance in one step [J], without the changes that stabilization makes, and its time
-        [s].
+        Largest change of the energy balance in one step [J], not counting the changes made by stabilization, and its
+        time [s].
     branch
         Sharp turns near singular positions.
     warnings
@@ -199,7 +204,7 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
     Parameters
     ----------
     evidence
-        Numbers of the run.
+        The numbers from which the run is judged.
     accuracy
         Estimated errors; None if they were not estimated, so that the verdict is ``unknown`` at best.
     """
@@ -238,12 +243,14 @@ def _joints(evidence: Evidence) -> Found:
 
 
 def rounding(largest: float) -> float:
-    """Return the energy [J] below which an energy error is round-off, if the largest energy is `largest` [J]."""
+    """Return the energy [J] below which an energy error counts as round-off, for the largest energy `largest` [J] of a
+    run.
+    """
     return ROUNDING * EPS * largest
 
 
 def _share(energy: float, evidence: Evidence) -> float:
-    """Return an energy error relative to the largest kinetic energy; 0 if it is round-off."""
+    """Return an energy error as a share of the largest kinetic energy; 0 if the error is round-off."""
     if abs(energy) <= rounding(max(evidence.kinetic, evidence.energy)):
         return 0.0
     return abs(energy) / evidence.kinetic if evidence.kinetic > 0 else math.inf

@@ -1,4 +1,4 @@
-"""Largest energies and energy errors of a run, from its recorded rows."""
+"""Largest energies and largest energy errors of a run, from its recorded rows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class EnergyRecord:
         if not len(kinetic):
             return
         (new,) = EnergyRecord.of_runs(kinetic[None], others[:, None], balance[None])
-        # np.max, since max would ignore nan
+        # np.max, because max would ignore nan
         self.kinetic = float(np.max([self.kinetic, new.kinetic]))
         self.energy = float(np.max([self.energy, self.kinetic, new.energy]))
         self.balance = float(np.max([self.balance, new.balance]))

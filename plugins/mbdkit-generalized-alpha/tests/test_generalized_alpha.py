@@ -1,4 +1,6 @@
-"""Generalized-alpha keeps what it claims: order 2 in positions, velocities and multipliers, closed joints, damping."""
+"""Generalized-alpha has the claimed properties: order 2 in positions, velocities and multipliers, constraints at
+positions, damping.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ STEPS = (0.005, 0.0025, 0.00125)
 
 
 def driven_chain() -> mbdkit.Mechanism:
-    """Return two rods, the first one turned by a motor, with a damped spring from the end of the second to ground."""
+    """Return two rods. A motor turns the first one, and a damped spring connects the end of the second one to
+    ground.
+    """
     m = mbdkit.Mechanism()
     m.body("a", mass=1.0, inertia=1 / 12, position=(0.5, 0.0))
     m.body("b", mass=0.7, inertia=0.05, position=(1.0, -0.4), angle=-1.57)
@@ -40,7 +44,7 @@ def run(name: str, integrator: dict[str, Any], step: float, **sections: Any) -> 
 
 @cache
 def reference(name: str) -> mbdkit.Run:
-    """Return the motion under Gauss-4 of index 1, whose error here is far below 1e-9."""
+    """Return the motion computed by Gauss-4 on the index-1 equations, whose error is far below 1e-9 here."""
     return run(name, {"name": "gauss", "stages": 4}, 0.0025)
 
 
@@ -52,7 +56,7 @@ def ours(name: str, rho_inf: float, step: float) -> mbdkit.Run:
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("rho_inf", [0.0, 0.5, 0.8, 0.95])
 def test_positions_velocities_and_multipliers_converge_with_order_two(name: str, rho_inf: float) -> None:
-    # expected: Arnold and Bruls (2007), theorem 1; and (2015) for the first steps
+    # expected: Arnold and Bruls (2007), theorem 1; for the first steps, Arnold, Bruls and Cardona (2015)
     there = reference(name)
     for mine, theirs in (
         ("trajectory/position", "trajectory/position"),
@@ -75,7 +79,8 @@ def test_positions_meet_the_joints_and_velocities_by_the_square_of_the_step(name
 
 
 def test_a_shorter_last_step_keeps_the_order_of_the_multipliers() -> None:
-    # expected: errors at the end as at the row before; without a new start they would be a hundred times larger
+    # expected: the errors at the end are those of the row before; without a new start they would be a hundred times
+    # larger
     for end in (1.0001, 1.002):
         spec = {"mbdkit": 1, "model": MODELS["driven chain"], "time": {"end": end, "step": 0.0025}}
         there = mbdkit.run(spec | {"integrator": {"name": "gauss", "stages": 4}}).check()
@@ -87,8 +92,8 @@ def test_a_shorter_last_step_keeps_the_order_of_the_multipliers() -> None:
 
 @pytest.mark.parametrize("rho_inf", [0.5, 0.7, 0.9])
 def test_a_vibration_too_fast_for_the_step_dies_out_as_asked(rho_inf: float) -> None:
-    # expected: Chung and Hulbert (1993): at infinite frequency rho_inf is a triple root of the amplification matrix, so
-    # that amplitudes go with k^2 rho_inf^k; h omega = 500 is near enough
+    # expected: Chung and Hulbert (1993). At infinite frequency rho_inf is a triple eigenvalue of the amplification
+    # matrix, so that amplitudes are proportional to k^2 rho_inf^k; h omega = 500 is large enough for this.
     m = mbdkit.Mechanism()
     m.body("wheel", mass=1.0, inertia=1.0, position=(0.0, 0.0), angle=0.01)
     m.torsion_spring("s", m.ground, "wheel", stiffness=25e6)
@@ -133,7 +138,7 @@ def test_projection_meets_velocity_constraints_and_keeps_the_order_of_positions_
     errors: dict[str, list[float]] = {"position": [], "velocity": []}
     for step in STEPS[:2]:
         mine = run("driven chain", integrator, step, formulation="index-3", stabilization="projection")
-        assert np.abs(mine.array("constraints/velocity_residual")[1:]).max() < 1e-13  # after the start
+        assert np.abs(mine.array("constraints/velocity_residual")[1:]).max() < 1e-13  # the first row is the start
         for name, found in errors.items():
             path = f"trajectory/{name}"
             found.append(np.abs(mine.array(path) - there.array(path)).max())

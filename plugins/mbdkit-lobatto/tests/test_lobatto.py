@@ -1,4 +1,4 @@
-"""Lobatto's methods are what they claim, and run like the built-in ones."""
+"""The Lobatto methods have the claimed properties, and run like the built-in methods."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def end_of(integrator: dict[str, Any], step: float) -> np.ndarray:
 
 @cache
 def reference() -> np.ndarray:
-    """Return the end of the forced motion under Gauss-6."""
+    """Return the state at the end of the forced motion, computed by Gauss-6."""
     return end_of({"name": "gauss", "stages": 6}, 0.01)
 
 

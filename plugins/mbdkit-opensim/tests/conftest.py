@@ -1,4 +1,4 @@
-"""Makes the texts of models importable, however the tests are collected."""
+"""Makes `osim_texts` importable, independent of how pytest collects the tests."""
 
 from __future__ import annotations
 

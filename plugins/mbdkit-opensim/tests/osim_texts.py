@@ -1,4 +1,4 @@
-"""Models of OpenSim as text, written as OpenSim 4 writes them but without what it can leave out."""
+"""OpenSim models as text, in the form that OpenSim 4 writes, but without optional parts."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def joint(
     child_turned: tuple[float, float, float] = (0, 0, 0),
     transform: str = "",
 ) -> str:
-    """Return a joint; `coordinates` are names, each followed by ``=value`` and ``=locked`` if wanted."""
+    """Return a joint. Each of `coordinates` is a name, optionally followed by ``=value`` and ``=locked``."""
     free = []
     for one in coordinates.split():
         word, value, locked = (*one.split("="), "0", "false")[:3]
@@ -113,7 +113,7 @@ KNEE_Y = [-0.4226, -0.4162, -0.4099, -0.4026, -0.3976, -0.3966, -0.395]
 
 
 def leg() -> str:
-    """Return a free pelvis, a leg with every kind of planar joint in turned frames, and a cart on a rail."""
+    """Return a free pelvis, a leg with every kind of planar joint in rotated frames, and a cart on a rail."""
     root = transform(
         axis("rotation1", Z, linear(), "pelvis_tilt"),
         axis("rotation2", "0 1 0", constant(0.0)),

@@ -1,4 +1,4 @@
-"""Inverse dynamics against OpenSim itself, where its package is installed, and files in both directions."""
+"""Inverse dynamics compared with OpenSim, where its package is installed, and files converted in both directions."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ ROTATIONS = ("pelvis_tilt", "hip_flexion", "knee_angle", "ankle_angle", "swing")
 
 
 def derivatives(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return value, rate and acceleration of a coordinate over time."""
+    """Return value, rate and acceleration of a coordinate at all times."""
     mean, size, omega, phase = MOTION[name]
     turn = omega * T + phase
     return mean + size * np.sin(turn), size * omega * np.cos(turn), -size * omega**2 * np.sin(turn)
 
 
 def columns() -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the motion with its exact derivatives as data and columns of a spec."""
+    """Return the motion with its exact derivatives, as data and as the `columns` of a spec."""
     data, named = {"time": T}, {}
     for name in MOTION:
         keys = (name, f"{name}_u", f"{name}_a")
@@ -59,7 +59,7 @@ def run(leg: Path) -> mbdkit.Run:
 
 
 class Witness:
-    """The leg in OpenSim, moved as prescribed: generalized forces, and reactions under these forces."""
+    """The leg in OpenSim under the prescribed motion: generalized forces, and the reactions under these forces."""
 
     def __init__(self, path: Path):
         import opensim
@@ -99,7 +99,9 @@ class Witness:
         return {name: found.get(place) for place, name in enumerate(self.order)}
 
     def reactions(self, row: int, joints: list[str]) -> dict[str, list[float]]:
-        """Return force and torque that each joint and its actuator exert on the child, at the frame of the child."""
+        """Return the force and torque that each joint, together with its actuator, exerts on the child body, at the
+        child frame.
+        """
         self.actuate(self.forces(row))
         self.model.realizeAcceleration(self.state)
         found = {}

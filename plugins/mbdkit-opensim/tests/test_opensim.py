@@ -1,4 +1,4 @@
-"""Models of OpenSim against OpenSim itself, where its package is installed, and against closed forms."""
+"""Models compared with OpenSim, where its package is installed, and with closed forms."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def drawn(seed: int) -> tuple[dict[str, float], dict[str, float]]:
 
 
 class Witness:
-    """The leg in OpenSim, at given values and speeds of its coordinates."""
+    """The leg in OpenSim at given values and speeds of its coordinates."""
 
     def __init__(self, path: Path):
         import opensim
@@ -208,7 +208,7 @@ def test_a_file_of_opensim_3_is_read_like_one_of_opensim_4(tmp_path: Path) -> No
 
 
 def test_a_spline_of_opensim_through_points_of_a_cubic_is_the_cubic() -> None:
-    # expected: its end conditions, third differences of four points, are exact for a cubic
+    # expected: the end conditions, third differences of four points, are exact for a cubic
     x = np.array([-1.0, -0.4, 0.1, 0.9, 1.5])
     y = 1.0 - 2.0 * x + 0.3 * x**2 - 0.7 * x**3
     at = np.linspace(-1.0, 1.5, 31)

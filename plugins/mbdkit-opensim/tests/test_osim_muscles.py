@@ -1,4 +1,4 @@
-"""Muscles of OpenSim's files: lengths as in OpenSim 4.6, and what is left out, by name."""
+"""Muscles in OpenSim files: lengths agree with those of OpenSim 4.6, and ignored components are named."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ READ = ("hamstrings", "gastroc", "vasti", "wrapped")
 
 
 def leg(tmp_path: Path) -> str:
-    """Write a leg whose knee slides, and whose shank is 6 cm beside the thigh, and return its path."""
+    """Write a leg whose knee slides and whose shank lies 6 cm beside the thigh, and return its path."""
     knee = osim.transform(
         osim.axis("rotation1", osim.Z, osim.linear(), "knee_angle"),
         osim.axis("rotation2", "0 1 0", osim.constant(0.0)),
@@ -131,7 +131,7 @@ LENGTHS = {
     "vasti": [0.1804638422252533, 0.20700811697736893, 0.23671062124308678],
     "wrapped": [0.3957547896824418, 0.41719828116152297, 0.43426850883018103],
 }
-"""Lengths of the muscles at these angles of hip and knee by OpenSim 4.6 [m]."""
+"""Lengths of the muscles at these angles of hip and knee, computed by OpenSim 4.6 [m]."""
 
 
 def lengths(m: Mechanism, names: tuple[str, ...] = READ) -> list[float]:

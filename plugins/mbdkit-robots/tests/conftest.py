@@ -1,4 +1,4 @@
-"""Skips the tests where XML cannot be read safely."""
+"""Skips the tests if XML cannot be read safely, because a package is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Linkages of pylinkage: positions are intersections of circles, and those of pylinkage where it is installed."""
+"""Linkages of pylinkage: positions are compared with intersections of circles, and with pylinkage where it is
+installed.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ import mbdkit_robots
 from mbdkit_robots import to_pylinkage
 
 FILE = Path(mbdkit_robots.__file__).with_name("linkage.json")
-"""The four-bar of pylinkage's documentation: crank 1, coupler 3, rocker 3, ground 4; 100 steps a turn."""
+"""The four-bar in pylinkage's documentation: crank 1, coupler 3, rocker 3, ground 4, 100 steps per turn."""
 
 
 def spec() -> mbdkit.RunSpec:
@@ -26,7 +28,9 @@ def spec() -> mbdkit.RunSpec:
 
 
 def pin(step: int) -> np.ndarray:
-    """Return the pin of coupler and rocker after some steps: the upper intersection of circles with radius 3."""
+    """Return the pin between coupler and rocker after some steps: the upper intersection of two circles with radius
+    3.
+    """
     angle = 2 * math.pi * step / 100
     tip, ground = np.array([math.cos(angle), math.sin(angle)]), np.array([4.0, 0.0])
     middle, way = (tip + ground) / 2, ground - tip

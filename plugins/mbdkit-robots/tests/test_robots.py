@@ -1,4 +1,6 @@
-"""Planar mechanisms of URDF and MJCF: motions are those of MuJoCo 4.0.0, RK4 with steps of 0.1 ms, as printed there."""
+"""Planar mechanisms from URDF and MJCF. The expected motions were printed by MuJoCo 4.0.0 (RK4 with steps of 0.1
+ms).
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ ARM = [  # time, shoulder, elbow, from (0.8, -0.5) rad at (0.3, 1) rad/s
 
 
 def coordinates(run: mbdkit.Run, model: dict[str, Any]) -> np.ndarray:
-    """Return the coordinates of joints in the signs of the file, (T, joints)."""
+    """Return the coordinates of joints, (T, joints), with the sign convention of the file."""
     spec = mbdkit.RunSpec(mbdkit=1, model=model, integrator=GAUSS, time={"end": 1.0, "step": 0.1})
     named = spec.mechanism().coordinates
     columns = [one.scale * run.joints[name].angle + one.offset for name, one in named.items()]
@@ -90,7 +92,7 @@ def test_what_is_not_planar_or_not_read_is_refused(
 
 
 def test_shapes_have_the_masses_and_moments_of_mujoco(tmp_path: Path) -> None:
-    """The values for `crank` are those of MuJoCo's body_mass and body_inertia, to the digits it prints."""
+    """The values for `crank` are MuJoCo's body_mass and body_inertia, with the digits that MuJoCo prints."""
     spec = mbdkit.RunSpec(mbdkit=1, model={"name": "mjcf", "file": str(FILES / "four_bar.xml")}, integrator=GAUSS,
                           time={"end": 1.0, "step": 0.1})  # fmt: skip
     crank, coupler = (spec.mechanism().bodies[name] for name in ("crank", "coupler"))

@@ -1,4 +1,4 @@
-"""CVODE and IDA keep their tolerances on mbdkit's equations, and name the reason if they stop."""
+"""CVODE and IDA meet their tolerances on mbdkit's equations, and state the reason if they stop."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run(model: dict[str, Any], integrator: dict[str, Any], **sections: Any) -> m
 
 @cache
 def reference(name: str) -> np.ndarray:
-    """Return the motion under Gauss-4, whose error is far below the tolerances here."""
+    """Return the motion computed by Gauss-4, whose error is far below the tolerances tested here."""
     method = {"name": "gauss", "stages": 4}
     found = run(MODELS[name], method, time={"end": 1.0, "step": 0.0025}, output={"every": 20}).check()
     return found.array("trajectory/position")
@@ -54,7 +54,7 @@ def reference(name: str) -> np.ndarray:
 @every_method
 @pytest.mark.parametrize("name", MODELS)
 def test_the_error_follows_the_tolerance_between_the_steps_as_well(method: dict[str, Any], name: str) -> None:
-    # expected: rows stand at an interval, so that they are interpolated; errors add up over some hundred steps
+    # expected: rows lie at a fixed interval, so that they are interpolated; errors add up over some hundred steps
     for rtol in (1e-6, 1e-8, 1e-10):
         found = run(MODELS[name], method | {"rtol": rtol, "atol": rtol / 100}).check()
         assert np.abs(found.array("trajectory/position") - reference(name)).max() < 300 * rtol
@@ -95,7 +95,7 @@ def test_a_force_that_becomes_infinite_ends_the_run_with_a_sentence(method: dict
 def test_a_solver_that_gives_up_says_so_in_the_status_alone(
     method: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # a law that is not a number from a time on, met in steps that may not become small enough
+    # The value of this torque becomes NaN at some time; the solver reduces its steps there until it stops.
     model = DRIVEN | {"forces": {"f": {"type": "torque", "body": "a", "value": "sqrt(0.5 - t)"}}}
     found = run(model, method)
     assert found.status == "failed"
@@ -104,7 +104,7 @@ def test_a_solver_that_gives_up_says_so_in_the_status_alone(
 
 
 def test_bdf_takes_far_fewer_evaluations_of_a_stiff_damper_than_an_explicit_method() -> None:
-    # expected: stability limits an explicit method to a few m/d = 1.4e-4 s; BDF follows the slow motion
+    # expected: stability limits the steps of an explicit method to a few m/d = 1.4e-4 s; BDF follows the slow motion
     model = DRIVEN | {"forces": {"s": spring(stiffness=10.0, damping=5e3, free_length=0.5)}}
     explicit, implicit = (
         run(model, {"name": name, "rtol": 1e-5, "atol": 1e-7}).check() for name in ("scipy-dop853", "sundials-cvode")

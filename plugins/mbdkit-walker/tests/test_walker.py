@@ -1,4 +1,4 @@
-"""The walker's legs follow measured angles, have the masses of Winter's table, and keep their energy balance."""
+"""The walker's legs follow the measured angles, have the masses of Winter's table, and satisfy the energy balance."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mbdkit_walker import HIP, KNEE
 
 @cache
 def walked(knees: str = "driven", **options: Any) -> mbdkit.Run:
-    """Return two cycles of 1 s."""
+    """Return a run of two cycles of 1 s each."""
     model = {"name": "walker", "knees": knees, "period": 1.0} | options
     integrator, time = {"name": "gauss", "stages": 2}, {"end": 2.0, "step": 0.0025}
     return mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time}).check()
 
 
 def test_hips_and_knees_follow_the_measured_angles() -> None:
-    # expected: the means of Olshen et al. (1989); what six harmonics of ten leave out is below one degree
+    # expected: the means of Olshen et al. (1989); the harmonics above the sixth change them by less than one degree
     run = walked()
     thigh, shank = run["left_thigh"].angle, run["left_shank"].angle
     at = [round((0.025 + 0.05 * i) / 0.0025) for i in range(20)]

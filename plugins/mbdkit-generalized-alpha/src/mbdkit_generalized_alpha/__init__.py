@@ -6,10 +6,11 @@
     v_1 = v_0 + h (1 - gamma) a_0 + h gamma a_1
     (1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) v'_1 + alpha_f v'_0
 
-The auxiliary acceleration a belongs to a time (alpha_m - alpha_f) h away from that of q and v, and velocities settle
-at a distance of order h^2 from the velocity constraints (Arnold and Bruls 2007). The method starts in this steady state
-(Arnold, Bruls and Cardona 2015), or else its multipliers would be of order 1 until a transient has died out; and it
-starts anew where the step changes, which is at most at the last step of a run.
+The auxiliary acceleration a approximates v' at a time that differs from that of q and v by (alpha_m - alpha_f) h. The
+velocity constraints are violated by an amount of order h^2 in the steady state (Arnold and Bruls 2007). The method
+starts in this steady state (Arnold, Bruls and Cardona 2015); otherwise the multipliers would converge only with order 1
+until a transient has died out. It starts anew where the step size changes, which happens at most at the last step of a
+run.
 """
 
 from __future__ import annotations
@@ -48,19 +49,22 @@ CONVERGED, STAGNANT = 4e-16, 1e-9
 
 
 class GeneralizedAlphaOptions(BaseModel):
-    """How much the method damps."""
+    """Options: the damping of the method, and a limit of its iterations."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     rho_inf: Annotated[float, Field(ge=0, lt=1)] = 0.8
-    """Spectral radius at infinite frequency: 0 damps the fastest oscillations away in one step, values near 1 hardly;
-    at 1 itself errors of the multipliers would add up from step to step."""
+    """Spectral radius at infinite frequency: 0 damps the fastest oscillations within one step, values near 1 damp them
+    hardly. The value 1 is excluded, because errors of the multipliers would accumulate.
+    """
     max_iterations: Annotated[int, Field(ge=2, le=1000)] = 30
-    """Newton iterations in one step after which the step counts as failed."""
+    """Largest number of Newton iterations in one step; a step that needs more has failed."""
 
 
 class GeneralizedAlpha(mbdkit.StepMethod):
-    """The method with the coefficients of Chung and Hulbert, optimal for a spectral radius at infinity."""
+    """The method with the coefficients of Chung and Hulbert, which are optimal for a given spectral radius at infinite
+    frequency.
+    """
 
     carries_multipliers = True
 
@@ -74,7 +78,9 @@ class GeneralizedAlpha(mbdkit.StepMethod):
     def start_at(
         self, equations: mbdkit.EquationsOfMotion, t: float, q: np.ndarray, v: np.ndarray, h: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return velocities, accelerations, multipliers and auxiliary accelerations of the steady state nearby."""
+        """Return velocities, accelerations, multipliers and auxiliary accelerations of the steady state near q and
+        v.
+        """
         a, lam = equations.accelerations(t, q, v)
         near = 1e-4 * h
         later, _ = equations.accelerations(t + near, q + near * v, v + near * a)
@@ -87,7 +93,7 @@ class GeneralizedAlpha(mbdkit.StepMethod):
     def step(
         self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float
     ) -> mbdkit.StepState:
-        """Take one step by Newton's method for the accelerations and multipliers at its end."""
+        """Take one step. Newton's method solves for the accelerations and multipliers at its end."""
         q, v = state.q, state.v
         if state.memory is not None and state.memory[0] == h:
             _, a, lam, aux = state.memory
@@ -131,7 +137,7 @@ def mbdkit_integrators() -> list[mbdkit.IntegratorPlugin]:
             claims=lambda options: mbdkit.Claims(
                 order=2,
                 multiplier_order=2,
-                drift="positions meet the joints to round-off; velocity misalignment is of order 2 and does not grow",
+                drift="no drift of positions beyond round-off; velocity misalignment is of order 2 and does not grow",
                 needs=("tangents",),
                 formulations=("index-3",),
                 stabilizations=("none", "projection"),

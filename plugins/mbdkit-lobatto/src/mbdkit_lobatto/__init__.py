@@ -1,8 +1,8 @@
 """Lobatto methods for mbdkit, given by tableaus.
 
-All have s stages, nodes at both ends of the step, and order 2 s - 2. IIIA is collocation; the others follow from it by
-the conditions given below (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.4
-and VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
+All methods have s stages, nodes at both ends of the step, and order 2 s - 2. IIIA is a collocation method; the others
+follow from it by conditions that `tableau` states (Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.4 and
+VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ DIGITS = 75
 
 
 class LobattoOptions(ImplicitOptions):
-    """A Lobatto method of any number of stages."""
+    """Options of a Lobatto method with any number of stages."""
 
     stages: Annotated[int, Field(ge=2, le=6)] = 3
     """Number of stages s; the order is 2 s - 2."""
 
 
 class LobattoIIIBOptions(ImplicitOptions):
-    """Lobatto IIIB with at least three stages: with two, its rows do not sum to its nodes."""
+    """Options of Lobatto IIIB, which needs at least three stages: with two, its rows do not sum to its nodes."""
 
     stages: Annotated[int, Field(ge=3, le=6)] = 3
     """Number of stages s; the order is 2 s - 2."""
@@ -56,7 +56,7 @@ def tableau(kind: str, s: int) -> mbdkit.ButcherTableau:
         if kind == "a":
             return iiia
         a, b = mpmath.matrix(iiia.a), iiia.b
-        if kind != "b":  # IIIC: the first column is b_1, and C(s - 1) determines the rest
+        if kind != "b":  # IIIC: the first column is b_1, and condition C(s - 1) determines the other columns
             powers = mpmath.matrix(s - 1, s - 1)
             for k in range(s - 1):
                 for j in range(s - 1):
@@ -66,12 +66,13 @@ def tableau(kind: str, s: int) -> mbdkit.ButcherTableau:
                 a[i, 0], rest = b[0], mpmath.lu_solve(powers, mpmath.matrix(right))
                 for j in range(1, s):
                     a[i, j] = rest[j - 1]
-        if kind != "c":  # the partner with which the pair is symplectic, b_i a'_ij + b_j a_ji = b_i b_j
+        if kind != "c":  # the method a' that forms a symplectic pair with a: b_i a'_ij + b_j a_ji = b_i b_j
             partner = mpmath.matrix(s, s)
             for i in range(s):
                 for j in range(s):
                     partner[i, j] = b[j] * (1 - a[j, i] / b[i])
-            a = partner if kind == "b" else (a + partner) / 2  # IIIB, or the mean of IIIC and its partner
+            # IIIB is the partner of IIIA; IIID is the mean of IIIC and its partner
+            a = partner if kind == "b" else (a + partner) / 2
         return mbdkit.ButcherTableau(name, a.tolist(), b, nodes, order, REFERENCES[int(kind == "d")])
 
 

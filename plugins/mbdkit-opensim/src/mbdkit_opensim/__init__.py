@@ -1,4 +1,4 @@
-"""Planar models of OpenSim for mbdkit: the model `opensim` reads an `.osim` file."""
+"""Planar OpenSim models for mbdkit: the model `opensim` reads an `.osim` file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REFERENCES = (
 
 
 class OpenSimOptions(BaseModel):
-    """File and start."""
+    """Path of the file, initial values and speeds, and whether muscles are read."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -31,15 +31,15 @@ class OpenSimOptions(BaseModel):
     file: str = Field(examples=[str(Path(__file__).with_name("example.osim"))])
     """Path of the `.osim` file, in the format of OpenSim 4; relative to the current folder."""
     initial: dict[str, float] = Field(default_factory=dict)
-    """Initial values of coordinates by name [rad or m]; by default, those of the file."""
+    """Initial values of coordinates by name [rad or m]; by default, those in the file."""
     speeds: dict[str, float] = Field(default_factory=dict)
-    """Initial speeds of coordinates by name [rad/s or m/s]; by default, those of the file."""
+    """Initial speeds of coordinates by name [rad/s or m/s]; by default, those in the file."""
     muscles: bool = False
-    """Whether muscles are read, for inverse dynamics with `recruitment`; otherwise, they are left out."""
+    """Whether muscles are read, for inverse dynamics with `recruitment`; otherwise, they are ignored."""
 
 
 def build(options: OpenSimOptions) -> mbdkit.Mechanism:
-    """Return the mechanism of the file; bodies, joints, markers and coordinates have the names of the file."""
+    """Return the mechanism of the file. Its bodies, joints, markers and coordinates have their names in the file."""
     return build_mechanism(options.file, options.initial, options.speeds, muscles=options.muscles)
 
 

@@ -29,10 +29,10 @@ from mbdkit_opensim.osim_muscles import CURVES, MuscleReader, UnreadError, read_
 from mbdkit_opensim.planar_joints import Coordinate, PlanarJoint, Term, coordinates_of, planar_joint
 
 LEFT_OUT = ("ForceSet", "ContactGeometrySet", "ControllerSet")
-"""Sets of a model that are left out, with a warning."""
+"""Sets of a model that are ignored, with a warning."""
 
 MOST_NAMED = 6
-"""Largest number of components of a class that a warning names."""
+"""Largest number of components of one class that a warning names."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,9 @@ class _Pose:
     spin: float
 
     def point(self, local: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return position and velocity of a point of the frame (2,) that moves with `velocity` (2,) in it."""
+        """Return position and velocity of a point with the coordinates `local` (2,) in the frame, which moves with
+        `velocity` (2,) relative to the frame.
+        """
         turned = _rotation(self.angle)
         arm = turned @ local
         across = self.spin * np.array([-arm[1], arm[0]])
@@ -62,14 +64,15 @@ def build_mechanism(
     file
         Path of the file.
     initial, speeds
-        Values [m or rad] and speeds at the start by name of coordinate, in place of those of the file.
+        Initial values [m or rad] and speeds [m/s or rad/s] by name of the coordinate, which replace those in the file.
     muscles
         Whether muscles are read.
 
     Raises
     ------
     SpecError
-        If the file is not a planar model, with the name of the component, or a coordinate does not exist.
+        If the file is not a planar model, in which case the message names the component, or if a coordinate does not
+        exist.
     """
     return _Builder(read_model(file), initial, speeds, muscles).mechanism()
 
@@ -119,7 +122,7 @@ class _Builder:
             self.result.marker(name_of(marker), body, point=(place - self.centres[body]).tolist())
 
     def add_muscles(self, joints: list[Element]) -> list[str]:
-        """Add the muscles, and return warnings about those that are not read as they are."""
+        """Add the muscles, and return warnings about those that cannot be read, or not exactly."""
         values = {one.name: one.value for joint in joints for one in coordinates_of(joint, self.initial, self.speeds)}
         reader = MuscleReader(
             self.model,
@@ -145,7 +148,7 @@ class _Builder:
         return told
 
     def muscles(self) -> list[Element]:
-        """Return the muscles of classes that are read and that exert forces."""
+        """Return the muscles that exert forces and whose classes can be read."""
         return [
             one
             for one in objects_of(self.model, "ForceSet")
@@ -157,7 +160,7 @@ class _Builder:
         return self.frames.of_joint(joint, "socket_parent_frame"), self.frames.of_joint(joint, "socket_child_frame")
 
     def refuse_constraints(self) -> None:
-        """Raise SpecError for components that change the motion and are not read."""
+        """Raise SpecError if the model contains components that influence the motion but cannot be read."""
         for one in objects_of(self.model, "ConstraintSet"):
             if text_of(one, "isEnforced", "true").lower() != "false":
                 raise refused(f"{label_of(one)} is a constraint, which is not read; remove it or switch it off")
@@ -166,7 +169,7 @@ class _Builder:
                 raise refused(f"{label_of(one)} stands outside of BodySet, JointSet and ConstraintSet")
 
     def check_names(self, joints: list[Element]) -> None:
-        """Raise SpecError for a value of a coordinate that does not exist."""
+        """Raise SpecError if a value is given for a coordinate that does not exist."""
         known = [name_of(one) for joint in joints for one in joint.iterfind("coordinates/Coordinate")]
         for key, values in (("initial", self.initial), ("speeds", self.speeds)):
             for name in values:
@@ -175,7 +178,7 @@ class _Builder:
                     raise SpecError(f"there is no coordinate '{name}'{hint}", key=f"model.{key}.{quoted(name)}")
 
     def left_out(self, joints: list[Element]) -> list[str]:
-        """Return warnings that name what is left out."""
+        """Return warnings that name the ignored components."""
         dropped: dict[str, list[str]] = {}
         read = self.muscles() if self.with_muscles else []
         for group in LEFT_OUT:
@@ -201,7 +204,7 @@ class _Builder:
         return sentences
 
     def add(self, joint: Element, parent: Frame, child: Frame) -> None:
-        """Add the child body of a joint, and the joint."""
+        """Add a joint and its child body."""
         label = label_of(joint)
         if child.body == "ground" or child.body in self.poses:
             raise refused(f"{label} closes a loop at '{child.body}'; make its child a body that no other joint holds")
@@ -212,7 +215,7 @@ class _Builder:
         self.connect(name_of(joint), parent, child, moved)
 
     def place(self, child: Frame, parent: Frame, moved: PlanarJoint) -> None:
-        """Add the child body at its position at the start."""
+        """Add the child body at its initial position."""
         angle, slope = self.relative(parent, child, moved)
         turned = 0.0 if moved.angle.coordinate is None else moved.angle.coordinate.value
         spin = 0.0 if moved.angle.coordinate is None else slope * moved.angle.coordinate.speed
@@ -237,13 +240,15 @@ class _Builder:
         )
 
     def relative(self, parent: Frame, child: Frame, moved: PlanarJoint) -> tuple[float, float]:
-        """Return offset and slope of the relative angle of the bodies as a function of the coordinate of the joint."""
+        """Return offset and slope of the relative angle of the two bodies as a linear function of the joint's
+        coordinate.
+        """
         intercept, *slope = moved.angle.function.polynomial or (0.0,)
         between = _angle(parent.axes) - _angle(child.axes)
         return between + parent.side * intercept, parent.side * (slope[0] if slope else 0.0)
 
     def connect(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint) -> None:
-        """Add the joint between two bodies, and name its coordinates."""
+        """Add the joint between two bodies, and assign the names of its coordinates."""
         rest = parent.place + sum(
             (parent.axes @ direction * term.value for direction, term in moved.directions if not term.varies),
             np.zeros(2),
@@ -267,11 +272,13 @@ class _Builder:
             )
 
     def points(self, parent: Frame, child: Frame, place: np.ndarray) -> tuple[list[float], list[float]]:
-        """Return the points of a joint measured from the centres of mass, at a `place` in the parent's body."""
+        """Return the two points of a joint relative to the centres of mass; `place` is a position in the frame of the
+        parent body.
+        """
         return (place - self.centres[parent.body]).tolist(), (child.place - self.centres[child.body]).tolist()
 
     def pin(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
-        """Add a revolute joint, whose fixed point is where a moving center is if the coordinate is 0."""
+        """Add a revolute joint. A moving center is given relative to its position where the coordinate is 0."""
         offset, slope = self.relative(parent, child, moved)
         parts = [(parent.axes @ direction, term.function) for direction, term in moved.moving]
         parts += [(-direction, constant(function(0.0))) for direction, function in parts]
@@ -285,7 +292,9 @@ class _Builder:
         self.name_coordinate(moved.angle.coordinate, f"{name}.angle", slope, offset)
 
     def free(self, name: str, parent: Frame, child: Frame, moved: PlanarJoint, rest: np.ndarray) -> None:
-        """Name the coordinates of a body that moves freely: those of a marker at its frame, and its angle."""
+        """Name the coordinates of a body that moves freely: those of a marker at the origin of its frame, and its
+        angle.
+        """
         marker = name if all(name_of(one) != name for one in objects_of(self.model, "MarkerSet")) else f"{name}_frame"
         self.result.marker(marker, child.body, point=(child.place - self.centres[child.body]).tolist())
         for direction, term in moved.moving:
@@ -300,7 +309,7 @@ class _Builder:
         self.name_coordinate(moved.angle.coordinate, f"{child.body}.angle", slope, offset)
 
     def name_coordinate(self, coordinate: Coordinate | None, of: str, slope: float, offset: float) -> None:
-        """Name the quantity `of`, which is ``slope * coordinate + offset``, after the coordinate."""
+        """Assign the name of a coordinate to the quantity `of`, which equals ``slope * coordinate + offset``."""
         assert coordinate is not None, "only a free coordinate moves a joint"
         self.result.coordinate(coordinate.name, of, scale=1.0 / slope, offset=-float(offset) / slope)
 
@@ -310,7 +319,7 @@ def _is_linear(term: Term) -> bool:
 
 
 def _line(term: Term) -> tuple[float, float]:
-    """Return slope and offset of a linear term."""
+    """Return slope and offset of a linear function."""
     assert term.function.polynomial is not None
     offset, slope, *_ = term.function.polynomial
     return slope, offset
@@ -322,5 +331,5 @@ def _rotation(angle: float) -> np.ndarray:
 
 
 def _angle(axes: np.ndarray) -> float:
-    """Return the angle of the first axis [rad]."""
+    """Return the angle [rad] of the first of two axes."""
     return math.atan2(axes[1, 0], axes[0, 0])

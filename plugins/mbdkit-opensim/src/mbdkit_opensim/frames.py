@@ -1,7 +1,7 @@
 """Frames of an `.osim` file in the sagittal plane: x forward, y up, z to the right, as OpenSim orients its models.
 
-A frame lies in the plane if its z axis is that of its body, or opposite to it. Offsets along z are left out: they do
-not matter to motion in the plane.
+A frame lies in the plane if its z axis has the direction of the z axis of its body, or the opposite direction. Offsets
+along z are ignored, because they do not influence motions in the plane.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 from mbdkit_opensim.osim_document import label_of, last_part, name_of, numbers_of, refused, text_of
 
 FLAT = 1e-9
-"""Sine of an angle between axes below which they are parallel."""
+"""Axes count as parallel if the sine of the angle between them is below this."""
 
 DEEPEST = 50
-"""Largest number of frames that are offset from each other, one after another."""
+"""Largest length of a chain of frames, each of which is an offset of the next."""
 
 
 def turn(angles: np.ndarray) -> np.ndarray:
@@ -40,10 +40,10 @@ def about(axis: np.ndarray, angle: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame in the plane of a body: its place in the body, (2,) [m], and its axes as columns, (2, 2).
+    """A frame in the plane of a body: its position in the frame of the body, (2,) [m], and its axes as columns, (2, 2).
 
-    `height` is its offset z in the body [m]. The determinant of `axes` is -1 if its z axis is opposite to that of the
-    body.
+    `height` is the offset of the frame along the z axis of the body [m]. The determinant of `axes` is -1 if the two z
+    axes are opposite.
     """
 
     body: str
@@ -53,12 +53,12 @@ class Frame:
 
     @property
     def side(self) -> float:
-        """1, or -1 if the z axis is opposite to that of the body."""
+        """1, or -1 if the z axes of frame and body are opposite."""
         return 1.0 if np.linalg.det(self.axes) > 0 else -1.0
 
 
 class Frames:
-    """The frames of a model by name, those of a joint first."""
+    """The frames of a model by name; the frames of a joint are searched first."""
 
     def __init__(self, bodies: Mapping[str, Element], model: Element):
         self.bodies = bodies
@@ -72,16 +72,20 @@ class Frames:
         return self._planar(self._resolved(path, self.shared | local, joint), joint, socket)
 
     def of_marker(self, marker: Element) -> tuple[str, np.ndarray]:
-        """Return the body of a marker, and its place in the body, (2,) [m]."""
+        """Return the body to which a marker is fixed, and its position in the frame of that body, (2,) [m]."""
         body, place, axes = self._resolved(text_of(marker, "socket_parent_frame"), self.shared, marker)
         return body, (place + axes @ numbers_of(marker, "location", 3, "0 0 0"))[:2]
 
     def of_point(self, point: Element) -> tuple[str, np.ndarray, np.ndarray]:
-        """Return the body of a point of a path, and place (3,) and axes (3, 3) of its frame in the body."""
+        """Return the body to which a point of a path is fixed, and position (3,) and axes (3, 3) of the point's frame
+        in the frame of the body.
+        """
         return self._resolved(text_of(point, "socket_parent_frame"), self.shared, point)
 
     def _resolved(self, path: str, known: Mapping[str, Element], owner: Element) -> tuple[str, np.ndarray, np.ndarray]:
-        """Return body, place (3,) and axes (3, 3) of a frame."""
+        """Return the body to which a frame is fixed, and position (3,) and axes (3, 3) of the frame in that of the
+        body.
+        """
         place, axes = np.zeros(3), np.eye(3)
         for _ in range(DEEPEST):
             name = last_part(path)

@@ -1,8 +1,8 @@
-"""Functions of one coordinate in `.osim` files, and what a moving center needs of them.
+"""Functions of one coordinate in `.osim` files, and their conversion to moving centers of joints.
 
 OpenSim's `SimmSpline` is the spline of Forsythe, Malcolm and Moler (Computer Methods for Mathematical Computations,
-1977): its third derivatives at the ends are those of the cubics through the first four and the last four points. Beyond
-its points, OpenSim continues it as a straight line. `NaturalCubicSpline` is an earlier name of it.
+1977): its third derivatives at the ends are those of the cubics through the first four and the last four points.
+OpenSim extrapolates it by straight lines. `NaturalCubicSpline` is an earlier name of this class.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.interpolate import PPoly
 from mbdkit_opensim.osim_document import label_of, number_of, numbers_of, refused
 
 Center = float | str | dict[str, Any]
-"""A number, an expression of `angle`, or a table, for a center of `Mechanism.revolute`."""
+"""The center of a revolute joint in `Mechanism.revolute`: a number, an expression in `angle`, or a table."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Function:
     spline: PPoly | None = None
 
     def __call__(self, at: float) -> float:
-        """Return the value at a coordinate."""
+        """Return the value of the function at a value of the coordinate."""
         if self.polynomial is not None:
             return float(np.polynomial.polynomial.polyval(at, self.polynomial))
         assert self.spline is not None
         return float(self.spline(at))
 
     def slope(self, at: float) -> float:
-        """Return the derivative at a coordinate."""
+        """Return the derivative of the function at a value of the coordinate."""
         if self.polynomial is not None:
             return float(np.polynomial.polynomial.polyval(at, np.polynomial.polynomial.polyder(self.polynomial)))
         assert self.spline is not None
@@ -66,12 +66,14 @@ class Function:
 
 
 def constant(value: float) -> Function:
-    """Return a function without slope."""
+    """Return a constant function."""
     return Function((float(value),))
 
 
 def function_in(holder: Element, owner: str) -> Function:
-    """Return the function that an element holds; raises SpecError, with `owner`, if it has no planar counterpart."""
+    """Return the function that an element contains. If planar mechanisms have no counterpart of it, SpecError is
+    raised, with the name `owner`.
+    """
     found = holder.find("*[@name='function']")
     if found is None or found.tag in ("coordinates", "axis"):
         wrapper = holder.find("function")
@@ -82,7 +84,9 @@ def function_in(holder: Element, owner: str) -> Function:
 
 
 def function_named(holder: Element, name: str, owner: str) -> Function:
-    """Return the function that is a property of an element; raises SpecError, with `owner`, if it is none."""
+    """Return the function in the property `name` of an element. If the property is no function, SpecError is raised,
+    with the name `owner`.
+    """
     wrapper = holder.find(name)
     found = None if wrapper is None else next(iter(wrapper), None)
     if found is None:
@@ -122,7 +126,9 @@ def _through_points(element: Element, owner: str) -> Function:
 
 
 def simm_spline(x: np.ndarray, y: np.ndarray) -> PPoly:
-    """Return the spline through points (n,), n > 2, as OpenSim's `SimmSpline` computes it between its ends."""
+    """Return the spline through points (n,), n > 2, as OpenSim's `SimmSpline` computes it between the first and last
+    point.
+    """
     n, h = len(x), np.diff(x)
     slopes = np.diff(y) / h
     matrix, right = np.zeros((n, n)), np.zeros(n)
@@ -130,7 +136,7 @@ def simm_spline(x: np.ndarray, y: np.ndarray) -> PPoly:
         matrix[i, i - 1 : i + 2] = h[i - 1], 2 * (h[i - 1] + h[i]), h[i]
         right[i] = slopes[i] - slopes[i - 1]
     matrix[0, :2], matrix[-1, -2:] = (-h[0], h[0]), (h[-1], -h[-1])
-    if n > 3:  # third differences of the outer four points
+    if n > 3:  # third divided differences of the outer four points
         second = (slopes[1:] - slopes[:-1]) / (x[2:] - x[:-2])
         third = (second[1:] - second[:-1]) / (x[3:] - x[:-3])
         right[0], right[-1] = h[0] ** 2 * third[0], -(h[-1] ** 2) * third[-1]
@@ -140,21 +146,21 @@ def simm_spline(x: np.ndarray, y: np.ndarray) -> PPoly:
 
 
 def center_of(parts: list[tuple[float, Function]], slope: float, offset: float, owner: str) -> Center:
-    """Return a sum of functions of a coordinate as one of the angle of a joint, for `Mechanism.revolute`.
+    """Return a sum of functions of a coordinate as a function of the angle of a joint, for `Mechanism.revolute`.
 
     Parameters
     ----------
     parts
         Factor and function of each term.
     slope, offset
-        The angle [rad] is ``slope * coordinate + offset``.
+        The relation between angle and coordinate: the angle [rad] is ``slope * coordinate + offset``.
     owner
-        What the center belongs to, for messages.
+        Name of the component for error messages.
 
     Returns
     -------
     Center
-        The cubic spline of a table is the sum, to rounding.
+        A number, an expression or a table. The cubic spline of a table equals the sum, up to rounding errors.
     """
     parts = [(factor, function) for factor, function in parts if factor != 0.0]
     splines = [function.spline for _, function in parts if function.spline is not None]
@@ -175,7 +181,7 @@ def center_of(parts: list[tuple[float, Function]], slope: float, offset: float, 
     knots = knots[(knots >= first) & (knots <= last)]
     if len(knots) < 2:
         raise refused(f"{owner} adds splines whose points do not overlap")
-    # A point inside each outer interval makes the condition `not-a-knot` hold for the spline as it is.
+    # With a point inside each outer interval, the spline through the table satisfies the condition `not-a-knot`.
     inner = [(2 * knots[0] + knots[1]) / 3, (knots[-2] + 2 * knots[-1]) / 3]
     at = np.unique(np.concatenate([knots, inner]))
     values = [sum(factor * function(q) for factor, function in parts) for q in at.tolist()]

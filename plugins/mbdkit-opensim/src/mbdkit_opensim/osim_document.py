@@ -1,4 +1,6 @@
-"""Read an `.osim` file: untrusted XML, without entities and external references, as elements with typed access."""
+"""Reads `.osim` files. They are untrusted XML, and are read without entities and external references, as elements with
+typed access.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +17,16 @@ from mbdkit import SpecError
 from mbdkit_opensim.osim_format_3 import as_format_4
 
 OLDEST, WITH_FRAMES = 30_000, 30_500
-"""First version of the format of OpenSim 3, and of that which describes joints by frames, as OpenSim 4 writes it."""
+"""First format versions of OpenSim 3, and of the format that describes joints by frames, as written by OpenSim 4."""
 
 LARGEST = 50_000_000
-"""Largest file that is read [bytes]; the models of full bodies have below 5 MB."""
+"""Largest size of a file [bytes]; models of the full body have less than 5 MB."""
 
 KEY = "model.file"
 
 
 def refused(message: str) -> SpecError:
-    """Return the error of a file that cannot be read or is not planar."""
+    """Return the exception for a file that cannot be read or is not planar."""
     return SpecError(message, key=KEY)
 
 
@@ -34,7 +36,7 @@ def read_model(file: str) -> Element:
     Raises
     ------
     SpecError
-        If it cannot be read, or is not a model in the format of OpenSim 3 or 4.
+        If the file cannot be read, or is not a model in the format of OpenSim 3 or 4.
     """
     path = Path(file).expanduser()
     try:
@@ -61,12 +63,12 @@ def read_model(file: str) -> Element:
 
 
 def name_of(element: Element) -> str:
-    """Return the name of a component; the class if it has none."""
+    """Return the name of a component or, without a name, its class."""
     return element.get("name") or element.tag
 
 
 def label_of(element: Element) -> str:
-    """Return class and name of a component, for messages."""
+    """Return class and name of a component, for error messages."""
     return f"{element.tag} '{name_of(element)}'"
 
 
@@ -76,7 +78,7 @@ def text_of(element: Element, tag: str, default: str = "") -> str:
 
 
 def numbers_of(element: Element, tag: str, count: int | None, default: str = "") -> np.ndarray:
-    """Return the numbers of a property; raises SpecError unless there are `count` finite ones."""
+    """Return the numbers in a property. SpecError is raised unless there are `count` finite numbers."""
     words = text_of(element, tag, default).split()
     try:
         values = [float(word) for word in words]
@@ -94,7 +96,7 @@ def number_of(element: Element, tag: str, default: str = "") -> float:
 
 
 def flag_of(element: Element, tag: str) -> bool:
-    """Return a property that is true or false; false by default."""
+    """Return the truth value of a property; false by default."""
     return text_of(element, tag, "false").lower() == "true"
 
 

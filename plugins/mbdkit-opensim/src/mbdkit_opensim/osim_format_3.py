@@ -1,7 +1,7 @@
-"""Models in the format of OpenSim 3 as those of OpenSim 4, which describes joints and points by frames.
+"""Converts models in the format of OpenSim 3 to that of OpenSim 4, which describes joints and points by frames.
 
 The rules are those by which OpenSim 4 reads older files: the joint of a body becomes a member of `JointSet`, with one
-frame on each of its bodies.
+frame on each of its two bodies.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ SOCKETS = {
     "y_coordinate": "socket_y_coordinate",
     "z_coordinate": "socket_z_coordinate",
 }
-"""Properties that name coordinates, in points of muscles."""
+"""Properties of points of muscles that name coordinates."""
 GROUND = "ground"
 SIDES = (("parent_body", "location_in_parent", "orientation_in_parent"), ("", "location", "orientation"))
-"""Properties of a joint about its parent and its own body."""
+"""Properties of a joint that describe its frames on the parent body and on the child body."""
 
 
 def as_format_4(model: Element) -> None:
-    """Change a model of the format of OpenSim 3 to that of OpenSim 4, in place.
+    """Convert a model from the format of OpenSim 3 to that of OpenSim 4, in place.
 
     Raises
     ------

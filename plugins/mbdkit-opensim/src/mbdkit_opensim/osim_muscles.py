@@ -1,4 +1,4 @@
-"""Muscles of `.osim` files: paths in the plane with offsets along z, and parameters of muscles of Hill type."""
+"""Muscles in `.osim` files: their paths in the plane, with offsets along z, and the parameters of Hill-type muscles."""
 
 from __future__ import annotations
 
@@ -28,16 +28,18 @@ CURVES = {
     "DeGrooteFregly2016Muscle": "de-groote-fregly",
     "Thelen2003Muscle": "millard",
 }
-"""Classes of muscles that are read, and their curves here; those of Thelen are replaced."""
+"""Classes of muscles that can be read, and the curves used for them. The curves of Thelen's muscles are replaced by
+others.
+"""
 
 FLAT = 1e-6
-"""Largest sine of the angle between the axis of a cylinder and z."""
+"""Largest sine of the angle between the axis of a cylinder and the z axis."""
 
 QUADRANTS = {"x": (1.0, 0.0), "+x": (1.0, 0.0), "-x": (-1.0, 0.0), "y": (0.0, 1.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 
 
 class UnreadError(Exception):
-    """A muscle that cannot be read, with the reason as a clause."""
+    """Raised if a muscle cannot be read; the message is the reason as a clause."""
 
 
 @dataclass(frozen=True)
@@ -47,17 +49,17 @@ class MuscleReader:
     Parameters
     ----------
     model, frames
-        The model.
+        The model and its frames.
     centres
-        Centre of mass of each body, in the body (2,) [m].
+        Centre of mass (2,) of each body in the frame of the body [m].
     heights
-        Offset z of each body from the ground [m].
+        Offset of each body from the ground along z [m].
     coordinates
         Names of the coordinates of the mechanism.
     values
-        Values of all coordinates of the file at the start, by name.
+        Initial values of all coordinates of the file, by name.
     place
-        Returns the position (2,) of a point of a body at the start.
+        Function that returns the initial position (2,) of a point of a body [m].
     """
 
     model: Element
@@ -95,7 +97,9 @@ class MuscleReader:
         }
 
     def _point(self, element: Element) -> list[dict[str, Any]]:
-        """Return a point of a path; none if it is conditional on a coordinate that never reaches its range."""
+        """Return a point of a path, in a list; an empty list if the point is active only in a range that its coordinate
+        never reaches.
+        """
         if element.tag == "MovingPathPoint":
             return [self._moving(element)]
         if element.tag not in ("PathPoint", "ConditionalPathPoint"):
@@ -132,7 +136,7 @@ class MuscleReader:
         return {"body": body, "point": parts}
 
     def _add_circle(self, items: list[dict[str, Any]], wrap: Element) -> None:
-        """Add a circle between two points of a path."""
+        """Add to `items` a circle between two points of a path."""
         name = last_part(text_of(wrap, "wrap_object"))
         found = [
             (body, one)
@@ -158,7 +162,7 @@ class MuscleReader:
         left = np.array([start[1] - end[1], end[0] - start[0]])
         if quadrant in QUADRANTS:
             toward = self.place(body, center + axes[:2, :2] @ np.array(QUADRANTS[quadrant])) - middle
-        else:  # the path is on the side on which it is shorter at the start
+        else:  # the path passes the circle on the side that makes it shorter at the start
             toward = 0.5 * (start + end) - middle
         side = "left" if float(toward @ left) > 0 else "right"
         radius = number_of(surface, "radius", "1")
@@ -166,7 +170,7 @@ class MuscleReader:
         items.insert(1, {"wrap": circle})
 
     def _start(self, item: Mapping[str, Any]) -> np.ndarray:
-        """Return the position (2,) of a fixed point at the start."""
+        """Return the initial position (2,) of a fixed point [m]."""
         x, y, _ = item["point"]
         if not isinstance(x, float) or not isinstance(y, float):
             raise UnreadError("it wraps around a cylinder beside a moving point")
@@ -182,7 +186,7 @@ def read_muscle(reader: MuscleReader, element: Element) -> dict[str, Any]:
 
 
 def _of_coordinate(function: Function, coordinate: str, centre: float) -> Any:
-    """Return a function of a coordinate, less a number, as a table or an expression."""
+    """Return a function of a coordinate minus the number `centre`, as a table or an expression."""
     if function.spline is None:
         if not coordinate.isidentifier():
             raise UnreadError(f"the name of coordinate '{coordinate}' is no word, as an expression needs it")
@@ -191,7 +195,7 @@ def _of_coordinate(function: Function, coordinate: str, centre: float) -> Any:
         terms = [f"({c!r})*{coordinate}**{power}" for power, c in enumerate(others, start=1)]
         return " + ".join([repr(first - centre), *terms])
     knots = function.spline.x
-    # a point inside each outer interval makes the condition `not-a-knot` hold for the spline as it is
+    # with a point inside each outer interval, the spline through the table satisfies the condition `not-a-knot`
     inner = [(2 * knots[0] + knots[1]) / 3, (knots[-2] + 2 * knots[-1]) / 3]
     at = np.unique(np.concatenate([knots, inner]))
     return {"table": [at.tolist(), [function(x) - centre for x in at.tolist()]], "of": coordinate}

@@ -1,7 +1,7 @@
-"""Joints of an `.osim` file as motions in the plane of their parent frame: an angle and a displacement.
+"""Joints in `.osim` files as motions in the plane of their parent frame: an angle and a displacement.
 
-The child frame is turned by ``angle`` and displaced by ``x, y`` in the parent frame. Each of the three is a function of
-at most one coordinate; what moves out of the plane is refused.
+The child frame is rotated by ``angle`` and displaced by ``x, y`` in the parent frame. Each of the three is a function
+of at most one coordinate. Joints that move out of the plane are rejected.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ IDENTITY = Function((0.0, 1.0))
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A coordinate of a file: name, value and speed at the start, and whether it stays at its value."""
+    """A coordinate in a file: its name, its initial value and speed, and whether it is locked at this value."""
 
     name: str
     value: float
@@ -32,30 +32,30 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Term:
-    """A function of a coordinate; None for a constant."""
+    """A function of a coordinate; `coordinate` is None if the function is constant."""
 
     function: Function
     coordinate: Coordinate | None = None
 
     @property
     def value(self) -> float:
-        """The value at the start."""
+        """Value of the function at the start."""
         return self.function(0.0 if self.coordinate is None else self.coordinate.value)
 
     @property
     def rate(self) -> float:
-        """Its rate at the start."""
+        """Rate of the function at the start."""
         if self.coordinate is None:
             return 0.0
         return self.function.slope(self.coordinate.value) * self.coordinate.speed
 
     @property
     def varies(self) -> bool:
-        """Whether it changes in a motion."""
+        """Whether the value changes during a motion."""
         return self.coordinate is not None and (self.function.spline is not None or self.function.degree > 0)
 
     def held(self) -> Term:
-        """Return the term as a constant if its coordinate is locked, or its function is constant."""
+        """Return the term; as a constant if its coordinate is locked or its function is constant."""
         if self.coordinate is None or (self.varies and not self.coordinate.locked):
             return self
         return Term(constant(self.value))
@@ -72,7 +72,7 @@ class PlanarJoint:
     angle
         Angle of the child frame [rad]; a linear function.
     directions
-        Unit vectors (2,) of displacements, with the terms that move along them [m].
+        Unit vectors (2,) of the displacements, each with the term that gives the displacement along it [m].
     height
         Constant displacement along z [m].
     """
@@ -84,19 +84,19 @@ class PlanarJoint:
 
     @property
     def moving(self) -> list[tuple[np.ndarray, Term]]:
-        """The displacements that change in a motion."""
+        """The displacements that change during a motion."""
         return [one for one in self.directions if one[1].varies]
 
     @property
     def coordinates(self) -> list[Coordinate]:
-        """The free coordinates, that of the angle first."""
+        """The free coordinates; that of the angle comes first."""
         terms = [self.angle, *(term for _, term in self.directions)]
         found = {term.coordinate.name: term.coordinate for term in terms if term.varies and term.coordinate}
         return list(found.values())
 
 
 def coordinates_of(joint: Element, values: Mapping[str, float], speeds: Mapping[str, float]) -> list[Coordinate]:
-    """Return the coordinates of a joint, with values that replace those of the file."""
+    """Return the coordinates of a joint; given values and speeds replace those in the file."""
     found = []
     for one in joint.iterfind("coordinates/Coordinate"):
         name = name_of(one)
@@ -107,7 +107,9 @@ def coordinates_of(joint: Element, values: Mapping[str, float], speeds: Mapping[
 
 
 def planar_joint(joint: Element, coordinates: list[Coordinate]) -> PlanarJoint:
-    """Return a joint as a motion in the plane; raises SpecError if it leaves the plane or is of another class."""
+    """Return a joint as a motion in the plane. SpecError is raised if it leaves the plane, or if its class is
+    unknown.
+    """
     label = label_of(joint)
     x, y = np.eye(2)
     free = [Term(IDENTITY, one).held() for one in coordinates]
@@ -130,7 +132,7 @@ def planar_joint(joint: Element, coordinates: list[Coordinate]) -> PlanarJoint:
 
 
 def _custom(joint: Element, coordinates: Mapping[str, Coordinate]) -> PlanarJoint:
-    """Return a joint with a spatial transform: rotations about three axes, one after another, and displacements."""
+    """Return a joint defined by a spatial transform: successive rotations about three axes, and displacements."""
     label = label_of(joint)
     axes = {name_of(one): one for one in joint.iterfind("SpatialTransform/TransformAxis")}
     angle, turned = Term(constant(0.0)), np.eye(3)

@@ -21,22 +21,22 @@ _STRICT = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_doc
 
 
 class MjcfOptions(BaseModel):
-    """File, plane and start."""
+    """Path of the file, plane of motion, and initial values and speeds."""
 
     model_config = _STRICT
 
     file: str = Field(examples=[str(_HERE / "four_bar.xml")])
     """Path of the MJCF file; relative to the current folder."""
     plane: Plane = "xz"
-    """The plane of motion: its two axes become x and y."""
+    """The plane of motion. Its two axes become x and y."""
     initial: dict[str, float] = Field(default_factory=dict)
-    """Initial values of joints by name, in the sign of the file [rad or m]; 0 by default."""
+    """Initial values of joints by name [rad or m], with the sign convention of the file; 0 by default."""
     speeds: dict[str, float] = Field(default_factory=dict)
-    """Initial speeds of joints by name [rad/s or m/s]; 0 by default."""
+    """Initial speeds of joints by name [rad/s or m/s], with the sign convention of the file; 0 by default."""
 
 
 class UrdfOptions(MjcfOptions):
-    """File, plane, base and start."""
+    """Path of the file, plane of motion, whether the root link is free, and initial values and speeds."""
 
     file: str = Field(examples=[str(_HERE / "arm.urdf")])
     """Path of the URDF file; relative to the current folder."""
@@ -45,16 +45,16 @@ class UrdfOptions(MjcfOptions):
 
 
 class LinkageOptions(BaseModel):
-    """File, and what linkages of pylinkage do not have: time and mass."""
+    """Path of the file, and the time step and mass, which linkages of pylinkage do not have."""
 
     model_config = _STRICT
 
     file: str = Field(examples=[str(_HERE / "linkage.json")])
     """Path of the JSON file that `pylinkage.mechanism.mechanism_to_json` wrote; relative to the current folder."""
     steps_per_second: float = Field(default=100.0, gt=0)
-    """Number of steps of pylinkage in a second, whose angular velocities are radians per step [1/s]."""
+    """Number of pylinkage steps per second [1/s]. The angular velocities of pylinkage are given in radians per step."""
     mass_per_length: float = Field(default=1.0, gt=0)
-    """Mass of links by their length [kg/m]; links are thin rods between their joints."""
+    """Mass of a link per unit of its length [kg/m]; links are thin rods between their joints."""
 
 
 def _of_urdf(options: UrdfOptions) -> mbdkit.Mechanism:

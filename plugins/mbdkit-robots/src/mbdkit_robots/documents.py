@@ -1,4 +1,4 @@
-"""Untrusted files: XML without entities, and numbers in attributes."""
+"""Reads untrusted files: XML without entities, and numbers in attributes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from defusedxml.ElementTree import fromstring
 from mbdkit_robots.planar import refused
 
 LARGEST = 10_000_000
-"""Largest file that is read [bytes]."""
+"""Largest size of a file [bytes]."""
 
 
 def read_bytes(file: str) -> bytes:
@@ -28,7 +28,7 @@ def read_bytes(file: str) -> bytes:
 
 
 def read_xml(file: str, root: str) -> Element:
-    """Return the root of a file; raise SpecError if it is not XML with this root."""
+    """Return the root element of a file; raise SpecError if the file is not XML or its root has another name."""
     try:
         found: Element = fromstring(read_bytes(file), forbid_dtd=True)
     except DefusedXmlException:
@@ -41,7 +41,7 @@ def read_xml(file: str, root: str) -> Element:
 
 
 def numbers(element: Element | None, name: str, default: str, count: int | None = None) -> np.ndarray:
-    """Return the numbers of an attribute; raise SpecError if they are not finite, or not as many as they should be."""
+    """Return the numbers in an attribute; raise SpecError if they are not finite or their count is wrong."""
     text = default if element is None else element.get(name, default)
     try:
         found = np.array([float(word) for word in text.split()])
@@ -55,7 +55,7 @@ def numbers(element: Element | None, name: str, default: str, count: int | None 
 
 
 def number(element: Element | None, name: str, default: float) -> float:
-    """Return the number of an attribute."""
+    """Return the number in an attribute."""
     return float(numbers(element, name, repr(default), 1)[0])
 
 
@@ -69,7 +69,7 @@ def about(axis: int, angle: float) -> np.ndarray:
 
 
 def unit(vector: np.ndarray, what: str) -> np.ndarray:
-    """Return a vector with length 1; raise SpecError if it has none."""
+    """Return a vector scaled to length 1; raise SpecError if its length is zero."""
     size = float(np.linalg.norm(vector))
     if not size > 0:
         raise refused(f"{what} has no direction")

@@ -1,4 +1,4 @@
-"""Linkages of pylinkage: the JSON of `pylinkage.mechanism.mechanism_to_json`, in both directions."""
+"""Reads and writes linkages of pylinkage, in the JSON format of `pylinkage.mechanism.mechanism_to_json`."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
     Parameters
     ----------
     steps_per_second
-        Number of steps of pylinkage in a second: its angular velocities are radians per step.
+        Number of pylinkage steps per second. The angular velocities of pylinkage are given in radians per step.
     mass_per_length
-        Mass of a link by the length of the lines through its joints [kg/m]; links are thin rods.
+        Mass per length of the lines through the joints of a link [kg/m]; links are thin rods.
 
     Raises
     ------
     SpecError
-        If the file is no such linkage, or has joints other than pins.
+        If the file does not describe such a linkage, or has joints other than pins.
     """
     try:
         data = json.loads(read_bytes(file))
@@ -62,7 +62,9 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
 
 
 def _add_rod(m: Mechanism, name: str, points: list[tuple[float, float]], mass_per_length: float) -> None:
-    """Add a body whose x axis points from its first joint to the second one; its mass is that of the lines between."""
+    """Add a body whose x axis points from its first joint to its second joint. Its mass is that of the lines between
+    its joints.
+    """
     if len(points) < 2:
         raise refused(f"link '{name}' has fewer than two joints")
     lengths = [math.dist(a, b) for a, b in pairwise(points)]
@@ -78,19 +80,21 @@ def _add_rod(m: Mechanism, name: str, points: list[tuple[float, float]], mass_pe
 
 
 def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> dict[str, Any]:
-    """Return a mechanism of pins as the data of `pylinkage.mechanism.mechanism_from_dict`.
+    """Return a mechanism with pin joints as data for `pylinkage.mechanism.mechanism_from_dict`. Masses and forces are
+    omitted, because pylinkage has none.
 
     Parameters
     ----------
     mechanism
-        Bodies, revolute joints, markers and drivers of the angle of a body against the ground with a constant rate.
+        A mechanism with bodies, revolute joints, markers, and drivers that turn a body relative to ground at a constant
+        rate.
     steps_per_second
-        Number of steps of pylinkage in a second.
+        Number of pylinkage steps per second.
 
     Raises
     ------
     SpecError
-        If it has other joints or drivers. Masses and forces are left out, because pylinkage has none.
+        If the mechanism has other joints or drivers.
     """
     joints: list[dict[str, Any]] = []
     members: dict[str, list[str]] = {name: [] for name in (GROUND, *mechanism.bodies)}
@@ -99,7 +103,7 @@ def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> di
     for name, joint in mechanism.joints.items():
         if isinstance(joint, Revolute) and joint.center is None:
             place = mechanism.to_global(joint.bodies[0], joint.points[0])
-            pin = pins_at.setdefault((joint.bodies[0], *joint.points[0]), name)  # a pin may hold several bodies
+            pin = pins_at.setdefault((joint.bodies[0], *joint.points[0]), name)  # several bodies may share a pin
             if pin == name:
                 joints.append({"id": name, "type": "revolute", "position": list(place)})
             if GROUND in joint.bodies:
@@ -130,7 +134,7 @@ def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> di
 
 
 def _rate(name: str, joint: Driver) -> float:
-    """Return the constant rate of a motor [rad/s]."""
+    """Return the constant rate of a driver [rad/s]."""
     probe = Mechanism()
     probe.body("body", mass=1.0, inertia=1.0)
     probe.revolute("pin", GROUND, "body", at=(0.0, 0.0))

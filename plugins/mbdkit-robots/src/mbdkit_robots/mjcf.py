@@ -13,18 +13,20 @@ from mbdkit_robots.planar import GROUND, Closure, Link, Part, SpatialModel, refu
 from mbdkit_robots.shapes import volume_and_inertia
 
 LEFT_OUT = ("actuator", "sensor", "contact", "tendon", "deformable", "keyframe")
-"""Sections that are left out, with a warning."""
+"""Sections that are ignored, with a warning."""
 REFUSED = ("balanceinertia", "boundmass", "boundinertia", "settotalmass", "strippath", "inertiagrouprange")
-"""Attributes of <compiler> that would change masses."""
+"""Attributes of <compiler> that are rejected, because they would change masses."""
 
 
 def read_mjcf(file: str) -> SpatialModel:
-    """Return the model of an MJCF file; raise SpecError if it contains something that matters and is not read."""
+    """Return the model of an MJCF file; raise SpecError if the file contains something that influences the motion but
+    cannot be read.
+    """
     return _Reader(read_xml(file, "mujoco")).model
 
 
 class _Reader:
-    """Walks through the bodies of a file, from the world outwards."""
+    """Reads the bodies of a file recursively, starting with the world."""
 
     def __init__(self, root: Element):
         self.root, self.compiler = root, root.find("compiler")
@@ -62,7 +64,7 @@ class _Reader:
             self._read_defaults(inner, inner.get("class", name), own)
 
     def _with_defaults(self, element: Element, childclass: str) -> Element:
-        """Return an element with the attributes of its class."""
+        """Return an element with the attributes of its default class."""
         values = self.defaults.get(element.get("class", childclass), {}).get(element.tag, {})
         return Element(element.tag, values | dict(element.attrib))
 
@@ -184,7 +186,7 @@ class _Reader:
         return Part(body, mass, here + turned @ place, tensor)
 
     def _add_closure(self, one: Element) -> None:
-        """Add an equality constraint; MuJoCo satisfies them approximately, mbdkit exactly."""
+        """Add an equality constraint. MuJoCo satisfies such constraints approximately, mbdkit exactly."""
         if one.get("active") == "false":
             return
         first, second = one.get("body1", ""), one.get("body2") or GROUND

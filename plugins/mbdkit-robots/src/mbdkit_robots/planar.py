@@ -1,4 +1,4 @@
-"""Parts and joints of a spatial model that move in one plane, and the mechanism that they form."""
+"""Parts and joints of a spatial model that moves in one plane, and the planar mechanism that they form."""
 
 from __future__ import annotations
 
@@ -23,13 +23,15 @@ MOST_NAMED = 6
 
 
 def refused(message: str) -> SpecError:
-    """Return the error of a file that cannot be read or is not planar."""
+    """Return the exception for a file that cannot be read or is not planar."""
     return SpecError(message, key=KEY)
 
 
 @dataclass(frozen=True)
 class Part:
-    """A body at the zero position of all joints: centre of mass (3,) [m] and inertia (3, 3) [kg m^2], global frame."""
+    """A body at the zero position of all joints: its centre of mass (3,) [m] and inertia (3, 3) [kg m^2] in the global
+    frame.
+    """
 
     name: str
     mass: float
@@ -41,7 +43,7 @@ class Part:
 class Link:
     """A joint of the tree at the zero position: a point (3,) [m] and an axis (3,) in the global frame.
 
-    `stiffness`, `damping` and `rest` are those of a spring on the coordinate, whose zero is the zero position.
+    `stiffness`, `damping` and `rest` describe a spring that acts on the coordinate, which is 0 at the zero position.
     """
 
     name: str
@@ -57,7 +59,9 @@ class Link:
 
 @dataclass(frozen=True)
 class Closure:
-    """A constraint beside the tree: a common point (3,) [m] of two parts at the zero position, or a weld there."""
+    """A constraint that closes a loop: two parts share a point (3,) [m], given at the zero position, or are welded
+    there.
+    """
 
     name: str
     kind: Literal["connect", "weld"]
@@ -67,7 +71,7 @@ class Closure:
 
 @dataclass
 class SpatialModel:
-    """A model that was read from a file."""
+    """A model that was read from a file, before it is projected onto a plane."""
 
     name: str
     parts: list[Part] = field(default_factory=list)
@@ -75,15 +79,15 @@ class SpatialModel:
     closures: list[Closure] = field(default_factory=list)
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     left_out: dict[str, list[str]] = field(default_factory=dict)
-    """Names of what is left out, by its kind in words."""
+    """Names of the ignored components, by a phrase for their kind."""
 
     def leave_out(self, kind: str, name: str) -> None:
-        """Note the name of something that is left out."""
+        """Note the name of an ignored component."""
         self.left_out.setdefault(kind, []).append(name)
 
 
 class PlanarMechanism:
-    """Projects a model onto a plane; frames of bodies are parallel to the global frame at the zero position."""
+    """Projects a model onto a plane. At the zero position the frames of all bodies are parallel to the global frame."""
 
     def __init__(self, model: SpatialModel, plane: Plane):
         axes = np.eye(3)
@@ -94,7 +98,7 @@ class PlanarMechanism:
         self.owner = self._owners()
 
     def mechanism(self, initial: Mapping[str, float], speeds: Mapping[str, float]) -> Mechanism:
-        """Return the mechanism with the coordinates of joints at their initial values [rad or m] and speeds.
+        """Return the mechanism with the joint coordinates at their initial values [rad or m] and speeds [rad/s or m/s].
 
         Raises
         ------
@@ -129,7 +133,7 @@ class PlanarMechanism:
         return found
 
     def _owners(self) -> dict[str, str]:
-        """Return the body that each part belongs to: parts without mass belong to those that they are fixed to."""
+        """Return the body that each part belongs to. Parts without mass belong to the body that they are fixed to."""
         owner = {GROUND: GROUND}
         for link in self.model.links:
             part = self.parts[link.child]
@@ -149,7 +153,9 @@ class PlanarMechanism:
         return self._flat(point if body == GROUND else point - self.parts[body].center)
 
     def _sign(self, link: Link) -> float:
-        """Return whether a joint turns counter-clockwise in the plane (1) or clockwise (-1)."""
+        """Return 1 if positive rotations of a joint are counter-clockwise in the plane, and -1 if they are
+        clockwise.
+        """
         if np.linalg.norm(np.cross(link.axis, self.normal)) > PARALLEL:
             raise refused(
                 f"joint '{link.name}' turns about ({_text(link.axis)}), not normal to the plane {self.across}; "
@@ -158,13 +164,15 @@ class PlanarMechanism:
         return math.copysign(1.0, float(link.axis @ self.normal))
 
     def _direction(self, link: Link) -> np.ndarray:
-        """Return the direction (2,) of a slide."""
+        """Return the direction (2,) of a sliding joint."""
         if abs(link.axis @ self.normal) > PARALLEL:
             raise refused(f"joint '{link.name}' slides along ({_text(link.axis)}), out of the plane {self.across}")
         return np.array(self._flat(link.axis))
 
     def _moved(self, initial: Mapping[str, float], speeds: Mapping[str, float]) -> dict[str, tuple[Any, ...]]:
-        """Return angle, shift (2,), rate and velocity (2,) at the origin of every part, relative to zero positions."""
+        """Return angle, displacement (2,), angular velocity, and velocity (2,) at the origin, of every part, relative
+        to the zero position.
+        """
         found: dict[str, tuple[Any, ...]] = {GROUND: (0.0, np.zeros(2), 0.0, np.zeros(2))}
         for link in self.model.links:
             angle, shift, rate, velocity = found[link.parent]
@@ -191,7 +199,7 @@ class PlanarMechanism:
         return {"mass": part.mass, "position": position.tolist(), "velocity": moving.tolist(), **rigid}
 
     def _add(self, link: Link, data: dict[str, Any]) -> None:
-        """Add a joint, its coordinate and its spring."""
+        """Add a joint, its coordinate and its spring to `data`."""
         first, second = self.owner[link.parent], self.owner[link.child]
         if link.kind == "free" or first == second:
             return

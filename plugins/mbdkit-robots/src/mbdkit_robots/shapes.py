@@ -8,12 +8,13 @@ import numpy as np
 
 
 def volume_and_inertia(kind: str, size: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """Return volume [m^3] and principal moments of inertia for unit density (3,) [m^5] of a shape along its z axis.
+    """Return the volume [m^3] of a shape along its z axis, and its principal moments of inertia (3,) for unit density
+    [m^5].
 
     Parameters
     ----------
     kind, size
-        Type and size of a geom as in MuJoCo: half lengths, and radii. The result is None for other types.
+        Type and size of a geom as in MuJoCo; sizes are half lengths and radii. The result is None for other types.
     """
     if kind == "sphere":
         volume = 4 / 3 * math.pi * size[0] ** 3

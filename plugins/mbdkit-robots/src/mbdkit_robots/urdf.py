@@ -24,7 +24,7 @@ def read_urdf(file: str, *, floating: bool) -> SpatialModel:
     Raises
     ------
     SpecError
-        If the file is not a tree of links and joints that mbdkit has.
+        If the file is not a tree of links, or has joints that mbdkit does not have.
     """
     robot = read_xml(file, "robot")
     model = SpatialModel(robot.get("name", "robot"))
@@ -81,7 +81,9 @@ def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: n
 def _add_part(
     model: SpatialModel, link: Element, turn: np.ndarray, place: np.ndarray, *, is_fixed: bool = False
 ) -> None:
-    """Add a link whose frame is at `place` (3,), turned by `turn` (3, 3); without mass if it is fixed to the ground."""
+    """Add a link whose frame has the position `place` (3,) and the orientation `turn` (3, 3). A link fixed to the
+    ground is added without mass.
+    """
     name, inertial = _name(link), link.find("inertial")
     for tag in ("visual", "collision"):
         if link.find(tag) is not None:

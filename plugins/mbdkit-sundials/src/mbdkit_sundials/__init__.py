@@ -1,8 +1,8 @@
 """CVODE and IDA of SUNDIALS for mbdkit, each as an `OdeSolver` of SciPy around scikit-sundae.
 
-mbdkit passes such a class its first-order equations y' = f(t, y) of index 1 with y = (q, v) and two energies, and their
-exact Jacobian J = df/dy. CVODE uses both directly. IDA takes them as a residual, y' - f(t, y) = 0, whose matrix is
-c I - J. SUNDIALS chooses the steps; its interpolant gives the solution between them.
+mbdkit passes to such a class the first-order form y' = f(t, y) of the index-1 equations, where y contains q, v and two
+energies, and the exact Jacobian J = df/dy. CVODE uses both directly. IDA solves the residual equation y' - f(t, y) = 0,
+whose iteration matrix is c I - J. SUNDIALS chooses the steps, and its interpolant gives the solution between them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Rates = Callable[[float, np.ndarray], np.ndarray]
 
 
 class SundialsOptions(BaseModel):
-    """Tolerances and order."""
+    """Tolerances and largest order."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -55,14 +55,14 @@ class SundialsOptions(BaseModel):
 
 
 class CvodeOptions(SundialsOptions):
-    """Tolerances, order and family of formulas."""
+    """Tolerances, largest order, and family of formulas."""
 
     family: Literal["BDF", "Adams"] = "BDF"
-    """`BDF` for stiff springs and dampers; `Adams`, of order 1 to 12 regardless of `max_order`, otherwise."""
+    """`BDF` for stiff springs and dampers; otherwise `Adams`, whose order is 1 to 12 regardless of `max_order`."""
 
 
 class Interpolant(DenseOutput):  # type: ignore[misc]
-    """Interpolant of SUNDIALS over the last step; valid until the next step."""
+    """Interpolant of SUNDIALS over the last step. It is valid until the next step is taken."""
 
     def __init__(self, t_old: float, t: float, solver: Any):
         super().__init__(t_old, t)
@@ -99,18 +99,18 @@ class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
 
     @abstractmethod
     def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return the solver for tolerances and first step."""
+        """Return the SUNDIALS solver with the given tolerances and first step."""
 
     def start(self, y0: np.ndarray) -> None:
         """Pass the initial values to the solver."""
         self.solver.init_step(self.t, y0)
 
     def _step_impl(self) -> tuple[bool, str | None]:
-        with redirect_stdout(io.StringIO()):  # scikit-sundae also prints its message
+        with redirect_stdout(io.StringIO()):  # scikit-sundae prints its message in addition to returning it
             found = self.solver.step(self.t_bound, "onestep", self.t_bound)
         if not found.success:
             return False, str(found.message)
-        if found.t - self.t < 10 * np.spacing(self.t):  # SUNDIALS would continue endlessly
+        if found.t - self.t < 10 * np.spacing(self.t):  # otherwise SUNDIALS would continue with ever smaller steps
             return False, self.TOO_SMALL_STEP
         self.t, self.y = float(found.t), np.array(found.y)
         self.njev, self.nlu = int(found.njev), int(found.njev)
@@ -121,10 +121,10 @@ class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
 
 
 class Cvode(SundialsSolver):
-    """CVODE on y' = f(t, y)."""
+    """CVODE applied to y' = f(t, y)."""
 
     def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return a CVODE for f and its Jacobian."""
+        """Return a CVODE solver for f and its Jacobian."""
 
         def rates(t: float, y: np.ndarray, out: np.ndarray) -> None:
             out[:] = self.fun(t, y)
@@ -137,10 +137,10 @@ class Cvode(SundialsSolver):
 
 
 class Ida(SundialsSolver):
-    """IDA on y' - f(t, y) = 0."""
+    """IDA applied to y' - f(t, y) = 0."""
 
     def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return an IDA for the residual and its matrix."""
+        """Return an IDA solver for the residual and its iteration matrix."""
 
         def residual(t: float, y: np.ndarray, yp: np.ndarray, out: np.ndarray) -> None:
             out[:] = yp - self.fun(t, y)

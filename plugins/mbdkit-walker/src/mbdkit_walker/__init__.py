@@ -1,11 +1,12 @@
 """A pair of walking legs for mbdkit: an example of a model with drivers.
 
-The hips are fixed, as on a treadmill. Each leg is a thigh and a shank with its foot; the legs are half a cycle apart.
-Hips follow measured angles. Knees follow measured angles too, or swing freely against a damper, as in a simple
-prosthesis.
+The hips are fixed in space, as if walking on a treadmill. Each leg consists of a thigh and of a shank with its foot;
+the legs move half a cycle apart. The angles of the hips are driven by measured data. The knees are driven in the same
+way, or swing against a damper, as in a simple prosthesis.
 
-Segments are fractions of body mass and height (Winter 2009, table 4.1). Angles are the means of 39 boys at 20 points
-of the cycle (Olshen et al. 1989), approximated by a trigonometric polynomial with six harmonics.
+Masses and lengths of the segments are fractions of body mass and height (Winter 2009, table 4.1). The angles are means
+over 39 boys at 20 points of the cycle (Olshen et al. 1989), approximated by a trigonometric polynomial with six
+harmonics.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ KNEE = [
 ]
 HARMONICS = 6
 
-# Of body mass; of body height; centre and radius of gyration about it, of segment length, from the upper joint.
+# Mass as a fraction of body mass, length as a fraction of body height; distance of the centre of mass from the upper
+# joint, and radius of gyration about the centre of mass, as fractions of the segment length.
 THIGH = {"mass": 0.100, "length": 0.245, "centre": 0.433, "gyration": 0.323}
 SHANK_AND_FOOT = {"mass": 0.061, "length": 0.246 + 0.039, "centre": 0.606, "gyration": 0.416}
 
@@ -87,7 +89,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class WalkerOptions(BaseModel):
-    """Person, speed and knees."""
+    """Mass and height of the person, period of the walk, and type of the knees."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", use_attribute_docstrings=True)
 
@@ -96,14 +98,15 @@ class WalkerOptions(BaseModel):
     height: Positive = 1.75
     """Height of the person [m]."""
     period: Positive = 1.1
-    """Time from one heel strike of a foot to its next [s]."""
+    """Time from one heel strike of a foot to the next one of the same foot [s]."""
     knees: Literal["driven", "damped"] = "driven"
-    """Whether the knees follow the measured angles, or swing against `damping`."""
+    """Whether the knees follow the measured angles (`driven`), or swing freely with `damping` (`damped`)."""
     damping: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2.0
-    """Damping of a knee that is not driven [N m s/rad]."""
+    """Damping constant of a knee that is not driven [N m s/rad]."""
     pelvic_tilt: Annotated[float, Field(ge=-0.6, le=0.6)] = 0.3
-    """Forward tilt of the pelvis, from which hip angles are measured [rad]; 0.3 makes the thighs swing about the
-    vertical."""
+    """Forward tilt of the pelvis [rad]. Hip angles are measured relative to the pelvis; with a tilt of 0.3 the thighs
+    swing symmetrically about the vertical.
+    """
 
 
 def angle(degrees: list[float], period: float, ahead: float) -> tuple[str, float]:
@@ -112,11 +115,11 @@ def angle(degrees: list[float], period: float, ahead: float) -> tuple[str, float
     Parameters
     ----------
     degrees
-        The angle at 2.5 %, 7.5 %, ... of the cycle [deg].
+        Values of the angle at 2.5 %, 7.5 %, ... of the cycle [deg].
     period
         Time of a cycle [s].
     ahead
-        Share of the cycle completed at t = 0.
+        Fraction of the cycle that is completed at t = 0.
     """
     waves = (np.fft.rfft(np.radians(degrees)) / len(degrees)).tolist()
     terms, start = [repr(waves[0].real)], waves[0].real
@@ -128,12 +131,15 @@ def angle(degrees: list[float], period: float, ahead: float) -> tuple[str, float
 
 
 def build(options: WalkerOptions) -> mbdkit.Mechanism:
-    """Return bodies `left_thigh`, `left_shank`, ... on joints `left_hip`, `left_knee`, ... and their drivers."""
+    """Return the mechanism: bodies `left_thigh`, `left_shank`, ..., joints `left_hip`, `left_knee`, ..., and their
+    drivers.
+    """
     m = mbdkit.Mechanism()
     for side, ahead in (("left", 0.0), ("right", 0.5)):
         hip, hip_now = angle(HIP, options.period, ahead)
         knee, knee_now = angle(KNEE, options.period, ahead)
-        down = -0.5 * math.pi - options.pelvic_tilt  # a thigh without flexion, its x axis from hip to knee
+        # angle of a thigh without flexion; its x axis points from hip to knee
+        down = -0.5 * math.pi - options.pelvic_tilt
         upper, lower = np.zeros(2), np.zeros(2)
         tilts = {"thigh": down + hip_now, "shank": down + hip_now - knee_now}
         for name, segment in (("thigh", THIGH), ("shank", SHANK_AND_FOOT)):
