@@ -47,8 +47,8 @@ class Fit:
     scatter
         Root mean square of log(maxima / law); 0.1 is about 10 percent.
     aicc
-        Akaike information criterion, corrected for small samples, for the effective number of independent maxima;
-        lower is better.
+        Akaike information criterion, corrected for small samples, for the effective number of independent maxima; lower
+        is better.
     """
 
     law: Law

@@ -147,8 +147,7 @@ class _KeptArrays:
     """Selects the arrays of a layout that a study stores.
 
     Runs usually share their layout, so the last result is cached. Layouts are compared by identity, which is faster
-    than
-    computing their hashes.
+    than computing their hashes.
     """
 
     def __init__(self) -> None:

@@ -163,8 +163,7 @@ class Block:
         of rows (N,).
 
         The joined run has the rows of the first run, then those of the second, and so on. Everything else, such as spec
-        and
-        status, is taken from the first run. The block must stay open while the joined run is read.
+        and status, is taken from the first run. The block must stay open while the joined run is read.
 
         Raises
         ------

@@ -37,8 +37,8 @@ class Comparison:
         Whether both runs have ended and all compared arrays are bitwise equal. Hashes are computed from the arrays,
         because stored hashes may be wrong.
     differences
-        Largest difference of each array except timings, relative to the largest magnitude of that array in either
-        run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
+        Largest difference of each array except timings, relative to the largest magnitude of that array in either run.
+        Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite values
         differ.
     versions
         Provenance attributes that differ, except the command, with the values of the first and the second run.

@@ -197,8 +197,7 @@ class Target:
         block.
 
         A full disk raises OSError before the block starts. If a write failed within HDF5 instead, all data written
-        before
-        would be lost, because HDF5 cannot undo a partial write.
+        before would be lost, because HDF5 cannot undo a partial write.
         """
         self._end_if_forked()
         handle = self._open_handle()
@@ -235,8 +234,7 @@ class Target:
         """Remove the checkpoint, which is no longer needed, and rename the flushed .part to its final name.
 
         Unless `overwrite` is set, a file that was created there during the run is not replaced. The archive is still
-        open and
-        locked, so that other runs do not take the .part for that of a crashed run and remove it.
+        open and locked, so that other runs do not take the .part for that of a crashed run and remove it.
 
         Raises
         ------

@@ -298,8 +298,7 @@ class Run(HtmlView):
         """Derivatives of the measures by the parameters that the spec lists under `gradients`, by name of the measure.
 
         Each entry has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs. If there
-        are no
-        derivatives, it has a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
+        are no derivatives, it has a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
         """
         return self._contents.gradients()
 

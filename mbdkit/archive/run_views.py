@@ -78,8 +78,8 @@ class RunPlots:
         ----------
         terms
             Some of ``kinetic``, ``potential``, ``total``, ``dissipated``, ``work`` and ``balance``; by default all but
-            the balance, without those that are zero. Potential and total energy are relative to the potential energy
-            at the start.
+            the balance, without those that are zero. Potential and total energy are relative to the potential energy at
+            the start.
         """
         return self._draw("energy", ax, terms=terms)
 

@@ -43,8 +43,8 @@ class Ending:
     status
         ``complete``, ``failed`` or ``interrupted``.
     reason
-        Code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``. For
-        a complete run, the event that ended it, or an empty string.
+        Code and sentence saying why the run is not complete, such as ``newton-failed: the step at t = ...``. For a
+        complete run, the event that ended it, or an empty string.
     stats
         Attributes of ``/stats``: counters (integers) and ``setup_s``, ``wall_s``, ``cpu_s``.
     misalignment_max

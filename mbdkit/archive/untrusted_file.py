@@ -79,8 +79,8 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
     ResourceError
         If the file is in use, or the system refuses to read it.
     SpecError
-        If the file is not a regular file, is not an HDF5 file, is damaged, or is refused because it refers
-        to other files, links an object twice, or declares more data than it holds.
+        If the file is not a regular file, is not an HDF5 file, is damaged, or is refused because it refers to other
+        files, links an object twice, or declares more data than it holds.
     """
     check_regular(path)
     noun = what.rpartition(" ")[2]

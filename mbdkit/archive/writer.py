@@ -308,8 +308,7 @@ class ArchiveWriter(RunWriter):
         """Flush the tables, then store the numbers of their rows in an attribute.
 
         HDF5 writes its metadata in many pieces. If the process is killed in between, arrays may seem to have rows that
-        were
-        never written. The attribute is written in one piece, so that the rows it counts are always complete.
+        were never written. The attribute is written in one piece, so that the rows it counts are always complete.
         """
         if self._target is not None:
             self._file.flush()

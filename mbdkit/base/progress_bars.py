@@ -33,8 +33,7 @@ def _drawing(
     """Yield a function that draws a bar from a fraction (None if unknown) and a note.
 
     In a notebook, and if stderr is a terminal, the function draws a bar. Elsewhere, it prints lines if `lines` is set.
-    In
-    all other cases, and if `quiet` is set, None is yielded instead of a function.
+    In all other cases, and if `quiet` is set, None is yielded instead of a function.
     """
     make = None if quiet else _kind_of_bar() or (_Lines if lines else None)
     if make is None:

@@ -84,8 +84,7 @@ def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeRe
     """Return the search by a method from one start.
 
     If the method ends at a point worse than the start, such as one at which a run fails, the best point evaluated
-    during
-    the search is used as its end.
+    during the search is used as its end.
     """
     before = len(problem.evaluator.evaluated)
     result = method()

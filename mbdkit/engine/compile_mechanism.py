@@ -177,8 +177,7 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
     hashable.
 
     Mechanisms with equal keys differ only in initial positions and velocities. These are part of the key if a joint
-    depends
-    on them. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
+    depends on them. Numbers are compared bitwise, so that 0.0 and -0.0 differ.
     """
     posed = any(joint.point_moves_on_first or joint.angles() for joint in mechanism.joints.values())
     bodies = [

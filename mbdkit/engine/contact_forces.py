@@ -153,8 +153,7 @@ def contact_values(
     """Return the quantities (T, C) of contacts in recorded states, their points and their normals (T, C, 2).
 
     Positions and velocities are (T, 3 (B + 1)), first-order states (T, Z). Points, at which the forces act, and normals
-    are
-    given in the global frame.
+    are given in the global frame.
     """
     found = {name: np.zeros((len(q), len(contacts))) for name in ("gap", "slip", *HELD)}
     found |= {name: np.zeros((len(q), len(contacts), 2)) for name in ("point", "normal")}

@@ -94,8 +94,8 @@ class EquationsOfMotion:
     q0, v0 : (n,) arrays
         Consistent positions and velocities at the start.
     formulation, stabilization
-        Name of the formulation and stabilization requested for the run. Baumgarte's terms are included in gamma, in
-        the accelerations and in the tangents. Projections are performed outside `step`, by the framework.
+        Name of the formulation and stabilization requested for the run. Baumgarte's terms are included in gamma, in the
+        accelerations and in the tangents. Projections are performed outside `step`, by the framework.
     counters
         Counters of the work done so far.
     address
@@ -329,8 +329,7 @@ class EquationsOfMotion:
         """Return the reactions (J, 3) of the joints on their second bodies for multipliers `lam` (m,).
 
         A reaction is a force (x, y) and the torque at the joint point [N, N m]; impulses if the multipliers are
-        impulses. They
-        are shared evenly between redundant joints.
+        impulses. They are shared evenly between redundant joints.
         """
         workspace, times, none = self._workspace, np.array([t]), np.zeros(self.n)
         mechanism = workspace.mechanism

@@ -175,8 +175,7 @@ class _Compiler:
     """Compiles the source of a law, a function that returns four numbers, to a program.
 
     Operations stay in the order of the source, because it determines the rounding errors. Registers of intermediate
-    results
-    are reused after their last use.
+    results are reused after their last use.
     """
 
     def __init__(self, source: str, parameters: int):

@@ -167,8 +167,7 @@ class _Terms:
 
         def is_listed(entry: int) -> np.ndarray:
             # If one of the two rows is redundant, the other is a combination of both and has no structural zeros. A
-            # pair
-            # without rows has no multiplier.
+            # pair without rows has no multiplier.
             return np.where(reduced, (entry < 6) & (rows[members] == 1), entry in e.JACOBIAN_ENTRIES[kind])
 
         for entry in range(12):

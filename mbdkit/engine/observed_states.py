@@ -55,8 +55,8 @@ class GivenForces:
 class StateObserver:
     """Computes accelerations, reactions, forces, markers, energies and the distance to singularity at states of a run.
 
-    The distance to singularity is computed by an iteration that starts from the result of the previous state.
-    Therefore the states of a run should be passed in order of time.
+    The distance to singularity is computed by an iteration that starts from the result of the previous state. Therefore
+    the states of a run should be passed in order of time.
 
     Parameters
     ----------

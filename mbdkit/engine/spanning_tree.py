@@ -21,7 +21,7 @@ free.
 """
 _TURNING = (KINDS["fixed_angle"], KINDS["driver_angle"])
 _ROWS = {KINDS["point_on_line"]: 1, KINDS["fixed_angle"]: 1, KINDS["driver_angle"]: 1}
-"""Number of rows of the constraints that do not have 2."""
+"""Number of rows of each kind of constraint that does not have 2 rows."""
 
 
 def spanning_tree(top: Topology) -> np.ndarray:

@@ -88,8 +88,7 @@ class Workspace:
         )
         self._engine = PinnedBundle(Engine(top, self.scratch, self.solver))
         # Creating bundles takes most of the time of a small workspace; therefore only one is created if both engines
-        # are
-        # equal.
+        # are equal.
         self._stepping_engine = (
             PinnedBundle(Engine(self.stepping_topology, self.scratch, self.solver)) if stabilized else self._engine
         )

@@ -262,7 +262,7 @@ class RunCompiler(Compiler):
         return fitting[0]
 
     def kinds(self, name: str) -> list[str]:
-        """Return those of ``bodies`` and ``joints`` that have an element with this name."""
+        """Return the kinds, ``bodies`` or ``joints`` or both, that contain an element with this name."""
         return [kind for kind in _BARE if name in self.known[kind]]
 
     def of(self, kind: str, name: str, attribute: str, node: ast.expr) -> Code:

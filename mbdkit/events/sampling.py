@@ -8,14 +8,12 @@ The sampling starts with the quarters of the step and is refined in three ways.
 3. A polynomial p of degree 4 is fitted through every five consecutive samples. Its error is estimated from two
    differences: between p and the polynomial of degree 3 through four of the samples, and between the latter and a
    polynomial of degree 2. Where both p and its derivative are smaller than their errors, there may be a double root,
-   and
-   samples are added between these five. Where p changes sign between two samples of equal sign, a sample is added where
-   p is largest with the opposite sign.
+   and samples are added between these five. Where p changes sign between two samples of equal sign, a sample is added
+   where p is largest with the opposite sign.
 
 States within the step are evaluated from dense output, which consists of polynomials of a degree up to 11. An
-expression
-without poles and without large factors in its exponents is therefore smooth on this scale. `MOST_SAMPLES` limits the
-number of samples.
+expression without poles and without large factors in its exponents is therefore smooth on this scale. `MOST_SAMPLES`
+limits the number of samples.
 """
 
 from __future__ import annotations

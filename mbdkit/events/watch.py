@@ -337,8 +337,7 @@ class Watch:
         begin = np.concatenate([step.v0, step.z0])
         if self._values is None or self._ended is None or not np.array_equal(self._ended, begin):
             # The start of this step is not the end of the last one at the start of the run, after an impulse, after an
-            # event that
-            # sets states, and at a sample of a controller.
+            # event that sets states, and at a sample of a controller.
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
         states = [*(self.stepper.inside(theta) for theta in INSIDE), step.between(1.0)]
         q, v, z = (np.array([state[part] for state in states]) for part in range(3))

@@ -45,8 +45,7 @@ def line_styles(chart: Figure) -> list[tuple[str, int]]:
     """Return the colour and the index of the dash pattern of each line.
 
     Lines of a group share a colour; a line without a group forms its own group. If there are more groups than colours,
-    the
-    colours repeat. Lines of the same colour differ in their dash patterns.
+    the colours repeat. Lines of the same colour differ in their dash patterns.
     """
     groups = dict.fromkeys(line.group or line.label for line in chart.lines if not line.color)
     colors = {group: PALETTE[index % len(PALETTE)] for index, group in enumerate(groups)}

@@ -60,8 +60,7 @@ def view_box(paths: Array, poses: Array, margin: float = 0.08) -> tuple[tuple[fl
     """Return the x limits and y limits [m] of a picture, and whether points lie outside them.
 
     The limits contain all finite points, unless the motion diverges. If it extends hundreds of times farther than in
-    its
-    first tenth, the limits contain only the motion before that.
+    its first tenth, the limits contain only the motion before that.
 
     Parameters
     ----------

@@ -121,8 +121,8 @@ class Gaps:
     ends
         For each joint, the indices in the drawing's table of its points on the first and the second body.
     vectors
-        Vector from the required to the actual position of the second body's point [m], in the global frame, shape
-        (F, J, 2). Its length is the misalignment of the joint.
+        Vector from the required to the actual position of the second body's point [m], in the global frame, shape (F,
+        J, 2). Its length is the misalignment of the joint.
     """
 
     joints: tuple[str, ...]

@@ -357,8 +357,7 @@ class _Pass:
         """Return the nodes of integrals over time.
 
         An integral consists of parts that meet at discontinuities, whose times depend on the parameters. Two nodes of
-        weight
-        zero at each discontinuity add this dependence to the derivatives.
+        weight zero at each discontinuity add this dependence to the derivatives.
         """
         time, weight, q, v = self.steps.nodes()
         state = q, v, np.zeros((len(time), 0, q.shape[-1]))  # runs with first-order states have no nodes

@@ -38,9 +38,9 @@ SMALLEST = 1e-7
 """Deviations below this share of the sum of the terms of the derivative are always accepted."""
 
 REFERENCE_STEP = 5e-4
-"""Relative change of the parameters in the runs of the other method, whose measures are less exact."""
+"""Relative change of the parameters in the runs by another method, whose measures are less exact."""
 REFERENCE_ERROR = 3e-12
-"""Assumed relative error of a measure of one run of the other method, at its tolerance."""
+"""Assumed relative error of a measure of one run by another method, due to its tolerance."""
 CORRECTED = 0.01
 """Largest expected error of the other method's differences after correction by extrapolation, as a share of the
 correction.

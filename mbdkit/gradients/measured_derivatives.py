@@ -51,9 +51,7 @@ def needs_of(expression: MeasureExpression) -> Needs:
 
 @dataclass(frozen=True)
 class _Limit:
-    """A quantity, and the scalar that changes sign at a point, as limits from one side of the point, with their
-    rates.
-    """
+    """One-sided limits at a time: of a quantity, and of the scalar that changes sign there, with their rates."""
 
     value: Value
     rate: np.ndarray
@@ -364,8 +362,7 @@ class _Evaluation:
         """Return an operand at a time.
 
         It is the value in the row with this time or, if there is none, that of the motion between the ends of steps. At
-        a
-        discontinuity of a force law or a load, the limit from the left is used.
+        a discontinuity of a force law or a load, the limit from the left is used.
         """
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:

@@ -30,8 +30,7 @@ SMALLEST_SIZE = 0.1
 """Smallest size that is assumed for a parameter, such as an angle of 1e-9 rad.
 
 The effect of smaller changes would be lost in rounding errors. The size is in SI units; if the length of the mechanism
-is
-below 1 m, the size is multiplied by this length.
+is below 1 m, the size is multiplied by this length.
 """
 FACTOR, MOST_ATTEMPTS = 4.0, 4
 """Factor by which changes are reduced as long as differences are not accurate, and largest number of attempts."""

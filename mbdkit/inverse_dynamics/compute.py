@@ -128,8 +128,7 @@ class Inverse:
     """The result of inverse dynamics in T frames.
 
     `dynamics` has the forces without muscles. `recruited` is None without `recruitment`, and the independent
-    coordinates are
-    None if derivatives were given.
+    coordinates are None if derivatives were given.
     """
 
     problem: InverseProblem

@@ -298,7 +298,7 @@ class _Other:
 
     @classmethod
     def of(cls, name: str, noise: Callable[[np.ndarray], Smoothed], outcome: _Outcome, base: _Outcome) -> _Other:
-        """Return another way of smoothing, given its outcome and the outcome `base` of the result."""
+        """Return the comparison of a way of smoothing, given its outcome and the outcome `base` of the result."""
         one = outcome.minus(base)
         force, torque = np.linalg.norm(one.reactions[..., :2], axis=2), one.reactions[..., 2]
         return cls(name, noise, [one.actuators, force, torque, one.position, one.velocity, one.muscles])

@@ -31,18 +31,15 @@ UNLOADED, LEAST_OFFSET = 0.1, 0.005
 
 The plate counts as unloaded in rows in which its force is below the first share of its peak, if at least the same share
 of all rows is unloaded. The plate has an offset if the median of the force in these rows exceeds the second share of
-the
-peak, and five times the scatter of the force.
+the peak, and five times the scatter of the force.
 """
 
 FORCE, MOMENT = 0.05, 0.02
 """Residual forces and moments from which the balance is doubtful.
 
 They are relative to the largest load, and to that load times the height of the mechanism. J. L. Hicks et al. (Journal
-of
-Biomechanical Engineering 137, 2015, 020905) recommend at most 0.05 for peak forces, and 0.01 for the root mean square
-of
-moments.
+of Biomechanical Engineering 137, 2015, 020905) recommend at most 0.05 for peak forces, and 0.01 for the root mean
+square of moments.
 """
 
 NOISY = 0.8

@@ -252,8 +252,7 @@ def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, fra
     """Return the largest violation (T,) of the optimality conditions.
 
     Derivatives of the Lagrangian are relative to the largest derivative of the cost, and equations relative to their
-    size.
-    The violation of an inequality counts or, if it has a multiplier, its slack.
+    size. The violation of an inequality counts or, if it has a multiplier, its slack.
     """
     parts = whole.slope(x), whole.equal.T @ y, whole.less.T @ z
     size = max(float(np.max(np.abs(part), initial=0.0)) for part in parts) or 1.0

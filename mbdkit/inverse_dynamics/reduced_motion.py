@@ -7,9 +7,8 @@ constraints.
 Measured quantities are preferred: the coordinates are observed quantities if enough of these are independent in all
 frames, even if they are badly scaled. Other coordinates would pass the errors of smoothing on to the measured
 quantities, often enlarged. If there are not enough, coordinates are chosen that determine the motion well in all
-frames.
-If no choice does, as for the cyclic motion of a linkage in which no link rotates fully, different coordinates are used
-in different intervals of the motion.
+frames. If no choice does, as for the cyclic motion of a linkage in which no link rotates fully, different coordinates
+are used in different intervals of the motion.
 """
 
 from __future__ import annotations

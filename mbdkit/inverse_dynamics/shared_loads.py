@@ -110,8 +110,7 @@ def share_loads(programme: Programme, exponent: float) -> Shared:
         p: 1, 2, 3, ..., or infinity, which minimises the largest share.
     """
     # The programme is scaled such that all weights are 1, and that equations have size 1 and multipliers of the size of
-    # the
-    # cost.
+    # the cost.
     size, weight = programme.size, programme.weight
     scaled = Programme(
         programme.matrix * weight / size[..., None],

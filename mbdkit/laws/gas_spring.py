@@ -81,10 +81,8 @@ def parameters(options: GasSpringOptions) -> dict[str, float]:
     """Return the parameters of the law.
 
     `shrinkage` is the decrease of the volume per compression, relative to the volume. `shortest` and `slope` are the
-    length
-    at full stroke and the stiffness there. The potential of an isothermal gas is a logarithm; `divisor` avoids a
-    division by
-    zero in the formula for other gases.
+    length at full stroke and the stiffness there. The potential of an isothermal gas is a logarithm; `divisor` avoids a
+    division by zero in the formula for other gases.
     """
     isothermal = options.exponent == 1.0
     volume = options.progression ** (-1.0 / options.exponent)

@@ -35,8 +35,8 @@ class TableOptions(StrictModel):
         BeforeValidator(_check),
         Field(json_schema_extra={"examples": [[[0.0, 0.1, 0.3], [0.0, 20.0, 90.0]]]}),
     ]
-    """Lengths, angles or coordinates [m or rad], strictly increasing, and the force at each [N or N m], positive if
-    it pulls: ``[[length, ...], [force, ...]]``."""
+    """Lengths, angles or coordinates [m or rad], strictly increasing, and the force at each [N or N m], positive if it
+    pulls: ``[[length, ...], [force, ...]]``."""
     damping: NotNegative = 0.0
     """Damping [N s/m or N m s/rad]."""
 

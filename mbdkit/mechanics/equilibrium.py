@@ -351,8 +351,7 @@ class _Search:
     def run(self) -> Rest | None:
         # Levenberg-Marquardt: with little damping a step is a Newton step, with much damping a short step along the
         # accelerations. The initial damping limits such a step to `LONGEST`. After a rejected step, the damping has a
-        # lower bound,
-        # because multiplying a vanishing value would increase it too slowly.
+        # lower bound, because multiplying a vanishing value would increase it too slowly.
         idle, damping = 0, self.size(self.x) / LONGEST
         while self.tried < MOST_STEPS:
             if self.imbalance <= max(BALANCED * self.force, self.blur) or (idle >= PATIENCE and self.is_balanced):
@@ -432,8 +431,7 @@ class _Search:
             return False
         s = s / max(1.0, self.size(s) / LONGEST)
         # The imbalance does not measure progress, because it also vanishes at a maximum of the potential. Instead, the
-        # forces
-        # must do at least a tenth of the work that they predict at the beginning of the step.
+        # forces must do at least a tenth of the work that they predict at the beginning of the step.
         promised = float(np.sum(p.mass * self.x * s))
         if not promised > 0:
             return False

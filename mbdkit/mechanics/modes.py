@@ -360,11 +360,9 @@ def _with_small_ones(
     ``squares``.
 
     Rounding errors of eigenvalues are relative to the largest one. In beams with damped material, this is so large that
-    the
-    lowest eigenvalues are lost. Rounding errors of the eigenvalues of the inverse matrix are relative to the smallest
-    eigenvalue, so the smaller eigenvalues are computed from the inverse. As in `mbdkit.mechanics.reduced.lowest`, a
-    shift
-    keeps the inverse regular.
+    the lowest eigenvalues are lost. Rounding errors of the eigenvalues of the inverse matrix are relative to the
+    smallest eigenvalue, so the smaller eigenvalues are computed from the inverse. As in
+    `mbdkit.mechanics.reduced.lowest`, a shift keeps the inverse regular.
     """
     f = len(squares)
     shift = 0.5 * np.sqrt(np.min(squares[squares > 0]))

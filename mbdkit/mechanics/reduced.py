@@ -100,8 +100,8 @@ def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) 
     A deviation ``Z(t) y`` stays tangent to the constraint manifold. The basis Z moves with the mechanism and does not
     rotate within the tangent space, ``Z^T M Z' = 0``. Its derivative ``P = Z'`` is therefore the solution of
     ``Phi_q P = -d(Phi_q v + Phi_t)/dq Z`` with the smallest norm in the mass metric. The stiffness is
-    ``Z^T (K Z + C P) - P^T M P`` and the damping ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``.
-    In a state at rest P is zero.
+    ``Z^T (K Z + C P) - P^T M P`` and the damping ``Z^T C Z``, with ``K = d(Phi_q^T lam - Q)/dq`` and ``C = -dQ/dv``. In
+    a state at rest P is zero.
     """
     p, free = prepared.equations, np.flatnonzero(~prepared.held)
     if z is not None:
@@ -237,10 +237,8 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
 
     ARPACK first finds the eigenvalue of the inverse matrix with the largest absolute value. If it is positive, a second
     search looks for the lowest eigenvalue of the inverse. Most eigenvalues of the inverse are close to zero, where a
-    relative
-    tolerance would require more accuracy than is needed. The second search therefore adds the first eigenvalue as a
-    shift, so
-    that the tolerance `NEGATIVE` is relative to this eigenvalue.
+    relative tolerance would require more accuracy than is needed. The second search therefore adds the first eigenvalue
+    as a shift, so that the tolerance `NEGATIVE` is relative to this eigenvalue.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -323,10 +321,8 @@ def distance_to_singular(prepared: PreparedMechanism, at: State, border: np.ndar
     """Return a smooth function of a state that changes its sign where the matrix of statics is singular.
 
     The matrix is extended by `border` (n + m,) as an additional row and column, and the right-hand side is 1 in the
-    last row
-    only. The function is the last unknown; by Cramer's rule, it is the ratio of the two determinants (Govaerts,
-    Numerical
-    Methods for Bifurcations of Dynamical Equilibria, section 3.2).
+    last row only. The function is the last unknown; by Cramer's rule, it is the ratio of the two determinants
+    (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, section 3.2).
 
     Parameters
     ----------

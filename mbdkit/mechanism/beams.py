@@ -101,8 +101,8 @@ class Beam(StrictModel):
     elements: Annotated[int, Field(ge=1, le=MOST_ELEMENTS)] = 16
     """Number of elements."""
     nodes: Literal[2, 3] = 2
-    """Nodes of an element: 2 (n + 1 nodes, errors of order 2 in the length of an element), or 3 (2 n + 1 nodes,
-    order 4)."""
+    """Nodes of an element: 2 (n + 1 nodes, errors of order 2 in the length of an element), or 3 (2 n + 1 nodes, order
+    4)."""
     E: Positive | None = None
     """Young's modulus [Pa]."""
     G: Positive | None = None
@@ -124,8 +124,8 @@ class Beam(StrictModel):
     rotary_inertia: Positive | None = None
     """Moment of inertia per length [kg m]; ``density I`` by default, or else mass_per_length bending / axial."""
     damping: NotNegative = 0.0
-    """Retardation time [s] of the material (Kelvin-Voigt): a strain e causes the stress of the strain
-    e + damping de/dt."""
+    """Retardation time [s] of the material (Kelvin-Voigt): a strain e causes the stress of the strain e + damping
+    de/dt."""
     velocity: Point = (0.0, 0.0)
     """Initial velocity (x, y) [m/s] of the first node."""
     angular_velocity: Number = 0.0

@@ -128,9 +128,9 @@ class Revolute(PointJoint, At):
     """A pin: both points coincide, ``p_b - p_a = 0`` in the global frame.
 
     With `center`, the first body's point moves in that body's frame while the second body turns, as the centre of a
-    knee or of a rolling wheel does: ``p_b - p_a - R_a c(angle_b - angle_a) = 0``. The joint does no work,
-    because a torque ``-F . R_a c'`` on the second body, recorded as reaction torque, balances the component of its
-    force F tangential to the path of the centre.
+    knee or of a rolling wheel does: ``p_b - p_a - R_a c(angle_b - angle_a) = 0``. The joint does no work, because a
+    torque ``-F . R_a c'`` on the second body, recorded as reaction torque, balances the component of its force F
+    tangential to the path of the centre.
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*At.ABSENT_BY_DEFAULT, "center", "friction")
@@ -377,8 +377,8 @@ class Weld(PointJoint, At):
 class Driver(JointBase):
     """A prescribed motion of b relative to a: ``coordinate - motion(t) = 0``.
 
-    `angle` drives ``angle_b - angle_a`` (absolute, not relative to the start); `x` and `y` drive this coordinate of
-    b's point in a's frame, measured from a's origin.
+    `angle` drives ``angle_b - angle_a`` (absolute, not relative to the start); `x` and `y` drive this coordinate of b's
+    point in a's frame, measured from a's origin.
     """
 
     type: Literal["driver"] = "driver"

@@ -1000,9 +1000,9 @@ class Mechanism(HtmlView):
         Parameters
         ----------
         spec
-            Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``,
-            ``muscles``, ``contacts``, ``coordinates``, ``states``, ``controllers`` and ``assembly``; ``name`` is
-            optional and must be ``mechanism``.
+            Mapping with the keys ``gravity``, ``bodies``, ``beams``, ``joints``, ``forces``, ``markers``, ``muscles``,
+            ``contacts``, ``coordinates``, ``states``, ``controllers`` and ``assembly``; ``name`` is optional and must
+            be ``mechanism``.
         parameters
             Named parameters: numbers, or expressions of other parameters. Numbers in `spec` may be expressions of them.
 

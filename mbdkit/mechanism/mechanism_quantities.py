@@ -168,7 +168,7 @@ class Travel(Quantity):
         return travel
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
-        """Add the gradient, which has the terms of unit forces at the points and of the rotation of the direction."""
+        """Add the gradient: the effects of unit forces at the two points, and that of the rotation of the direction."""
         (ex, ey), (ux, uy) = self._along(q), self._between(q)
         self.second.add_force(q, ex, ey, out)
         self.first.add_force(q, -ex, -ey, out)

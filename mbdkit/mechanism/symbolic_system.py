@@ -113,8 +113,8 @@ class SymbolicSystem:
         -------
         dict of str to ndarray
             ``mass_matrix`` (n, n), ``constraints`` (m,), ``constraint_jacobian`` (m, n), ``gamma`` (m,), ``forces``
-            (n,), ``accelerations`` (n,) and ``multipliers`` (m,); if constraints are redundant at this state,
-            the multipliers of minimum norm.
+            (n,), ``accelerations`` (n,) and ``multipliers`` (m,); if constraints are redundant at this state, the
+            multipliers of minimum norm.
 
         Raises
         ------

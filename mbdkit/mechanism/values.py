@@ -185,8 +185,8 @@ class Table(StrictModel):
     ends: Ends = "not-a-knot"
     """Condition at the ends of a spline: `not-a-knot` (the outer pieces continue the polynomials of their neighbours),
     `natural` (no curvature at the ends; a quintic spline: no third and fourth derivative), `clamped` (no rate there; a
-    quintic spline: no rate and no second derivative), or `periodic`: the table repeats, its first and last values
-    are equal, and it may be shorter than the run."""
+    quintic spline: no rate and no second derivative), or `periodic`: the table repeats, its first and last values are
+    equal, and it may be shorter than the run."""
 
     @staticmethod
     def columns(value: Any, key: str = "") -> Any:

@@ -1,7 +1,7 @@
 """The method of Dormand and Prince of order 8 with error estimates of orders 5 and 3 and dense output of order 7.
 
-A step has twelve stages; dense output evaluates four more. The coefficients are those published with the code DOP853
-of Hairer, Norsett and Wanner (1993), II.5 and II.6, to 30 digits.
+A step has twelve stages; dense output evaluates four more. The coefficients are those published with the code DOP853 of
+Hairer, Norsett and Wanner (1993), II.5 and II.6, to 30 digits.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Gauss-Legendre collocation, s stages, order 2 s: symmetric and symplectic.
 
 With s = 2 and 3 these are the s2IRK and s3IRK of the source paper (``guide/paper.md``). Table 4 of that paper misprints
-three coefficients of s = 3 (a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); the check of row sums
-refuses the printed tableau.
+three coefficients of s = 3 (a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); the check of row sums refuses
+the printed tableau.
 """
 
 from __future__ import annotations
@@ -68,8 +68,7 @@ class GaussOptions(ImplicitOptions):
 
 def _claims(options: GaussOptions) -> Claims:
     # A step size that depends on earlier steps differs in the reversed motion. Adaptive steps are therefore neither
-    # symmetric
-    # nor symplectic, although every single step conserves quadratic invariants.
+    # symmetric nor symplectic, although every single step conserves quadratic invariants.
     fixed = not options.adaptive
     return Claims(
         order=2 * options.stages if fixed else None,

@@ -382,16 +382,15 @@ class StepMethod(Method):
     """Base class of methods with fixed steps that are written in Python, one step at a time.
 
     A subclass has its options as attributes, and no attributes that change: data that one step passes to the next
-    belong to
-    the state. The method is used with the formulations named in its claims. If a run uses projection, the framework
-    changes positions and velocities between the steps, and does not change the other fields of the state, including
-    `memory`. A method that cannot work in this way must not claim projection among its `stabilizations`.
+    belong to the state. The method is used with the formulations named in its claims. If a run uses projection, the
+    framework changes positions and velocities between the steps, and does not change the other fields of the state,
+    including `memory`. A method that cannot work in this way must not claim projection among its `stabilizations`.
 
     Attributes
     ----------
     carries_multipliers
-        Whether every state returned by `step` has `multipliers`. They are recorded as ``method_multiplier``; the row
-        of the start contains the index-1 multipliers.
+        Whether every state returned by `step` has `multipliers`. They are recorded as ``method_multiplier``; the row of
+        the start contains the index-1 multipliers.
     hint
         Advice to the user, added to the message when a step fails.
 

@@ -45,8 +45,7 @@ class Hip(NamedTuple):
     """The hip of a leg.
 
     The frame of the trunk with its origin at the hip, the name of the body that carries the leg, and the position of
-    the hip
-    in the frame of this body [m].
+    the hip in the frame of this body [m].
     """
 
     frame: Frame

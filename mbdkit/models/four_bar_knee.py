@@ -17,20 +17,20 @@ straight leg, facing +x::
                    |   shank and foot
 
 Frames
-    The *thigh frame* has its origin at O; y points along the thigh from the knee to the hip, and x points forward.
-    The *shank frame* moves with the shank and coincides with the thigh frame when the leg is straight: y points from
-    the ankle to the knee, and x points to the side of the toes. Points of springs are given in these two frames. O is
-    the origin of the global frame.
+    The *thigh frame* has its origin at O; y points along the thigh from the knee to the hip, and x points forward. The
+    *shank frame* moves with the shank and coincides with the thigh frame when the leg is straight: y points from the
+    ankle to the knee, and x points to the side of the toes. Points of springs are given in these two frames. O is the
+    origin of the global frame.
 Angles
     `thigh_angle` is the absolute angle of the direction from hip to knee, from the +x axis: 0 for a seated person with
     a horizontal thigh, -pi/2 for a standing person. `flexion` is 0 for the straight leg and positive (clockwise) in
     flexion: body `shank` has the angle ``thigh_angle + pi/2 - flexion``.
 Linkage
     Lengths and pitches are those of the knee of a lower-limb exoskeleton for a height of 1.78 m; lengths scale with
-    `height`. The source places the midpoint of the tibial link on the axis of the shank, 9 mm below O, and states
-    9 mm above O for the femoral link. The closed linkage contradicts the latter (the midpoints differ in height by
-    24 mm, not 18 mm), and the source does not use it. Here the tibial link is mounted as in the source, and closure
-    determines the femoral link: its midpoint is 15 mm above O and 8 mm in front of it.
+    `height`. The source places the midpoint of the tibial link on the axis of the shank, 9 mm below O, and states 9 mm
+    above O for the femoral link. The closed linkage contradicts the latter (the midpoints differ in height by 24 mm,
+    not 18 mm), and the source does not use it. Here the tibial link is mounted as in the source, and closure determines
+    the femoral link: its midpoint is 15 mm above O and 8 mm in front of it.
 Masses
     Shank and foot form one body, with Winter's fractions of body mass and height and the foot at a right angle to the
     shank. The rods are uniform. Body frames have their origins at the centres of mass. The x axis of each rod points

@@ -115,8 +115,7 @@ class BezierCurve:
         """Return the x at which ``p y + q x = r``, computed by a fixed sequence of operations that can be traced.
 
         The left side is a Bezier curve with the same parameter. It must increase and reach r; p must not be negative,
-        and q
-        must be positive.
+        and q must be positive.
         """
         first, last = (q * x + p * y for x, y in ((self.x[0, 0], self.y[0, 0]), (self.x[-1, -1], self.y[-1, -1])))
         begins = [q * x + p * y for x, y in zip(self.x[1:, 0].tolist(), self.y[1:, 0].tolist(), strict=True)]
@@ -187,8 +186,7 @@ def _reached(points: Points, goal: Any, iterations: int) -> Any:
     """Return the parameter at which a segment reaches a value.
 
     Derivatives are computed in the last step only, in which the parameter is already known; they are those of the
-    inverse
-    function.
+    inverse function.
     """
     plain = without_slopes(goal)
     start, a, b, c = points

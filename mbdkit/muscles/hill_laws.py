@@ -120,8 +120,7 @@ def solved(p: Any, q: Any, r: Any) -> Any:
     """Return the solution y of ``p y + q sinh(y) = r``, where p and q are not negative and one of them is positive.
 
     Halley's method starts from the smaller of two upper bounds of abs(y). The solution is less than 1 away from there,
-    and
-    sinh bends little in between.
+    and sinh bends little in between.
     """
     size = np.where(r < 0.0, -r, r)
     steep = size / (q + TINY)

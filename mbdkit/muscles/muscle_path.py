@@ -4,13 +4,11 @@ Between two points a and b, the path is the shortest curve that passes each circ
 and arcs. With centers c_i, signed radii r_i (positive on the left side; 0 for a point) and d = c_j - c_i, a tangent has
 the direction ``angle(d) - asin((r_i - r_j) / |d|)`` and the length ``sqrt(|d|^2 - (r_i - r_j)^2)``. Circles are
 cylinders perpendicular to the plane, which can be unrolled: with the planar length s and the difference h of the
-offsets
-of a and b, the path has the length ``sqrt(s^2 + h^2)``.
+offsets of a and b, the path has the length ``sqrt(s^2 + h^2)``.
 
 The length is stationary with respect to the points of contact, so that only the centers contribute to its change:
 ``ds = sum over tangents of e . (dc_j - dc_i)``, where e are the unit vectors of the tangents. A tension F therefore
-acts
-on each body as the force ``F (e_out - e_in) s / length`` at the center of its circle, or at its point.
+acts on each body as the force ``F (e_out - e_in) s / length`` at the center of its circle, or at its point.
 """
 
 from __future__ import annotations
@@ -32,8 +30,7 @@ BEHIND = np.pi / 6
 """Lower limit of the angle that a path sweeps about the center of a circle, from the point before to the point after.
 
 The angle is counted from minus `BEHIND` to 2 pi minus `BEHIND`. It is negative for straight paths that pass the circle
-at
-a distance on its other side, and close to 2 pi for paths that turn by almost 2 pi around the circle.
+at a distance on its other side, and close to 2 pi for paths that turn by almost 2 pi around the circle.
 """
 
 WIDEST = np.pi

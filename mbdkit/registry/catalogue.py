@@ -62,8 +62,7 @@ class Report:
 
     `status` is ``ok``, ``clash`` (two distributions use the short name; the full id is still valid), ``error``, or
     ``disabled`` (an environment variable excludes the distribution, which was not imported). `kind` is None for an
-    entry
-    point that returned no items. `seconds` is the loading time of the entry point.
+    entry point that returned no items. `seconds` is the loading time of the entry point.
     """
 
     id: str

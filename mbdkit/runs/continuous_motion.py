@@ -358,8 +358,7 @@ def _brackets(values: np.ndarray, at: _At) -> tuple[np.ndarray, np.ndarray, np.n
     """Return brackets of the roots of a scalar with samples (G, P).
 
     They are the index of the row, the shares before and after the root, and the values at these shares. If three
-    samples
-    approach zero without a change of sign, the vertex of the parabola through them is sampled as well.
+    samples approach zero without a change of sign, the vertex of the parabola through them is sampled as well.
     """
     a, b, c = values[:, :-2], values[:, 1:-1], values[:, 2:]
     dips = (a * b > 0.0) & (b * c > 0.0) & (np.abs(b) <= np.abs(a)) & (np.abs(b) <= np.abs(c)) & (a != c)

@@ -54,8 +54,7 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     """Return the times at which the steps of a run end, apart from the fixed grid.
 
     With `all_knots`, points of tables close to the grid are stops as well; this is needed for a run of the same
-    mechanism
-    without this grid. Raises the errors of `RunSpec.mechanism`.
+    mechanism without this grid. Raises the errors of `RunSpec.mechanism`.
     """
     start, end = spec.time.start, spec.time.final
     found: list[tuple[Corner, bool]] = []
@@ -184,10 +183,9 @@ def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
     """Return whether steps have to end at a discontinuity.
 
     Fixed steps need not end at points of tables that are close to the grid. Fixed steps of methods of up to order 4
-    need
-    not end at points of quintic splines either, where only the fifth derivative is discontinuous. If a driver follows
-    such
-    a spline, this is the third derivative of the accelerations, and a step across the point has an error of order 4.
+    need not end at points of quintic splines either, where only the fifth derivative is discontinuous. If a driver
+    follows such a spline, this is the third derivative of the accelerations, and a step across the point has an error
+    of order 4.
     """
     step = spec.time.step
     if spec.claims.adaptive or step is None or not (corner.is_knot and corner.is_smooth):

@@ -409,7 +409,9 @@ class _Group:
         """
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in limits])
-        return np.asarray(~(largest <= smallest / 4))  # a joint has at most three rows
+        return np.asarray(
+            ~(largest <= smallest / 4)
+        )  # the residual of a joint with three rows is below 4 times its largest row
 
     def _recorded(
         self, members: Sequence[LaneMember], results: LaneResults, states: States

@@ -260,8 +260,8 @@ class LawRanges:
 def _cubics(states: np.ndarray) -> np.ndarray:
     """Return polynomials for length, rate and time between states (T, K, 3), as functions of the share of the step.
 
-    The length is the cubic with the lengths and rates at both ends, and the rate its derivative. The coefficients
-    (4, T - 1, K, 3) are ascending.
+    The length is the cubic with the lengths and rates at both ends, and the rate its derivative. The coefficients (4, T
+    - 1, K, 3) are ascending.
     """
     (s0, v0, t0), (s1, v1, _) = np.moveaxis(states[:-1], -1, 0), np.moveaxis(states[1:], -1, 0)
     h = states[1:, :, 2] - t0

@@ -103,8 +103,7 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     """Raise SpecError if the archive will not fit on its disk or in memory.
 
     The check is skipped if the number of rows is not known in advance, because wall time is limited, or because an
-    adaptive
-    method records its steps.
+    adaptive method records its steps.
     """
     rows = rows_expected(spec)
     if rows is None or spec.limits.wall_time is not None:

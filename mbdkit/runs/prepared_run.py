@@ -68,8 +68,8 @@ class PreparedRun:
         Parameters
         ----------
         parameters
-            Values by name of a parameter, or by key, such as ``model.springs.support.stiffness`` or
-            ``model.angles.0``: numbers, or texts with a unit such as ``"2 N/mm"``.
+            Values by name of a parameter, or by key, such as ``model.springs.support.stiffness`` or ``model.angles.0``:
+            numbers, or texts with a unit such as ``"2 N/mm"``.
         initial
             Initial values of kinematic quantities, such as ``crank.angle``, ``knee.angle`` (of a joint), ``foot.vx`` or
             ``crank.angular_velocity``. Of all states that satisfy the joints and these values, the run starts from the

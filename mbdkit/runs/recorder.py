@@ -90,8 +90,7 @@ class Recorder:
         self, workspace: Workspace, writer: RunWriter, guards: Guards = NO_GUARDS, ranges: LawRanges | None = None
     ):
         # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
-        # stepper,
-        # the rounding errors of steps and of recorded rows would depend on it too.
+        # stepper, the rounding errors of steps and of recorded rows would depend on it too.
         self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards
         mechanism = workspace.mechanism
         self._observer = StateObserver(self.workspace)

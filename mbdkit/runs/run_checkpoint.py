@@ -3,8 +3,7 @@
 A checkpoint is written between two stretches of steps, when all rows and crossings so far have been written to the
 archive. It contains the complete state of the stepper: positions and velocities with the compensation terms of their
 sums, step-size control, stage values, matrix factors and pivots. It also contains the state of the recorder and of
-event
-detection.
+event detection.
 """
 
 from __future__ import annotations

@@ -341,7 +341,7 @@ def _log(warnings: Iterable[str]) -> None:
 
 
 def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
-    """Let Ctrl-C raise KeyboardInterrupt, because the rows of an interrupted run would not be shown."""
+    """Return an empty context: Ctrl-C raises KeyboardInterrupt if the rows of an interrupted run are not used."""
     return nullcontext()
 
 

@@ -111,8 +111,7 @@ class StepEnds:
         """Return nodes (K, S) and coefficients (K, S, n) of the Newton form on the ends in `window` (NODES, S).
 
         Every node occurs three times in the divided differences, or twice without accelerations; the two ends of the
-        step
-        come first.
+        step come first.
         """
         is_end = (window == steps) | (window == steps + 1)
         window = np.take_along_axis(window, np.argsort(~is_end, axis=0, kind="stable"), axis=0)

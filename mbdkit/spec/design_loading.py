@@ -26,8 +26,7 @@ def load_design_spec(source: Any, assignments: Iterable[str] = (), **sections: A
     ----------
     source
         A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged design, a mapping, a document that
-        was read, or a `DesignSpec`.
-        The file name of a base is relative to the folder of the design file.
+        was read, or a `DesignSpec`. The file name of a base is relative to the folder of the design file.
     assignments
         Assignments to keys of the design spec, such as ``"optimizer.starts=8"``, with values in YAML.
     sections

@@ -60,8 +60,8 @@ def load_spec(source: Any, overrides: Iterable[str] = (), **sections: Any) -> Ru
     Parameters
     ----------
     source
-        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged example, a mapping, a
-        `Mechanism`, or a `RunSpec`.
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged example, a mapping, a `Mechanism`,
+        or a `RunSpec`.
     overrides
         Assignments such as ``"time.step=0.005"``, with values in YAML.
     sections

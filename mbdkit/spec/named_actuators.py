@@ -121,8 +121,8 @@ def actuators_of(
     Raises
     ------
     SpecError
-        If an actuator refers to an unknown joint or body, or to a joint whose coordinate is fixed, or has the name of
-        a residual.
+        If an actuator refers to an unknown joint or body, or to a joint whose coordinate is fixed, or has the name of a
+        residual.
     """
     if given:
         found = [_given(name, one, names) for name, one in given.items()]

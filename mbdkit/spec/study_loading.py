@@ -30,8 +30,8 @@ def load_study_spec(source: Any, assignments: Iterable[str] = ()) -> StudySpec:
     Parameters
     ----------
     source
-        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, a document
-        that was read, or a `StudySpec`. The file name of a base is relative to the folder of the study file.
+        A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged study, a mapping, a document that
+        was read, or a `StudySpec`. The file name of a base is relative to the folder of the study file.
     assignments
         Assignments with values in YAML. Keys of runs, as in ``"time.end=5"``, are set in the base of every run, after
         the `overrides` of the study. Keys of the sample, as in ``"sample.n=64"``, are set in the sample.

@@ -232,8 +232,7 @@ def swept(
         (2, k) impulses with which the sweeps begin, normal ones first.
     precision
         Change in a sweep, relative to the largest velocity, at which the sweeps end. If this is larger than the
-        default,
-        the result after `SWEEPS` sweeps is accepted in any case.
+        default, the result after `SWEEPS` sweeps is accepted in any case.
     """
     free, impulses = np.stack([normal, tangent], axis=1), np.ascontiguousarray(guess.T)
     size = float(np.max(np.abs(free), initial=0.0))

@@ -20,8 +20,7 @@ class Struck(NamedTuple):
     """Result of an impact.
 
     Velocities (n,) after it, impulses (C,) of the contacts [N s], impulses (m,) of the joint constraints, and whether
-    the
-    impact law was the one chosen for the run.
+    the impact law was the one chosen for the run.
     """
 
     v: np.ndarray

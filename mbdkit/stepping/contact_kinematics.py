@@ -159,8 +159,8 @@ class ContactKinematics:
         return margins
 
     def _chosen(self, states: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the indices of the features of the contacts with the indices `some` (k,), and lower bounds (k,) of
-        the gaps of those whose feature does not act.
+        """Return the indices of the features of the contacts with the indices `some` (k,), and lower bounds (k,) of the
+        gaps of those whose feature does not act.
 
         The bound is -inf for a contact whose feature acts.
         """

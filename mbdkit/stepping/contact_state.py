@@ -20,8 +20,7 @@ class ContactImpact(NamedTuple):
     """An impact of a contact.
 
     Time [s], index of the contact, its impulses [N s], energy lost at all contacts together [J], and impulses (J, 3) of
-    the
-    joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
+    the joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
     """
 
     time: float

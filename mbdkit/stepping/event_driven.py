@@ -272,8 +272,7 @@ class _Step:
         """Return three event functions of each contact (3, C), which are negative after an event.
 
         They belong to the normal direction (gap or force), to friction (slip or remaining friction force), and to the
-        place on
-        the edge of a polygon.
+        place on the edge of a polygon.
         """
         forced = self._forced(at)
         is_open, slips = self.modes == OPEN, np.abs(self.modes) == SLIP
@@ -453,12 +452,10 @@ class _Step:
         """Close contacts that would otherwise have an infinite sequence of impacts.
 
         These are the touching contacts that the impact opens with less energy than `rest_energy` and that would close
-        again.
-        The sequence may belong to one contact or to several in turn, as for a rocking block.
+        again. The sequence may belong to one contact or to several in turn, as for a rocking block.
 
         Returns the ends of these sequences, as impacts without impulses; their times are infinite for contacts that did
-        not
-        approach.
+        not approach.
         """
         forced, contacts, now = self._forced(self.now), self.contacts, self.now
         rows = forced.rows

@@ -29,8 +29,7 @@ class Taken:
     """A step with its projection.
 
     The state from which the step of the method starts, the state in which it ends (both before projection), and the
-    state
-    after projection. `correction` (4,) is a row of ``Stretch.corrections`` (`mbdkit.stepping.interface.Stretch`).
+    state after projection. `correction` (4,) is a row of ``Stretch.corrections`` (`mbdkit.stepping.interface.Stretch`).
     """
 
     begin: StepState

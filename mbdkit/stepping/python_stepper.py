@@ -89,8 +89,7 @@ class _Planned:
     """The next step.
 
     Its start and size [s], the time of a row at its end [s], whether it ends at a stop, and whether it ends a fixed
-    step
-    (which stops can divide).
+    step (which stops can divide).
     """
 
     begin: float

@@ -3,8 +3,8 @@
 With positions q_m = q_0 + h/2 v_0, at which gaps, their gradients and joints are evaluated, a step of the method of
 Moreau and Jean from (q_0, v_0) is
 
-    M (v_1 - v_0) = h (theta Q(t_1, q_1, v_1) + (1 - theta) Q(t_0, q_0, v_0)) + joints + contacts
-    q_1 = q_0 + h (theta v_1 + (1 - theta) v_0)
+    M (v_1 - v_0) = h (theta Q(t_1, q_1, v_1) + (1 - theta) Q(t_0, q_0, v_0)) + joints + contacts q_1 = q_0 + h (theta
+    v_1 + (1 - theta) v_0)
 
 where "joints" are impulses that make the velocities consistent, and "contacts" are impulses, by the laws of Newton and
 Coulomb, at the contacts that would overlap at the end. One iteration of Newton's method makes the forces implicit. Then

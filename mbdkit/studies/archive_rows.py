@@ -111,8 +111,7 @@ class ArchiveRows:
         """Return a row to which the measures that need a second run are added.
 
         They are taken from the outcome `made` if this call has computed the second run, otherwise from `before`, the
-        row of the
-        run in the previous index.
+        row of the run in the previous index.
         """
         if not self.again:
             return replace(row, second_run="")

@@ -89,8 +89,7 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
     """Describe the errors against the reference in words.
 
     The text gives their range, the number of runs that stay near the reference, and the sequences of runs that cost
-    least
-    at an error.
+    least at an error.
     """
     if not study.references:
         return []

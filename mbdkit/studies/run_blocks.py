@@ -46,11 +46,9 @@ class RunBlocks(RunStore[int]):
     """Blocks of many runs, which are assigned to shards (parts of the study) in turn.
 
     A block is complete if its file is sound and no run in it failed for a reason outside the study. If its file has
-    changed
-    since it was indexed, the block is read again and its hashes are verified. A change is detected by the time (ctime)
-    that
-    the system records whenever the content, the modification time or the name of a file changes; programs cannot set
-    it.
+    changed since it was indexed, the block is read again and its hashes are verified. A change is detected by the time
+    (ctime) that the system records whenever the content, the modification time or the name of a file changes; programs
+    cannot set it.
     """
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):

@@ -38,8 +38,8 @@ class Sensitivity:
     left_out
         Number of members that are not used, because one of their runs failed or has no value.
     reason
-        Why the indices are nan, as a sentence; empty if they are known. An index whose interval covers 0 to 1 is nan
-        as well.
+        Why the indices are nan, as a sentence; empty if they are known. An index whose interval covers 0 to 1 is nan as
+        well.
     """
 
     measure: str

@@ -240,9 +240,8 @@ class Study(HtmlView):
         Raises
         ------
         MbdkitError
-            If the run has no results, if its file contains another run, or if its data, measures, counters and
-            verdict are not bitwise identical to those in the index. Timings and measures of second runs are not
-            compared.
+            If the run has no results, if its file contains another run, or if its data, measures, counters and verdict
+            are not bitwise identical to those in the index. Timings and measures of second runs are not compared.
         """
         chosen = self._point(point)
         if not chosen.row.data_sha256:
@@ -279,8 +278,8 @@ class Study(HtmlView):
         ----------
         condition
             Comparisons of columns, numbers and quoted text, such as ``misalignment_max < 1e-6 and status == 'failed'``;
-            with ``and``, ``or``, ``not``, ``in [...]``, ``+ - * / **``, abs, sqrt, log10 and isnan. It is not
-            evaluated as Python.
+            with ``and``, ``or``, ``not``, ``in [...]``, ``+ - * / **``, abs, sqrt, log10 and isnan. It is not evaluated
+            as Python.
 
         Raises
         ------
@@ -402,8 +401,8 @@ class Study(HtmlView):
             Labels on the axes by dotted key, and the name of the family by ``family``; only runs with these labels are
             used. Required if the sample is repeated for several labels or families.
         times
-            (K,) times [s], between which rows are interpolated linearly. By default the recorded times if they are
-            the same in all runs, at most 501 of them, otherwise 201 equally spaced ones.
+            (K,) times [s], between which rows are interpolated linearly. By default the recorded times if they are the
+            same in all runs, at most 501 of them, otherwise 201 equally spaced ones.
 
         Returns
         -------

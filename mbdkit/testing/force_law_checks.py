@@ -248,8 +248,7 @@ def _slopes(
     """Return several finite differences, each (N,).
 
     They are central differences of order 2 and 4, forward and backward ones of order 2, and two that do not use the
-    value at
-    the place itself, where the function may jump.
+    value at the place itself, where the function may jump.
     """
     moved = {}
     for steps in (-2, -1, 1, 2):

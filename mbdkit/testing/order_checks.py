@@ -62,8 +62,8 @@ FINEST = 3
 def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the reference state and multipliers at the end, and the rounding error of the state.
 
-    They are computed by Gauss collocation with 6 stages in 60 steps per second; the rounding error is the difference
-    to 75 steps per second.
+    They are computed by Gauss collocation with 6 stages in 60 steps per second; the rounding error is the difference to
+    75 steps per second.
     """
     from mbdkit.runs.simulation import run
 

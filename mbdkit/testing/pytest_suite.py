@@ -23,8 +23,7 @@ class Case:
     """A check of a plugin as a test; calling the object runs the check.
 
     A failure raises AssertionError, and a remark issues a ConformanceWarning. A check that does not apply, or whose
-    property
-    is not claimed, is skipped.
+    property is not claimed, is skipped.
     """
 
     kind: Kind

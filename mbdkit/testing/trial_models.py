@@ -9,7 +9,7 @@ Model = dict[str, Any]
 
 
 def _rod(length: float, mass: float, joint: tuple[float, float], angle: float, rate: float = 0.0) -> Model:
-    """Return a uniform rod at rest whose left end is at `joint`."""
+    """Return a uniform rod whose left end is at rest at `joint`; the rod rotates at `rate` [rad/s]."""
     c, s, r = math.cos(angle), math.sin(angle), length / 2
     return {
         "mass": mass,

@@ -88,8 +88,7 @@ APART = 100.0
 """Factor between the tolerances of the first two recorded pilots.
 
 Errors of single runs scatter about the tolerance by a factor of up to 10, so that runs with closer tolerances may
-differ
-by less than their errors. A factor of 10 would cost 15 % more.
+differ by less than their errors. A factor of 10 would cost 15 % more.
 """
 
 AIM = 0.25
@@ -254,8 +253,7 @@ def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice 
     method.
 
     None if the spec gives the method, or if rounding errors are not the limit. Fixed steps of high order are far fewer
-    than
-    adaptive steps at the tightest tolerance, and accumulate fewer rounding errors.
+    than adaptive steps at the tightest tolerance, and accumulate fewer rounding errors.
     """
     if spec.choose != "method" or choice.limited != ROUNDING or choice.candidate.integrator["name"] == GAUSS["name"]:
         return None
@@ -288,8 +286,7 @@ class _Search:
         """Choose a tolerance by recorded pilots with decreasing tolerances, until one is accurate enough.
 
         The last pilot serves as the run, and its error is estimated from the previous ones. Returns None if stability
-        limits
-        the steps, or if they are too many to be recorded.
+        limits the steps, or if they are too many to be recorded.
         """
         runs: list[RecordedPilot] = []
         setting = min(max(_rounded(self.asked), APART * TIGHTEST), LOOSEST)
@@ -335,7 +332,9 @@ class _Search:
         return float(np.nan_to_num(np.max(share), nan=math.inf))
 
     def is_stiff(self, runs: list[RecordedPilot]) -> bool:
-        """Return whether the last pilots take more than `MANY_STEPS` steps whose size is limited by stability."""
+        """Return whether stability limits the steps of the last pilot run: there are many, and hardly more than with
+        the larger tolerance of the run before.
+        """
         return runs[-1].steps > MANY_STEPS and runs[-1].steps <= STIFF * runs[-2].steps
 
     def next_tolerance(self, runs: list[RecordedPilot], differences: list[float], error: float) -> float:
@@ -382,13 +381,12 @@ class _Search:
         return [*runs, self.pilot(candidate, _setting(candidate, coarse / factor), most_steps)]
 
     def first(self, candidate: Candidate) -> tuple[float, float]:
-        """Return the setting of the first pilot, and the factor from it to that of the second."""
+        """Return the tolerance or step [s] of the first pilot run, and the divisor that gives that of the second."""
         spec = self.spec
         if candidate.adaptive:
             given = candidate.integrator.get("rtol") if spec.choose == "step" else None
             # Pilots have larger tolerances than the run, so that they cost less: the tolerance decreases by one decade
-            # if the
-            # requested accuracy decreases by three.
+            # if the requested accuracy decreases by three.
             loose = LOOSEST * (self.asked / LOOSEST) ** (1 / 3)
             return min(max(_rounded(float(given or loose)), TENTH * TIGHTEST), LOOSEST), TENTH
         span = spec.time.final - spec.time.start

@@ -45,12 +45,14 @@ TIGHTEST = 1e-13
 """Smallest tolerance of a companion; below it, rounding errors dominate."""
 
 GUARD_TOLERANCE = 1e-13
-"""Tolerance of the guard DOP853. Its error must be small compared with that of the run, or the estimate is too
+"""Tolerance of the guard run by DOP853. Its error must be small compared with that of the run, or the estimate is too
 large.
 """
 
 IMPLICIT_GUARD_TOLERANCE = 1e-11
-"""Tolerance of an implicit guard; larger, because implicit methods of lower order need more steps."""
+"""Tolerance of an implicit guard run. It is larger than that of DOP853, because implicit methods of lower order need
+more steps.
+"""
 
 GUARD_STEPS = (20_000, 40)
 """Largest number of steps of a guard: a constant, and a multiple of the number of steps of the run, which are added.

@@ -214,9 +214,8 @@ def can_be_recorded(spec: RunSpec) -> bool:
     """Return whether a pilot of a spec can store the ends of all its steps, between which states are interpolated.
 
     The method has to be explicit with adaptive steps: in stiff mechanisms, which need implicit methods, accelerations
-    are
-    too inaccurate for interpolation. No driver may cause impulses, which make velocities discontinuous. The caller also
-    excludes events and first-order states.
+    are too inaccurate for interpolation. No driver may cause impulses, which make velocities discontinuous. The caller
+    also excludes events and first-order states.
     """
     return (
         spec.claims.adaptive

@@ -55,8 +55,8 @@ def ball(t: np.ndarray) -> np.ndarray:
 
 
 def _block(friction: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the distance [m] of a block along an incline of 30 degrees, as a function of time; it starts uphill with
-    2 m/s.
+    """Return the distance [m] of a block along an incline of 30 degrees, as a function of time; it starts uphill with 2
+    m/s.
     """
     pull, hold = 0.5 * G, friction * math.cos(math.radians(30.0)) * G
     stop = 2.0 / (pull + hold)

@@ -73,8 +73,7 @@ def _exponent(numbers: np.ndarray, seconds: np.ndarray) -> float:
     """Return the exponent with which time grows with the number of bodies, over the upper two thirds of the numbers.
 
     It is the median of the slopes between all pairs (Theil-Sen estimator), which is robust against single runs that
-    were
-    slow because the machine was busy.
+    were slow because the machine was busy.
     """
     upper = (numbers >= np.max(numbers, initial=0.0) / 3) & np.isfinite(seconds)
     if upper.sum() < 2:
