@@ -87,6 +87,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("muscles", _muscles(run)),
         ("contact", _contact_forces(run)),
         ("contacts", _contacts(run)),
+        ("impacts", _impacts(run)),
         ("reserves", _reserves(run)),
         ("events", _events(run)),
         *_gradients(run),
@@ -403,6 +404,26 @@ def _contacts(run: Run) -> str:
     parts.sort(key=lambda one: -one[0])
     more = f"; {len(parts) - JOINTS_NAMED} more" if len(parts) > JOINTS_NAMED else ""
     return "; ".join(text for _, text in parts[:JOINTS_NAMED]) + more
+
+
+def _impacts(run: Run) -> str:
+    """Return the number of impacts of each contact, their largest impulse and the energy that they lose.
+
+    Time-stepping does not locate impacts; the text then says that contact forces include them.
+    """
+    if (run.spec.get("contact") or {}).get("treatment") == "time-stepping":
+        return "not located: the contact force of a step with an impact includes its impulse, divided by the step"
+    impacts = run.impacts
+    if not len(impacts.time):
+        return ""
+    names, counts = np.unique(impacts.contact.astype(str), return_counts=True)
+    shown = [f"{name} {count}" for name, count in zip(names, counts, strict=True)]
+    more = f", {len(shown) - JOINTS_NAMED} more" if len(shown) > JOINTS_NAMED else ""
+    lost = impacts.energy_lost[np.unique(impacts.time, return_index=True)[1]].sum()  # the same for all at one time
+    return (
+        f"{len(impacts.time)} ({', '.join(shown[:JOINTS_NAMED])}{more}), impulses up to "
+        f"{np.max(np.abs(impacts.normal_impulse)):.4g} N s, {lost:.4g} J lost; contact forces do not include impulses"
+    )
 
 
 def _contact_forces(run: Run) -> str:

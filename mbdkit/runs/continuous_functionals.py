@@ -160,16 +160,17 @@ class ContinuousFunctionals:
         some = slice(begin, end)
         time, q, v, z = (np.array(x[some]) for x in (ends.time, ends.q, ends.v, ends.z))
         sides, has_states = (ends.begin, ends.end), z.shape[1] > 0
-        accelerations, is_rigid = None, self._workspace.mechanism.contact_treatment.is_rigid
+        accelerations, treatment = None, self._workspace.mechanism.contact_treatment
         if self._uses_accelerations or has_states:
             observed = observed_at(self._observer, np.clip(time, *sides), q, v, z)
-            if is_rigid or not has_states:
+            if treatment.is_rigid or not has_states:
                 accelerations = observed.acc
             else:  # the second derivatives of first-order states are not known
                 q, v = np.column_stack([q, z]), np.column_stack([v, observed.state_rates])
         steps = range(first - begin, first - begin + count)
-        held = z if is_rigid else None
-        return MotionPart(self._observer, self._names, StepEnds(time, q, v, accelerations, held), steps, sides)
+        held = z if treatment.is_rigid else None
+        states = StepEnds(time, q, v, accelerations, held, is_linear=treatment.kind == "time-stepping")
+        return MotionPart(self._observer, self._names, states, steps, sides)
 
     def _is_within(self, one: Functional, span: tuple[float, float]) -> bool:
         """Return whether the time of a value is within a span of times, and the value is not yet known."""

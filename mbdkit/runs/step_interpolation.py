@@ -43,6 +43,9 @@ class StepEnds:
         derivatives.
     held
         (N, Z) forces of rigid contacts, which have no rates and are linear over each step; None without them.
+    is_linear
+        Whether positions and velocities are linear over each step too, as in time-stepping methods, whose steps contain
+        impacts: polynomials of a higher degree would overshoot there.
     """
 
     time: np.ndarray
@@ -50,15 +53,20 @@ class StepEnds:
     v: np.ndarray
     a: np.ndarray | None
     held: np.ndarray | None = None
+    is_linear: bool = False
 
     def held_at(self, times: np.ndarray) -> np.ndarray:
         """Return the forces of rigid contacts at times (T,) [s]: (T, Z)."""
-        held = np.zeros((len(self.time), 0)) if self.held is None else self.held
-        columns = [np.interp(times, self.time, column) for column in held.T]
+        return self._linear(times, np.zeros((len(self.time), 0)) if self.held is None else self.held)
+
+    def _linear(self, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+        columns = [np.interp(times, self.time, column) for column in values.T]
         return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
 
     def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities at times (T,) from the first to the last end [s], in order."""
+        if self.is_linear:
+            return self._linear(times, self.q), self._linear(times, self.v)
         step = np.clip(np.searchsorted(self.time, times, side="right") - 1, 0, len(self.time) - 2)
         used, place = np.unique(step, return_inverse=True)
         nodes, newton = self._newton(used)

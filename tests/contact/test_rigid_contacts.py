@@ -79,6 +79,21 @@ def test_measures_do_not_interpolate_across_impacts() -> None:
     assert found.measures == pytest.approx({"low": 0.1, "fast": np.sqrt(2 * G), "area": area}, rel=1e-10)
 
 
+def test_a_step_with_an_impact_has_no_overlap_that_its_ends_lack() -> None:
+    """Between the ends of a step that contains an impact, positions of time-stepping methods are linear."""
+    spec = {"mbdkit": 1, "model": {"name": "mechanism"} | ball(0.5), "measures": {"least": "min(contacts.floor.gap)"}}
+    by_steps: dict[str, Any] = {"integrator": {"name": "moreau-jean"}, "contact": {"treatment": "time-stepping"}}
+    found = mbdkit.run(spec, **by_steps, time={"end": 1.0, "step": 0.01})
+    assert found.measures["least"] == pytest.approx(found.contacts["floor"].gap.min(), abs=1e-12)
+    assert "contact force of a step with an impact includes its impulse" in found.summary()
+
+
+def test_the_summary_counts_impacts() -> None:
+    # expected: impulse m (1 + e) sqrt(2 g h) and energy m g h (1 - e^2) of the first impact of a ball of 2 kg
+    summary = run(ball(0.5), 0.6, 0.05).summary()
+    assert f"1 (floor 1), impulses up to {3.0 * np.sqrt(2 * G):.4g} N s, {1.5 * G:.4g} J lost" in summary
+
+
 def block(mu: float) -> dict[str, Any]:
     angle = np.radians(30.0)
     along, normal = np.array([np.cos(angle), np.sin(angle)]), [-np.sin(angle), np.cos(angle)]
