@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import empty_pattern, new_factors
 from mbdkit.engine.formulation import INDEX_1, Formulation
-from mbdkit.engine.kernels.bundle_types import RECORD, STATE, State
+from mbdkit.engine.kernels.bundle_types import RECORD, STATE, RealMatrix, State
 from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.system import Scatter
 from mbdkit.engine.native.bundle import bundle_loader
@@ -194,7 +194,7 @@ class FirstAcceleration(NamedTuple):
 
     acc: np.ndarray
     """(3 (B + 1),)."""
-    lam: np.ndarray
+    lam: Annotated[RealMatrix, 2]
     """(P, 2) its multipliers."""
     known: np.ndarray
     """(1,) whether it has been evaluated."""
@@ -208,8 +208,8 @@ class TangentState(NamedTuple):
     q: np.ndarray
     v: np.ndarray
     acc: np.ndarray
-    lam: np.ndarray
-    jac: np.ndarray
+    lam: Annotated[RealMatrix, 2]
+    jac: Annotated[RealMatrix, 12]
     """(P, 12) constraint Jacobian at this state."""
 
 

@@ -5,14 +5,14 @@ The tableau can have more stages than the step requires; the additional ones are
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, state_rates, take_states
 from mbdkit.engine.kernels.articulated import ARTICULATED, articulated_accelerations
-from mbdkit.engine.kernels.bundle_types import State
+from mbdkit.engine.kernels.bundle_types import RealMatrix, State
 from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare, solve_accelerations
 from mbdkit.engine.kernels.tree import (
     BODY,
@@ -86,7 +86,7 @@ class Explicit(NamedTuple):
     """(E, Z) derivatives of the first-order states at the stages."""
     q_stage: np.ndarray
     z_stage: np.ndarray
-    lam: np.ndarray
+    lam: Annotated[RealMatrix, 2]
     power: State
     """(E, 2) power of loads and drivers, and dissipated power, at the stages [W]."""
     weights: np.ndarray
@@ -264,7 +264,7 @@ def add_up_stages(c, m, t, h):
     _increment(h, m.b, m.rates, c.dq)
     _increment(h, m.b, m.accelerations, c.dv)
     if is_relative(m):
-        _end_of_step(c, m.relative, t + h)
+        end_of_step(c, m.relative, t + h)
     if len(c.dz) > 0:
         _increment(h, m.b, m.z_rates, c.dz)
     if c.has_power[0] != 0:
@@ -275,7 +275,7 @@ def add_up_stages(c, m, t, h):
 
 
 @subkernel
-def _end_of_step(c, r, t):
+def end_of_step(c, r, t):
     """Place the bodies at the end `t` of the step; replace the increments of coordinates by those of the bodies.
 
     The step loop adds the increments by compensated sums. Coordinates that are part of the state are therefore added up

@@ -42,7 +42,7 @@ from mbdkit.stepping.explicit import (
     V_STAGE,
     Relative,
     Y,
-    _end_of_step,
+    end_of_step,
     new_relative,
 )
 from mbdkit.stepping.run_state import AT_START_OF_LAST, FACTORIZATIONS, RHS, keep_node, load_run_state
@@ -247,7 +247,7 @@ def attempt(run, method, t, h, want_error):
         m.is_expanded[0] = 1
     _increments(m, h, c.dq, c.dv)
     _integrate_power(c, m, t, h, c.gain)
-    _end_of_step(c, m.relative, t + h)
+    end_of_step(c, m.relative, t + h)
     if not (stays_finite(c.from_q, c.dq) and stays_finite(c.from_v, c.dv)):
         return NOT_FINITE
     if want_error != 0.0:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import pkgutil
 from collections import defaultdict
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import mbdkit
@@ -14,9 +17,13 @@ from mbdkit import stepping
 from mbdkit.engine import kernels
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.native.bundle import LOADERS, PinnedBundle
+from mbdkit.expressions import operations
 from mbdkit.runs.batch import simulate_batch
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
+
+COMPILED = {"subkernel", "inlined", "kernel", "entry", "law_function"}
+"""Decorators of functions that are compiled."""
 
 RUNS: dict[str, dict[str, Any]] = {
     "rk4": {"integrator": {"name": "rk4"}},
@@ -86,3 +93,30 @@ def test_bundles_of_runs_have_the_types_that_kernels_are_compiled_for(pinned: li
     assert {type(bundle).__name__ for bundle in pinned} == set(expected)
     for bundle in pinned:
         assert types_of(bundle) in expected[type(bundle).__name__], type(bundle).__name__
+
+
+def test_an_array_whose_size_is_not_the_declared_one_is_refused() -> None:
+    """Compiled code takes declared sizes for granted; with another one, it would read and write other elements."""
+    workspace, _ = build(load_spec("double-pendulum"))
+    with pytest.raises(TypeError, match=r"an array of Topology has shape \(3, 4\); axis 1 must have 3"):
+        PinnedBundle(workspace.mechanism.topology._replace(mass=np.ones((3, 4))))
+
+
+def test_kernels_have_no_indices_from_the_end() -> None:
+    """Compiled code does not check whether an index is negative; see `mbdkit.engine.compiler.indices`."""
+    rooms = [Path(room.__path__[0]) for room in (kernels, stepping)]
+    files = [*(file for room in rooms for file in room.glob("*.py")), Path(str(operations.__file__))]
+    found = []
+    for file in files:
+        for function in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(function, ast.FunctionDef) and COMPILED & {
+                ast.unparse(one) for one in function.decorator_list
+            }:
+                found += [
+                    f"{file.name}: {ast.unparse(node)}"
+                    for node in ast.walk(function)
+                    if isinstance(node, ast.Subscript)
+                    for index in (node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice])
+                    if isinstance(index, ast.UnaryOp) and isinstance(index.op, ast.USub)
+                ]
+    assert found == []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from llvmlite import ir
@@ -12,7 +12,7 @@ from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, lower_getattr_generic, models, register_model
 
 from mbdkit.engine.compiler.implementation import implement
-from mbdkit.engine.native.bundle import ARRAY_FIELDS, LOADERS
+from mbdkit.engine.native.bundle import ARRAY_FIELDS, LOADERS, axes_of
 
 
 class Pointer(types.Type):
@@ -57,7 +57,21 @@ def _read(context, builder, kind, value, name):
         return builder.bitcast(place, value.type)
     found = builder.load(place)
     found.set_metadata("invariant.load", builder.module.add_metadata([]))
-    return found
+    return _with_sizes(builder, found, kind.bundle.types[index], axes_of(kind.bundle.instance_class)[index])
+
+
+def _with_sizes(builder: Any, array: Any, kind: Any, axes: Mapping[int, int]) -> Any:
+    """Return an array whose declared sizes, and the strides that follow from them, are constants for LLVM."""
+    word = ir.IntType(64)
+    shape, strides = ARRAY_FIELDS.index("shape"), ARRAY_FIELDS.index("strides")
+    for axis, size in axes.items():
+        array = builder.insert_value(array, word(size), [shape, axis])
+    if isinstance(kind, types.Array) and axes:  # arrays of items have strides of their own, which nothing reads
+        stride = kind.dtype.bitwidth // 8
+        for axis in range(kind.ndim - 1, min(axes) - 2, -1):
+            array = builder.insert_value(array, word(stride), [strides, axis])
+            stride *= axes.get(axis, 0)
+    return array
 
 
 def define_loaders() -> None:

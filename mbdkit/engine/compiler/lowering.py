@@ -8,7 +8,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from mbdkit.engine.compiler import bundle_pointers, call_code, dual_complex, lane_complex, object_code  # noqa: F401
+from mbdkit.engine.compiler import (  # noqa: F401
+    bundle_pointers,
+    call_code,
+    dual_complex,
+    indices,
+    lane_complex,
+    object_code,
+)
 from mbdkit.engine.compiler.implementation import check_placeholders, define_overloads
 from mbdkit.engine.native.functions import ENTRIES, KERNELS, LAWS
 
@@ -31,6 +38,7 @@ def symbols() -> dict[str, Callable[[], Any]]:
 def prepare() -> None:
     """Define everything that kernels use for Numba, and initialize LLVM; call once, after `symbols`."""
     define_overloads()
+    indices.count_from_zero()
     bundle_pointers.define_loaders()
     check_placeholders()
     object_code.initialize()

@@ -126,7 +126,7 @@ def _numba_type(kind: Any) -> Any:
         return _SCALARS[kind]
     if hasattr(kind, "_fields"):
         return Pointer(typeof(example_of(kind)))
-    _, number, dimensions = get_args(kind)
+    _, number, dimensions = get_args(kind)[:3]
     return types.Array(from_dtype(dtype(number)), dimensions, "C")
 
 

@@ -23,7 +23,7 @@ from mbdkit.engine.native.arithmetic import (
     value_of,
     where,
 )
-from mbdkit.engine.native.functions import inlined, overload
+from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 FAR = 1e5
 """Angle [rad] above which the reduction is not exact."""
@@ -58,6 +58,52 @@ def _of_dual(x):
 
 @inlined
 def _cosine_and_sine(x):
+    c, s = _of_near(x)
+    is_far = abs(x) >= FAR
+    if any_of(is_far):
+        s, c = where(is_far, sine_of_each(x), s), where(is_far, cosine_of_each(x), c)
+    return c, s
+
+
+@subkernel
+def cosines_and_sines(q, cs):
+    """Write cosine and sine of every third number of `q`, beginning with the third, to the rows of `cs` but the last.
+
+    LLVM vectorizes the first loop, which calls no function of the C library.
+    """
+    is_far = _is_far(q[2])
+    for b in range(len(cs) - 1):
+        cs[b, 0], cs[b, 1] = _near(q[3 * b + 2])
+        is_far = is_far | _is_far(q[3 * b + 2])
+    if any_of(is_far):
+        for b in range(len(cs) - 1):
+            cs[b, 0], cs[b, 1] = cosine_and_sine(q[3 * b + 2])
+
+
+@inlined
+def _is_far(x):
+    return abs(value_of(x)) >= FAR
+
+
+def _near(x):
+    """Return cosine and sine of an angle that is not far."""
+    return _of_near(x)
+
+
+@overload(_near)
+def _typed_near(x):
+    if is_dual(x):
+        return _of_near_dual
+    return lambda x: _of_near(x)
+
+
+def _of_near_dual(x):
+    c, s = _of_near(value_of(x))
+    return chain(x, c, -s), chain(x, s, c)
+
+
+@inlined
+def _of_near(x):
     quarters = nearest(x * _QUARTERS)
     first = x - quarters * _HALF_PI_1
     step = quarters * _HALF_PI_2
@@ -78,7 +124,4 @@ def _cosine_and_sine(x):
     s, c = where(is_odd, cosine, sine), where(is_odd, sine, cosine)
     s = where(quadrant >= 2.0, -s, s)
     c = where((quadrant == 1.0) | (quadrant == 2.0), -c, c)
-    is_far = abs(x) >= FAR
-    if any_of(is_far):
-        s, c = where(is_far, sine_of_each(x), s), where(is_far, cosine_of_each(x), c)
     return c, s

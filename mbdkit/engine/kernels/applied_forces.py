@@ -68,7 +68,7 @@ def pathway_lengths(top, w, q):
             pulley_gradient(k, a, b, q, cs, points, s, grad)
         elif springs[k, 0] == _LIFTED:
             lifted_gradient(k, a, b, q, cs, points, s, grad)
-            if springs[k - 1, 0] == _TANGENT:
+            if k >= 2 and springs[k - 1, 0] == _TANGENT:  # the straight line of a string that may touch a circle
                 choose_side_of_circle(k, points, s, grad)
         elif springs[k, 0] == _TRAVEL:
             travel_gradient(k, a, b, q, cs, points, s, grad)

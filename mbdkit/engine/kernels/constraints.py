@@ -7,7 +7,7 @@ solver needs no code for other block sizes.
 
 from __future__ import annotations
 
-from mbdkit.engine.kernels.angles import cosine_and_sine
+from mbdkit.engine.kernels.angles import cosines_and_sines
 from mbdkit.engine.kernels.element_kernels import (
     CONSTRAINT_KINDS,
     constraint_accelerations,
@@ -28,5 +28,4 @@ def turn_bodies(q, cs):
 
     They are computed once per position, because every element on a body needs them.
     """
-    for b in range(len(cs) - 1):
-        cs[b, 0], cs[b, 1] = cosine_and_sine(q[3 * b + 2])
+    cosines_and_sines(q, cs)

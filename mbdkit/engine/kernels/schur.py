@@ -9,7 +9,7 @@ follow this schedule.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix
 from mbdkit.engine.native.arithmetic import is_refused, usable
@@ -29,16 +29,16 @@ class Schur(NamedTuple):
     update: IntVector
     """Targets of the updates: for each column and each two of its blocks, in order of use, the block from which their
     product is subtracted."""
-    coupling: IntMatrix
+    coupling: Annotated[IntMatrix, 6]
     """(C, 6) contributions to S off the diagonal, one for each shared body: block; pair of the block's row and first
     column of the body in its Jacobian; pair of the block's column and the same; body."""
-    diagonal: RealMatrix
+    diagonal: Annotated[RealMatrix, 3]
     """(P, 3) entries (xx, xy, yy) of the inverse pivot blocks."""
-    whole: RealMatrix
+    whole: Annotated[RealMatrix, 2]
     """(P, 2) entries xx and yy of the diagonal blocks before elimination."""
-    below: RealMatrix
+    below: Annotated[RealMatrix, 4]
     """(E, 4) blocks of the unit lower factor, row by row."""
-    scaled: RealMatrix
+    scaled: Annotated[RealMatrix, 4]
     """(E, 4) scratch array: blocks of S, later of L D, that is, before multiplication by the inverse pivot block."""
 
 
@@ -78,14 +78,16 @@ def factor(top, jac, schur):
         scaled[e, 0] = scaled[e, 1] = scaled[e, 2] = scaled[e, 3] = 0.0
     for c in range(len(coupling)):  # block J_r M^-1 J_k^T, restricted to the columns of one shared body
         e, r, i0, k, j0, body = coupling[c]
+        s00, s01, s10, s11 = scaled[e, 0], scaled[e, 1], scaled[e, 2], scaled[e, 3]
         for i in range(3):
             w = weight[body, i]
             r0, r1 = w * jac[r, i0 + i], w * jac[r, i0 + 6 + i]
             k0, k1 = jac[k, j0 + i], jac[k, j0 + 6 + i]
-            scaled[e, 0] += r0 * k0
-            scaled[e, 1] += r0 * k1
-            scaled[e, 2] += r1 * k0
-            scaled[e, 3] += r1 * k1
+            s00 += r0 * k0
+            s01 += r0 * k1
+            s10 += r1 * k0
+            s11 += r1 * k1
+        scaled[e, 0], scaled[e, 1], scaled[e, 2], scaled[e, 3] = s00, s01, s10, s11
     u = 0
     for k in range(n):
         d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]

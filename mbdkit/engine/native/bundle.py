@@ -38,6 +38,19 @@ def fields_of(bundle: Any) -> tuple[Any, ...]:
     return tuple(get_type_hints(bundle, include_extras=True).values())
 
 
+@cache
+def axes_of(bundle: Any) -> tuple[dict[int, int], ...]:
+    """Return the sizes that the class of a bundle declares for each of its fields, by axis.
+
+    ``Annotated[RealMatrix, 3]`` declares that the second axis has size 3; see `mbdkit.engine.kernels.bundle_types`.
+    """
+    found: list[dict[int, int]] = []
+    for kind in fields_of(bundle):
+        dimensions, *sizes = get_args(kind)[2:] or [0]
+        found.append({dimensions - len(sizes) + i: size for i, size in enumerate(sizes)})
+    return tuple(found)
+
+
 def bundle_loader(example: Callable[[], tuple[Any, ...]]) -> Any:
     """Return a function for compiled code that turns an address into the bundle stored there.
 
@@ -70,10 +83,21 @@ def array_words(x: np.ndarray) -> tuple[int, ...]:
 
 
 def words_of(bundle: Any) -> list[int]:
-    """Return a bundle as words: the members of each of its arrays."""
+    """Return a bundle as words: the members of each of its arrays.
+
+    Raises
+    ------
+    TypeError
+        If an axis of an array does not have its declared size.
+    """
     words: list[int] = []
-    for x in bundle:
+    for x, axes in zip(bundle, axes_of(type(bundle)), strict=True):
         words += words_of(x) if isinstance(x, tuple) else array_words(x)
+        for axis, size in axes.items():
+            if x.shape[axis] != size:
+                raise TypeError(
+                    f"an array of {type(bundle).__name__} has shape {x.shape}; axis {axis} must have {size}"
+                )
     return words
 
 

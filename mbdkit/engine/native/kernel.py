@@ -125,7 +125,7 @@ def _check_bundle(kind: Any, bundle: Any) -> None:
 
 
 def _check_array(kind: Any, x: Any) -> None:
-    _, dtype, dimensions = get_args(kind)
+    _, dtype, dimensions = get_args(kind)[:3]
     if not isinstance(x, np.ndarray) or x.dtype != dtype or x.ndim != dimensions or not x.flags.c_contiguous:
         what = f"one of {x.dtype} with shape {x.shape}" if isinstance(x, np.ndarray) else type(x).__name__
         raise TypeError(
