@@ -105,9 +105,9 @@ def curved(points: Sequence[Sequence[float]], count: int) -> tuple[list[Place], 
 def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
     """Return internal forces in the middle of the elements of a beam, and at both of its ends.
 
-    Axial and shear forces are extrapolated linearly. The moment at an end is computed from that in the middle of the
-    element by equilibrium, m' = -r' x n. With any number of elements, the moment at the clamp of a cantilever under its
-    own weight then agrees with beam theory.
+    Axial and shear forces are extrapolated by the parabola through three elements, or linearly from two. The moment at
+    an end is computed from that in the middle of the element by equilibrium, m' = -r' x n. With any number of elements,
+    the moment at the clamp of a cantilever under its own weight then agrees with beam theory.
 
     Parameters
     ----------
@@ -127,6 +127,9 @@ def with_ends(forces: np.ndarray, length: float, nodes: int) -> np.ndarray:
     for sign, first, second in ((1.0, 0, min(1, forces.shape[-2] - 1)), (-1.0, -1, max(-2, -forces.shape[-2]))):
         middle, change = forces[..., first, :], forces[..., first, :] - forces[..., second, :]
         end = middle + 0.5 * change
+        if forces.shape[-2] > 2:
+            third = forces[..., second + (second - first), :]
+            end += 0.375 * (change - (forces[..., second, :] - third))
         # The moment of an element of three nodes is the mean of two Gauss points, which differs from the moment in the
         # middle by w h^2 / 24 under a distributed load w. The mean shear force of half an element is that at a quarter
         # of the length.

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_bvp
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.beam_shape import with_ends
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import Mechanism
 
@@ -186,3 +188,23 @@ def test_no_mode_is_faster_than_an_element_alone(nodes: int) -> None:
     bound = m.beams["link"].highest_frequency
     found = mbdkit.modes(m, at="start", time={"end": 1.0, "step": 0.1}).natural_frequency[-1]
     assert 0.9 * bound < found <= bound * (1 + 1e-12)
+
+
+def test_internal_forces_at_the_clamp_of_an_elastica_converge_with_order_three() -> None:
+    """A cantilever of length 1 and stiffness 1 with a load of 10 at its tip: theta'' = 10 cos(theta), by SciPy. At the
+    clamp, the shear force is the load.
+    """
+    elastica = solve_bvp(
+        lambda s, y: np.vstack([y[1], 10.0 * np.cos(y[0])]),
+        lambda a, b: np.array([a[0], b[1]]),
+        np.linspace(0.0, 1.0, 101),
+        np.vstack([np.linspace(0.0, -1.0, 101), -np.ones(101)]),
+        tol=1e-9,
+    )
+    errors = []
+    for elements in (16, 32, 64):
+        angle, moment = elastica.sol((np.arange(elements) + 0.5) / elements)
+        forces = np.column_stack([-10.0 * np.sin(angle), -10.0 * np.cos(angle), moment])
+        errors.append(abs(with_ends(forces, 1.0 / elements, 2)[0, 1] + 10.0))
+    assert np.all(np.divide(errors[:-1], errors[1:]) > 6.0)
+    assert errors[0] < 0.01 * 10.0
