@@ -180,7 +180,9 @@ class StepStates:
             singular = observer.observe(seen, *ends, out)
             known = len(seen) if singular is None else singular.row
             if known >= 2:
-                self.parts.append(StepEnds(*(x[:known] for x in (time[part], q[part], v[part], out.acc))))
+                whole = time[part], q[part], v[part], out.acc
+                known_time, known_q, known_v, known_a = (x[:known] for x in whole)
+                self.parts.append(StepEnds(known_time, known_q, known_v, known_a))
             if singular is not None:
                 break
 

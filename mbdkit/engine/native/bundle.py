@@ -91,7 +91,8 @@ def words_of(bundle: Any) -> list[int]:
         If an axis of an array does not have its declared size.
     """
     words: list[int] = []
-    for x, axes in zip(bundle, axes_of(type(bundle)), strict=True):
+    kind: Any = type(bundle)
+    for x, axes in zip(bundle, axes_of(kind), strict=True):
         words += words_of(x) if isinstance(x, tuple) else array_words(x)
         for axis, size in axes.items():
             if x.shape[axis] != size:
