@@ -47,7 +47,7 @@ def test_the_builder_adds_the_same() -> None:
         ("ground.x", "of", "'ground.x' is not a quantity"),
         ({"of": "knee.angle", "scale": 0}, "scale", "should not be zero"),
         ({"scale": 1.0}, "of", "is missing"),
-        ({"of": "knee.angle", "relative_to": "ground"}, "relative_to", "'knee.angle' is not BODY.angle"),
+        ({"of": "knee.angle", "relative_to": "ground"}, "relative_to", "'knee.angle' is not the angle of a body"),
         ({"of": "shank.angle", "relative_to": "thigh"}, "relative_to", "'thigh' is not another body"),
         ({"of": "knee.angle", "sign": -1}, "sign", "unknown key"),
     ],
