@@ -32,8 +32,8 @@ def explore(
 ) -> None:
     """Show sliders in the browser; motion and forces follow them.
 
-    The page is served on this machine only, to those who know the token in its address,
-    until Ctrl-C. Needs `pip install "mbdkit[explore]"`.
+    The page is served on this machine only, until Ctrl-C. Every request needs the token in
+    its address. Needs `pip install "mbdkit[explore]"`.
     """
     from mbdkit.exploration.explorer import explorer_of
     from mbdkit.exploration.server import Exploration

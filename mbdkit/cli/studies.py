@@ -147,7 +147,9 @@ def study(
 def watch(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder of a study or design.")],
     *,
-    every: Annotated[float, typer.Option("--every", min=0.1, metavar="SECONDS", help="Time between two looks.")] = 10.0,
+    every: Annotated[
+        float, typer.Option("--every", min=0.1, metavar="SECONDS", help="Time between two checks of the folder.")
+    ] = 10.0,
     once: Annotated[bool, typer.Option("--once", help="Print the state now, and end.")] = False,
 ) -> None:
     """Show the state of a study or design that runs elsewhere.

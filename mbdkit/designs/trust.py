@@ -66,7 +66,7 @@ class Trust:
             elif self.is_of_data:
                 told.append(
                     f"{gain} has an error of at most {self.gain_errors[name]:.2g} with a probability of {LEVEL:.0%}, "
-                    "by the noise of the data, the cutoff, and the deviations of muscles if they are given."
+                    "due to the noise of the data, the cutoff, and the deviations of muscles if they are given."
                 )
         unknown = [name for name, error in self.errors.items() if np.isnan(error) and name not in self.is_gain]
         if unknown:

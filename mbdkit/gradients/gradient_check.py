@@ -122,7 +122,7 @@ class GradientCheck:
         )
 
     def _reference(self, m: int) -> str:
-        return "" if np.isnan(self.reference[m]) else f"; that of another method is {self.reference[m]:.10g}"
+        return "" if np.isnan(self.reference[m]) else f"; another method gives {self.reference[m]:.10g}"
 
 
 @dataclass(frozen=True)

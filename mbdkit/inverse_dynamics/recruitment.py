@@ -101,8 +101,8 @@ class Recruiter:
         }
         for key in (key for key, is_wrong in wrong.items() if is_wrong):
             raise SpecError(
-                f"should not be {getattr(self.asked, key)}, which needs rigid tendons; that of muscle '{name}' is "
-                "elastic",
+                f"should not be {getattr(self.asked, key)}, which needs rigid tendons; the tendon of muscle "
+                f"'{name}' is elastic",
                 key=f"recruitment.{key}",
             )
 

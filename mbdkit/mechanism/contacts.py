@@ -435,7 +435,8 @@ def _check_hole(first: Shape, second: Shape, key: str) -> None:
     (_, room), (_, radius) = hole.circle_of, other.circle_of
     if radius >= room:
         raise SpecError(
-            f"the circle does not fit into the hole: its radius, {radius:g} m, should be less than that of the hole, "
+            f"the circle does not fit into the hole: its radius, {radius:g} m, should be less than the radius of "
+            f"the hole, "
             f"{room:g} m",
             key=key,
         )

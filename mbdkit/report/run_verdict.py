@@ -71,7 +71,7 @@ def _notes(run: Run) -> tuple[str, ...]:
     shared = ""
     if run.records("joints/reaction_force"):
         names = str(run.file["joints/reaction_force"].attrs.get("not_unique", ""))
-        shared = f" The reactions of {names} are not unique; of all equivalent ones, those of least norm are shown."
+        shared = f" The reactions of {names} are not unique; the reactions of least norm are shown."
     return (f"The mechanism is overconstrained: {run.redundancy}.{shared}",)
 
 

@@ -275,7 +275,7 @@ class _Unfinished:
         with reading("its rows", self.part, hint=_ANEW):
             writer.copy_rows(self.checkpoint, self.stream)
         if writer.lines != self.checkpoint.lines:
-            raise _refused(self.part, "it is damaged, because its rows are not those of its checkpoint")
+            raise _refused(self.part, "it is damaged: its rows do not match its checkpoint")
         writer.keep_checkpoint(self.checkpoint.state)
 
     def _observed(self) -> list[ObservedRows]:

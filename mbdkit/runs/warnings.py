@@ -175,7 +175,7 @@ def _long_step(spec: RunSpec) -> Iterator[str]:
     length = spec.time.final - spec.time.start
     if spec.time.step is not None and spec.time.step > length * (1.0 + 1e-9):
         yield (
-            f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s, which is then a "
+            f"the step of {spec.time.step:g} s at time.step is longer than the run of {length:g} s; the run takes a "
             f"single, shorter step"
         )
 

@@ -175,7 +175,7 @@ def _coordinate_of_actuator(name: str, names: QuantityNames) -> Quantity:
     if name not in known:
         hint = did_you_mean(name, known) or f" ({listed(known)})" if known else " (this model names none)"
         raise SpecError(
-            "needs one of `joint`, `bodies` and `body`, unless its name is that of a coordinate of the model" + hint,
+            "needs one of `joint`, `bodies` and `body`, unless it has the name of a coordinate of the model" + hint,
             key=f"actuators.{quoted(name)}",
         )
     return names.coordinate(name)

@@ -361,7 +361,7 @@ class RunSpec(ModelSpec):
             mechanism.contact_treatment = self.contact.of_mechanism
             if mechanism.contact_treatment.is_rigid and (name := joint_with_friction(mechanism.joints)):
                 raise SpecError(
-                    "runs with rigid contacts have no friction in joints; leave it out, or use "
+                    "runs with rigid contacts do not support friction in joints; omit it, or use "
                     "`contact: {treatment: compliant}`",
                     key=f"model.joints.{quoted(name)}.friction",
                 )

@@ -42,7 +42,7 @@ REFUSED = {
     "too large for the hole": (
         {"shapes": [{"hole": {"radius": 0.1}}, BALL]},
         "model.contacts.k.shapes",
-        "the circle does not fit into the hole: its radius, 0.1 m, should be less than that of the hole, 0.1 m",
+        "the circle does not fit into the hole: its radius, 0.1 m, should be less than the radius of the hole, 0.1 m",
     ),
     "no hole for lines": ({"shapes": [FLOOR, {"hole": {"radius": 0.1}}]}, "model.contacts.k.shapes", "not a line"),
     "radius of a hole": ({"shapes": [{"hole": {"radius": -1}}, BALL]}, "model.contacts.k.shapes[0].hole.radius", "0"),

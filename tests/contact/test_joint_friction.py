@@ -273,7 +273,7 @@ def test_friction_has_no_place_in_drivers_with_redundant_joints_or_rigid_contact
     rigid = spec_with(PIN, contact={"treatment": "event-driven"}, integrator={"name": "dop853"})
     shapes = [{"line": {"normal": [0, 1], "point": [0, -1]}}, {"point": [0, 0]}]
     rigid["model"]["contacts"] = {"floor": {"bodies": ["ground", "b"], "shapes": shapes}}
-    with pytest.raises(SpecError, match="runs with rigid contacts have no friction in joints"):
+    with pytest.raises(SpecError, match="runs with rigid contacts do not support friction in joints"):
         mbdkit.run(rigid)
     gradient = spec_with(PIN, parameters={"g": 9.81}, measures={"m": "max(b.y)"})
     gradient["model"]["gravity"] = [0.0, "-g"]

@@ -80,5 +80,5 @@ def test_a_variable_without_effect_is_named() -> None:
 
 def test_least_squares_keeps_no_limits() -> None:
     limits = {"strap": {"value": "max(abs(forces.brace.value))", "max": 2.0}}
-    with pytest.raises(SpecError, match=r"optimizer.name.*keeps no limits"):
+    with pytest.raises(SpecError, match=r"optimizer.name.*does not support limits"):
         mbdkit.design(design_of(swing(), subject_to=limits, optimizer={"name": "least-squares"}))

@@ -119,7 +119,7 @@ def test_stretch_is_the_inverse_of_the_force_of_tendons(name):
 
 def test_what_needs_rigid_tendons_and_a_tendon_beyond_its_path_get_one_sentence():
     for key, value in (("exponent", 1), ("dynamics", "activation")):
-        with pytest.raises(SpecError, match="needs rigid tendons; that of muscle 'biceps' is elastic") as error:
+        with pytest.raises(SpecError, match="needs rigid tendons; the tendon of muscle 'biceps' is elastic") as error:
             mbdkit.inverse(moving(**{key: value}))
         assert error.value.key == f"recruitment.{key}"
     spec = moving()

@@ -103,6 +103,6 @@ def test_what_activation_dynamics_cannot_have_gets_one_sentence():
         mbdkit.inverse(forearm(recruitment={"dynamics": "activation", "exponent": 1}))
     assert error.value.key == "recruitment.exponent"
     spec = forearm(recruitment={"dynamics": "activation"})
-    with pytest.raises(SpecError, match="without activation dynamics") as error:
+    with pytest.raises(SpecError, match="not available with `dynamics: activation`") as error:
         mbdkit.inverse_gradient(spec, "final(muscles.biceps.force)", "model.bodies.forearm.mass")
     assert error.value.key == "recruitment.dynamics"

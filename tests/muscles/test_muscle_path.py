@@ -170,7 +170,7 @@ def with_item(index: int, **item: object) -> dict:
         (with_item(1, body="rid", point=[0, 0]), "path[1].body", "there is no body 'rid' (did you mean 'rod'?)"),
         (with_item(1, body="rod"), "path[1].point", "is missing"),
         (with_item(1, body="rod", point=[0, 0], when={"rod.x": [1, 0]}), "path[1].when.rod.x", "is empty"),
-        (with_item(0, body="rod", point=[0, 0], when={"rod.x": [0, 1]}), "path[0].when", "is always there"),
+        (with_item(0, body="rod", point=[0, 0], when={"rod.x": [0, 1]}), "path[0].when", "cannot have `when`"),
         (with_item(1, body="rod", point=["2*bend", 0]), "path[1].point[0]", "neither a coordinate"),
         (
             with_item(1, body="rod", point=[{"table": [[0, 1], [0, 1]], "of": "bend"}, 0]),

@@ -247,7 +247,7 @@ def test_a_study_shows_which_of_its_checked_runs_are_doubtful_or_bad(tmp_path: P
     assert frame["verdict"][1] in ("doubtful", "bad")
     assert math.isnan(frame["known_until"][0])
     assert frame["known_until"][1] < 12.0
-    assert "The error is known until" in frame["verdict_reasons"][1]
+    assert "The error is known only until" in frame["verdict_reasons"][1]
 
 
 @pytest.mark.slow

@@ -338,7 +338,7 @@ def test_resumed_run_that_was_killed_between_two_renamings_is_resumed(part: Path
 def test_changed_row_is_noticed(part: Path) -> None:
     with h5py.File(part, "r+") as file:
         file["trajectory/velocity"][3, 0, 0] += 1e-12
-    assert "it is damaged, because its rows are not those of its checkpoint" in refusal(part)
+    assert "it is damaged: its rows do not match its checkpoint" in refusal(part)
 
 
 def test_new_run_removes_the_checkpoint_of_a_killed_one(part: Path) -> None:

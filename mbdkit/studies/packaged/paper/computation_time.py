@@ -100,7 +100,7 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
     claim = Claim(
         "substitution",
         f"Compiled elements evaluate two bodies at least {SPEED_UP:,.0f} times faster than symbolic substitution.",
-        "substitution named as the bottleneck, a faster one as future work",
+        "substitution is named as the bottleneck, and a faster substitution as future work",
         ", ".join(f"{factor:,.0f} times ({number} bodies)" for number, factor in gains.items()).replace(
             "(1 bodies", "(1 body"
         ),

@@ -88,7 +88,7 @@ def growth(study: Study) -> tuple[Claim, Table]:
     claim = Claim(
         "growth",
         "The misalignment grows with RK-Gill, but not with the Gauss methods.",
-        "Fig. 4 over 150 steps: increases with RK-Gill, does not with Gauss",
+        "in Fig. 4, over 150 steps, it increases with RK-Gill and does not with Gauss",
         f"RK-Gill {' and '.join(dict.fromkeys(gill)) or 'unknown'}, single pendulum with Gauss 2 and 3 "
         f"{' and '.join(dict.fromkeys(single)) or 'unknown'} over twenty swings and {late} over two hundred",
         (Answer.PARTLY if late == "quadratic" and together(answers) is Answer.YES else together(answers))
