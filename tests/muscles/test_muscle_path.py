@@ -164,7 +164,7 @@ def with_item(index: int, **item: object) -> dict:
         (MUSCLE | {"tendon_length": -0.1}, "tendon_length", "at least 0"),
         (MUSCLE | {"pennation": 20.0}, "pennation", "angles are in radians"),
         (MUSCLE | {"path": MUSCLE["path"][:1]}, "path", "at least 2 items"),
-        (MUSCLE | {"path": [MUSCLE["path"][0]] * 2}, "path", "is on 'ground' alone"),
+        (MUSCLE | {"path": [MUSCLE["path"][0]] * 2}, "path", "has all its points on 'ground'"),
         (MUSCLE | {"tendon": "stiff"}, "tendon", "'rigid' or 'elastic'"),
         (MUSCLE | {"optimal": 1.0}, "optimal", "unknown key"),
         (with_item(1, body="rid", point=[0, 0]), "path[1].body", "there is no body 'rid' (did you mean 'rod'?)"),

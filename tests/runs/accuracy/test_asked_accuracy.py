@@ -156,7 +156,7 @@ def test_chaos_ends_as_doubtful_with_the_reason():
     assert made.status == "complete"
     assert made.verdict in ("doubtful", "bad")
     told = " ".join(made.verdict_reasons)
-    assert "to have positions accurate to 1e-06" in told
+    assert "requested accuracy of positions is 1e-06" in told
     assert "chaotic" in told or "rounding" in told
 
 
@@ -189,7 +189,7 @@ def test_a_run_that_misses_the_accuracy_of_its_given_step_says_so():
     made = run(1e-9, integrator={"name": "rk4"}, time={"end": 2.0, "step": 0.02}, choose="nothing")
     assert made.spec["time"]["step"] == 0.02
     assert made.verdict == "doubtful"
-    assert "to have positions accurate to 1e-09" in made.verdict_reasons[0]
+    assert "requested accuracy of positions is 1e-09" in made.verdict_reasons[0]
 
 
 def test_limits_of_steps_are_told_where_they_prevent_the_accuracy():

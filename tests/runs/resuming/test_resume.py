@@ -482,7 +482,7 @@ def test_command_resumes_a_run(part: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--resume", "run.h5.part", "pendulum", "--check"], "leave out SPEC, --check"),
+        (["--resume", "run.h5.part", "pendulum", "--check"], "omit SPEC, --check"),
         (["--resume", "run.h5"], "only the unfinished archive of a run can be resumed"),
         ([], "give a SPEC, or --resume FILE.h5.part"),
     ],
