@@ -198,8 +198,9 @@ class Recorder:
         if not mechanism.drivers & set(names):
             return Failure(
                 "branch-left",
-                f"{what}same motion as {others}, with which it agrees on the branch of the start, so the run has left "
-                "this branch, as happens in singular positions; smaller steps or `stabilization: projection` may help.",
+                f"{what}same motion as {others}. They agree on the branch of the start, so the run has left this "
+                f"branch, as can happen in singular positions; smaller steps or `stabilization: projection` may "
+                f"help.",
             )
         return Failure(
             "singular",

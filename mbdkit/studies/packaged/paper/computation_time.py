@@ -38,7 +38,7 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
     claim = Claim(
         "time-bodies",
         "Computation time grows steeply with the number of bodies.",
-        "steep growth with bodies and with the method's stages, 1500 steps",
+        "steep growth with the number of bodies and of stages, for 1500 steps",
         ", ".join(f"like n^{exponent:.1f} ({method})" for method, exponent in growth.items()),
         steep,
         f"With compiled elements, the time for 1500 steps grows at most like n^{most:.1f} with the number n of bodies"

@@ -186,7 +186,7 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
         "adaptive",
         "Refining the step adaptively makes the implicit method better.",
         "recommended, not tried",
-        f"ratio of the evaluations of SciPy's adaptive Radau to those with fixed steps of {text or 'unknown'}",
+        f"evaluations of SciPy's adaptive Radau divided by those with fixed steps of {text or 'unknown'}",
         answer,
         f"{start} the same misalignment, SciPy's adaptive Radau needs {least_most(ratios.get(RADAU3, []))} times the "
         f"evaluations of the same method with fixed steps, and {least_most(ratios.get(GAUSS3, []))} times those of "
@@ -214,7 +214,7 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
         "stages",
         "With more than three stages, the same misalignment needs less work.",
         "not tried",
-        f"ratio of the evaluations of Gauss 3 to those of Gauss 6: {text}",
+        f"evaluations of Gauss 3 divided by those of Gauss 6: {text}",
         together(answers),
         f"For the same misalignment, six stages need {least_most([1 / gain for gain in gains])} times the evaluations "
         f"of three.{extra}",
