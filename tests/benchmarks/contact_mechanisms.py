@@ -2,7 +2,8 @@
 
 ``python -m tests.benchmarks.contact_mechanisms --count 200`` draws free bodies, chains and closed loops with 1 to 20
 contacts, runs each of them event-driven and by time-stepping with three steps, and prints what does not hold; see
-`tests.contact.random_contacts`. It ends with status 1 if there is anything.
+`tests.contact.random_contacts`. With ``--piles``, they are polygons that fall on each other. It ends with status 1 if
+there is anything.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import sys
 
 import numpy as np
 
-from tests.contact.random_contacts import KINDS, STEPS, examined
+from tests.contact.random_contacts import KINDS, PILES, STEPS, examined
 
 
 def main() -> None:
@@ -22,14 +23,16 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed of the first one")
     parser.add_argument("--law", choices=("newton", "poisson"), default="newton", help="law of impact")
     parser.add_argument("--events", action="store_true", help="do not compare with time-stepping")
+    parser.add_argument("--piles", action="store_true", help="draw piles of polygons")
     asked = parser.parse_args()
+    kinds = PILES if asked.piles else KINDS
     every = []
     for seed in range(asked.first, asked.first + asked.count):
-        found = examined(seed, asked.law, compare=not asked.events)
+        found = examined(seed, asked.law, compare=not asked.events, kinds=kinds)
         every.append(found)
         ratios = " ".join(f"{ratio:.3g}" for ratio in found.ratios)
         print(
-            f"{seed:>5} {KINDS[seed % len(KINDS)].__name__:<11} {found.contacts:>3} contacts {found.impacts:>4} impacts"
+            f"{seed:>5} {kinds[seed % len(kinds)].__name__:<11} {found.contacts:>3} contacts {found.impacts:>4} impacts"
             f" {'other law' if found.changed else '':<9} known {found.known:4.0%}  {ratios}",
             *(f"    {fault}" for fault in found.faults),
             sep="\n",

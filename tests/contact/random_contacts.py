@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -150,13 +151,34 @@ def _lifted(model: dict[str, Any]) -> dict[str, Any]:
     return model
 
 
-KINDS = (free_bodies, chain, loop)
+def pile(random: np.random.Generator) -> dict[str, Any]:
+    """Return polygons that fall on a floor and on each other."""
+    count = int(random.integers(2, 4))
+    bodies, contacts, shapes = {}, {}, {}
+    for i in range(count):
+        name, size = f"b{i}", float(random.uniform(0.1, 0.2))
+        mass = float(random.uniform(0.5, 2.0))
+        bodies[name] = {
+            "mass": mass, "inertia": 0.3 * mass * size**2,
+            "position": [float(random.uniform(-0.1, 0.1)), 0.25 + 0.42 * i],
+            "angle": float(random.uniform(-3.0, 3.0)), "velocity": random.uniform(-1.0, 0.0, 2).tolist(),
+        }  # fmt: skip
+        shapes[name] = {"polygon": _polygon(random, size)}
+        contacts[f"floor{i}"] = {"bodies": ["ground", name], "shapes": [FLOOR, shapes[name]]} | _law(random)
+    contacts["others"] = {"among": list(bodies), "shapes": shapes} | _law(random)
+    return {"bodies": bodies, "contacts": contacts}
 
 
-def drawn(seed: int) -> dict[str, Any]:
+Kinds = Sequence[Callable[[np.random.Generator], dict[str, Any]]]
+
+KINDS: Kinds = (free_bodies, chain, loop)
+PILES: Kinds = (pile,)
+
+
+def drawn(seed: int, kinds: Kinds = KINDS) -> dict[str, Any]:
     """Return the model of a seed."""
     random = np.random.default_rng(seed)
-    model = {"name": "mechanism"} | KINDS[seed % len(KINDS)](random)
+    model = {"name": "mechanism"} | kinds[seed % len(kinds)](random)
     contacts = model["contacts"]
     while sum(len(one["shapes"][1].get("polygon", [0])) for one in contacts.values() if "bodies" in one) > MOST:
         contacts.pop(random.choice([name for name in contacts if not name.startswith("floor")]))
@@ -262,7 +284,7 @@ def _open_joints(run: mbdkit.Run, limit: float) -> list[str]:
     return [f"joints open by {worst:.3g} m"] if worst > limit else []
 
 
-def examined(seed: int, law: str = "newton", *, compare: bool = True) -> Found:
+def examined(seed: int, law: str = "newton", *, compare: bool = True, kinds: Kinds = KINDS) -> Found:
     """Return what was found in the mechanism of a seed.
 
     Parameters
@@ -271,8 +293,10 @@ def examined(seed: int, law: str = "newton", *, compare: bool = True) -> Found:
         Law of impact of the event-driven runs.
     compare
         Whether to compare event-driven runs with time-stepping.
+    kinds
+        Functions that draw mechanisms, used in turn.
     """
-    model = drawn(seed)
+    model = drawn(seed, kinds)
     run = computed(model, "event-driven", STEP, law=law)
     static = {}
     for name in run.contacts:
