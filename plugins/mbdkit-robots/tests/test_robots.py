@@ -91,6 +91,26 @@ def test_what_is_not_planar_or_not_read_is_refused(
         mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.1, "step": 0.1})
 
 
+def test_names_of_joints_may_have_dots(tmp_path: Path) -> None:
+    """A dot in the name of a joint changes neither its coordinate nor the motion."""
+    path = tmp_path / "dotted.urdf"
+    path.write_text((FILES / "arm.urdf").read_text().replace('name="elbow"', 'name="elbow.1 (left)"'))
+    runs = []
+    for file, name in ((FILES / "arm.urdf", "elbow"), (path, "elbow.1 (left)")):
+        model = {"name": "urdf", "file": str(file), "initial": {name: -0.5}}
+        run = mbdkit.run({"mbdkit": 1, "model": model}, integrator=GAUSS, time={"end": 0.1, "step": 0.01})
+        assert name in run.joints
+        runs.append(coordinates(run, model))
+    np.testing.assert_array_equal(*runs)
+
+
+def test_a_missing_file_is_said_to_be_missing() -> None:
+    with pytest.raises(mbdkit.SpecError, match=r"nofile\.xml cannot be read: No such file") as raised:
+        mbdkit.run({"mbdkit": 1, "model": {"name": "mjcf", "file": "nofile.xml"}}, integrator=GAUSS,
+                   time={"end": 0.1, "step": 0.1})  # fmt: skip
+    assert "not XML" not in str(raised.value)
+
+
 def test_shapes_have_the_masses_and_moments_of_mujoco(tmp_path: Path) -> None:
     """The values for `crank` are MuJoCo's body_mass and body_inertia, with the digits that MuJoCo prints."""
     spec = mbdkit.RunSpec(mbdkit=1, model={"name": "mjcf", "file": str(FILES / "four_bar.xml")}, integrator=GAUSS,

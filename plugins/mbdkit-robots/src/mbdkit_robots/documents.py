@@ -29,8 +29,9 @@ def read_bytes(file: str) -> bytes:
 
 def read_xml(file: str, root: str) -> Element:
     """Return the root element of a file; raise SpecError if the file is not XML or its root has another name."""
+    content = read_bytes(file)
     try:
-        found: Element = fromstring(read_bytes(file), forbid_dtd=True)
+        found: Element = fromstring(content, forbid_dtd=True)
     except DefusedXmlException:
         raise refused(f"{file} contains a document type definition or entities, which are not read") from None
     except (ParseError, ValueError) as error:

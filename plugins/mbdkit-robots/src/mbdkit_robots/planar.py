@@ -221,7 +221,7 @@ class PlanarMechanism:
             data["joints"][link.name] = {"type": "prismatic", **joint, "axis": way.tolist(), "angle": 0.0}
             if has_spring:
                 data["forces"][name] = self._slide_spring(link, way, first, second, spring)
-        data["coordinates"][link.name] = {"of": f"{quoted(link.name)}.angle", "scale": sign}
+        data["coordinates"][link.name] = {"of": f"{link.name}.angle", "scale": sign}
 
     def _slide_spring(
         self, link: Link, way: np.ndarray, first: str, second: str, spring: Mapping[str, float]
