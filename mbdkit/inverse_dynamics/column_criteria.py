@@ -9,10 +9,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.base.text import listed
+from mbdkit.base.text import listed, shown
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.measured import Measured
 from mbdkit.spec.inverse_sections import Criterion, NoSmoothing, QuinticSpline
+
+STANDARD_GRAVITY = 9.81
+"""Acceleration with which those of a mechanism without gravity are compared [m/s^2]."""
+
+MOVED = 0.1
+"""The unit of time is examined if a coordinate changes by at least this much, in longest links or radians."""
+
+COARSE, SLOW = 1.0, 1e-3
+"""Times look like milliseconds if the median interval exceeds the first number times sqrt(length / gravity), while no
+acceleration exceeds the second number times gravity.
+
+Samples so far apart do not resolve a motion under gravity, and yet the motion seems to be quasi-static.
+"""
+
+FINE, FAST = 1e-4, 1e3
+"""Times look too short if the median interval is below the first number times sqrt(length / gravity), while the root
+mean square of an acceleration exceeds the second number times gravity.
+"""
 
 UNEVEN = 0.01
 """The times of the rows are examined if the relative variation of their intervals is at least this."""
@@ -66,6 +84,13 @@ The exception are angles that turn in one direction, as of a crank: their net ch
 their total variation.
 """
 
+SMALL_RANGES = (0.3, 3.0)
+"""Angles declared in degrees look like radians if their ranges are at most the second number of degrees, the largest is
+at least the first, and all values are within a full turn if they are taken for radians.
+
+In radians, these ranges are 17 and 172 degrees.
+"""
+
 TRAVELS = 30.0
 """A length without a unit looks like millimetres if its range is at least this multiple of the mechanism's size."""
 
@@ -104,6 +129,8 @@ def column_doubts(result: Inverse) -> Iterator[Doubt]:
     measured = result.fitted.measured
     length = result.problem.fitter.manifold.length
     yield from _of_times(measured)
+    yield from _unit_of_time(result)
+    yield from _radians(measured)
     for index, name in enumerate(measured.names):
         yield from _outliers(measured, index, name)
         yield from _units(measured, index, name, length)
@@ -136,6 +163,60 @@ def _of_times(measured: Measured) -> Iterator[Doubt]:
         f"{product / np.sqrt(square):.3g} standard deviations, doubtful above {certain:g}): {cause}; derivatives "
         "depend on them.",
     )
+
+
+def _unit_of_time(result: Inverse) -> Iterator[Doubt]:
+    """Yield a doubt if accelerations are so small or large beside gravity that the times seem to have another unit."""
+    motion, length = result.motion, result.problem.fitter.manifold.length
+    if len(motion.time) < 3 or not length > 0:
+        return
+    moved = float(np.max(np.ptp(motion.q.reshape(len(motion.q), -1, 3), axis=0) / [length, length, 1.0]))
+    gravity = float(np.linalg.norm(result.problem.names.mechanism.gravity)) or STANDARD_GRAVITY
+    interval, natural = float(np.median(np.diff(motion.time))), float(np.sqrt(length / gravity))
+    share = np.abs(motion.a.reshape(len(motion.a), -1, 3)) * [1.0, 1.0, length] / gravity
+    rms = float(np.max(np.sqrt(np.mean(share**2, axis=0))))
+    if moved < MOVED:
+        return
+    rows = f"the median interval of the rows is {interval:.4g} s, {interval / natural:.3g} times sqrt(length / gravity)"
+    if interval > COARSE * natural and np.max(share) < SLOW:
+        column = result.problem.spec.motion.time
+        cause = (
+            f"they look like milliseconds; write `time: {{column: {shown(column.column)}, unit: ms}}`"
+            if column.factor == 1.0
+            else f"are the times in {shown(column.unit)}?"
+        )
+        yield Doubt(
+            "time-unit",
+            f"{rows} (doubtful above {COARSE:g}), and no acceleration exceeds {np.max(share):.2g} of gravity (doubtful "
+            f"below {SLOW:g}), so that inertia has no effect: {cause}",
+        )
+    elif interval < FINE * natural and rms > FAST:
+        yield Doubt(
+            "time-unit",
+            f"{rows} (doubtful below {FINE:g}), and accelerations are {rms:.2g} times gravity (doubtful above "
+            f"{FAST:g}): are the times in {shown(result.problem.spec.motion.time.unit)}?",
+        )
+
+
+def _radians(measured: Measured) -> Iterator[Doubt]:
+    """Yield a doubt if all angles that the spec declares in degrees look like radians.
+
+    One small angle among larger ones, such as the tilt of a pelvis, is plausible.
+    """
+    columns = np.flatnonzero(measured.is_declared_in_degrees & measured.quantities.is_angle)
+    if not columns.size:
+        return
+    numbers = np.degrees(measured.given[:, columns] / measured.quantities.scale[columns])
+    span = np.nanmax(numbers, axis=0) - np.nanmin(numbers, axis=0)
+    least, most = SMALL_RANGES
+    if least <= span.max() <= most and np.nanmax(np.abs(numbers)) <= 2 * np.pi:
+        names = listed([measured.names[index] for index in columns[:4]], "and")
+        yield Doubt(
+            "units",
+            f"the angles with `unit: deg` ({names}) change by at most {span.max():.3g} degrees during the motion "
+            f"(doubtful below {most:g} if values are at most {2 * np.pi:.3g}): they look like radians; leave out "
+            "`unit: deg`.",
+        )
 
 
 def _off_neighbours(time: np.ndarray, x: np.ndarray) -> np.ndarray:

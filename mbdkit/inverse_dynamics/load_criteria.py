@@ -222,7 +222,11 @@ def _cause(result: Inverse, residual: np.ndarray, height: float, inside: slice) 
         return "The loads seem to have the wrong sign."
     factor = float(np.sum((needed * load)[inside]) / np.sum(load[inside] ** 2))
     if factor > 0 and abs(factor - 1) > 0.02 and explains(factor * load):
-        return f"The loads seem to be too {'small' if factor > 1 else 'large'}: multiplied by {factor:.3g}, they fit."
+        size, other = ("small", "its masses are too large") if factor > 1 else ("large", "a body is missing from it")
+        return (
+            f"The loads seem to be too {size}: multiplied by {factor:.3g}, they fit. Or they are right, and the model "
+            f"is wrong: {other}."
+        )
     offset = np.mean(residual[inside, :2], axis=0)
     if explains(load + np.append(offset, 0.0)):
         return f"The loads seem to have an offset of ({-offset[0]:.3g}, {-offset[1]:.3g}) N."

@@ -18,7 +18,7 @@ from mbdkit.inverse_dynamics.tables import Table
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
-from mbdkit.spec.inverse_sections import ColumnOfTable, Load
+from mbdkit.spec.inverse_sections import ColumnOfTable, Load, TimeColumn
 
 Component: TypeAlias = tuple[Literal["force", "point", "torque"], int | None]
 """A component of a `LoadSeries`: name of the array, and index along its last axis."""
@@ -135,12 +135,13 @@ def read_loads(spec: InverseSpec, names: QuantityNames, of_motion: Table | None)
 def _series(spec: InverseSpec, names: QuantityNames, key: str, load: Load, of_motion: Table | None) -> LoadSeries:
     body = names.body(load.body, f"{key}.body")
     frame = names.body(load.point_frame, f"{key}.point_frame", may_be_ground=True)
-    table = source_table(load, spec.folder, key) or of_motion
+    own = source_table(load, spec.folder, key)
+    table = of_motion if own is None else own
     if table is None:
         raise SpecError(
             "is missing: the motion is not a table, so that the load needs a `file` or `data`", key=f"{key}.file"
         )
-    time = times_of(table, load.time, f"{key}.time")
+    time = times_of(table, load.time or (spec.motion.time if own is None else TimeColumn()), f"{key}.time")
     force, torque, point = np.zeros((len(time), 2)), np.zeros(len(time)), None
     deviation: dict[Component, float] = {}
     if load.force is not None:

@@ -20,7 +20,7 @@ from mbdkit.inverse_dynamics.tables import Table, read_table, table_of
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import InverseSpec
-from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn
+from mbdkit.spec.inverse_sections import ColumnOfTable, Gaps, Load, MeasuredMotion, ObservedColumn, TimeColumn
 
 RATE_SAMPLES = 5
 """Number of intervals next to a gap from which the rate of an angle is computed; fewer would be more affected by
@@ -62,6 +62,8 @@ class Measured:
         (T, K) values as in the table, before angles are continued over full turns.
     has_unit
         (K,) whether the spec or the file states the unit of the column.
+    is_declared_in_degrees
+        (K,) whether the spec states that the column is in degrees.
     """
 
     time: np.ndarray
@@ -74,6 +76,7 @@ class Measured:
     deviation: np.ndarray
     given: np.ndarray
     has_unit: np.ndarray
+    is_declared_in_degrees: np.ndarray
 
     @property
     def target(self) -> Target:
@@ -124,10 +127,21 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Tabl
                 given = factor * table.column(heading, f"{key}.{('rate', 'acceleration')[order]}")[kept]
                 derivatives[order, :, index] = _bridged(time, given, None, (table, heading, kept))
     weight = np.array([column.weight for column in columns.values()])
+    in_degrees = np.array([column.unit == "deg" for column in columns.values()])
     given_derivatives = derivatives if all(has_derivatives) else None
     return (
         Measured(
-            time, tuple(columns), quantities, raw, values, weight, given_derivatives, deviation, as_given, has_unit
+            time,
+            tuple(columns),
+            quantities,
+            raw,
+            values,
+            weight,
+            given_derivatives,
+            deviation,
+            as_given,
+            has_unit,
+            in_degrees,
         ),
         table,
     )
@@ -200,15 +214,15 @@ def si_values(column: ColumnOfTable, table: Table, unit: str, key: str) -> np.nd
     return values
 
 
-def times_of(table: Table, heading: str, key: str) -> np.ndarray:
+def times_of(table: Table, column: TimeColumn, key: str) -> np.ndarray:
     """Return the times of a table (T,) [s]; raise SpecError if their intervals are too short or long to be times."""
-    times = table.times(heading, key)
+    times = table.times(column.column, key, column.factor)
     wrong = np.flatnonzero((np.diff(times) < SHORTEST) | (np.diff(times) > LONGEST))
     if wrong.size:
         row = int(wrong[0]) + 1
         raise table.error(
-            f"column '{shown(heading)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before is "
-            f"not possible; it should be from {SHORTEST:g} to {LONGEST:g} s",
+            f"column '{shown(column.column)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before "
+            f"is not possible; it should be from {SHORTEST:g} to {LONGEST:g} s",
             row=row,
         )
     return times
@@ -348,4 +362,6 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     weight = np.array([column.weight for column in wanted.values()])
     deviation = np.array([column.deviation or np.nan for column in wanted.values()])
     has_unit = np.ones(len(wanted), dtype=bool)
-    return Measured(time, tuple(found), quantities, values, values, weight, derivatives, deviation, values, has_unit)
+    return Measured(
+        time, tuple(found), quantities, values, values, weight, derivatives, deviation, values, has_unit, ~has_unit
+    )

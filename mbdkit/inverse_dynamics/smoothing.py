@@ -27,6 +27,9 @@ this.
 
 KEY = "motion.smooth"
 
+SLOW = 0.1
+"""Interval between samples [s] from which the refusal of a cutoff names a wrong unit of time as a possible cause."""
+
 FEWEST = 6
 """Smallest number of samples for a quintic spline."""
 
@@ -218,9 +221,10 @@ def _check_cutoff(given: float, once: float, interval: float) -> None:
     """
     highest = 0.5 / interval * given / once
     if given >= highest:
+        cause = "; if the times are in milliseconds, write `time: {column: NAME, unit: ms}`" if interval > SLOW else ""
         raise SpecError(
             f"{given:g} Hz is too high: with {1 / interval:.6g} samples per second, it should be below {highest:.4g} "
-            f"Hz",
+            f"Hz{cause}",
             key=f"{KEY}.cutoff",
         )
 

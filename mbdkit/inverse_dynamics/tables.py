@@ -132,8 +132,13 @@ class Table:
             raise self.error(f"column '{shown(heading)}': {cell} is not a finite number", row=row)
         return float(cell)
 
-    def times(self, heading: str, key: str) -> np.ndarray:
+    def times(self, heading: str, key: str, factor: float) -> np.ndarray:
         """Return the times in a column, (T,) [s].
+
+        Parameters
+        ----------
+        factor
+            Factor from the numbers of the column to seconds.
 
         Raises
         ------
@@ -142,7 +147,7 @@ class Table:
         """
         if heading == "time" and heading not in self._place:  # some formats, such as .trc, write `Time`
             heading = next((name for name in self.headings if name.lower() == heading), heading)
-        values = self.column(heading, key)
+        values = factor * self.column(heading, key)
         if not len(values):
             raise self.error("this table has no rows")
         missing = np.flatnonzero(np.isnan(values))

@@ -52,6 +52,30 @@ class ColumnOfTable(Section):
         return self
 
 
+class TimeColumn(Section):
+    """The column with the times of a table; a text alone is the heading of a column in seconds."""
+
+    column: Named = "time"
+    """Heading of the column."""
+    unit: str = "s"
+    """Unit of the times, such as ms."""
+
+    @model_validator(mode="after")
+    def _has_a_unit_of_time(self) -> TimeColumn:
+        try:
+            given = read_unit(self.unit)
+        except SpecError as error:
+            raise error.located(prefix="unit") from None
+        if not given.is_like(read_unit("s")):
+            raise SpecError(f"'{shown(self.unit)}' is not a unit of time (s, ms)", key="unit")
+        return self
+
+    @property
+    def factor(self) -> float:
+        """Factor from the numbers of the column to seconds."""
+        return read_unit(self.unit).factor
+
+
 class ObservedColumn(ColumnOfTable):
     """The column with the measured values of one quantity."""
 
@@ -75,6 +99,7 @@ Column = Annotated[
 ]
 """A column of a table, or one SI value for all times."""
 Observed = Annotated[ObservedColumn, BeforeValidator(_as_column, json_schema_input_type=ObservedColumn | str)]
+Times = Annotated[TimeColumn, BeforeValidator(_as_column, json_schema_input_type=TimeColumn | str)]
 
 
 class NoSmoothing(Section):
@@ -151,6 +176,7 @@ class ErrorBars(Section):
 
 Criterion = Literal[
     "times",
+    "time-unit",
     "outliers",
     "constant",
     "units",
@@ -190,8 +216,8 @@ class MeasuredMotion(Section):
     the spec."""
     data: Data | None = None
     """Instead of `file`: columns by heading."""
-    time: Named = "time"
-    """Heading of the column with the times [s]."""
+    time: Times = TimeColumn()
+    """Column with the times."""
     columns: dict[str, Observed] | None = None
     """The column of each observed quantity; by default, all columns whose headings are such quantities."""
     smooth: Smoothing = NoSmoothing()
@@ -212,7 +238,7 @@ class MeasuredMotion(Section):
 class Load(Section):
     """A measured load on a body: a force at a point that may move, a free torque, or both."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "kind")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("file", "data", "time", "kind")
 
     body: Named
     """Body that the load acts on."""
@@ -223,8 +249,9 @@ class Load(Section):
     """Table of the load; by default, the table of the motion."""
     data: Data | None = None
     """Instead of `file`: columns by heading."""
-    time: Named = "time"
-    """Heading of the column with the times [s]."""
+    time: Times | None = None
+    """Column with the times; by default that of the motion if the table is that of the motion, and otherwise
+    `time`."""
     force: tuple[Column, Column] | None = None
     """Columns of the force (x, y) on the body, in the global frame; a number is a constant component [N]."""
     point: tuple[Column, Column] | None = None

@@ -57,6 +57,47 @@ def test_degrees_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
     assert leg(degrees, motion={"columns": columns}).verdict == "unknown"
 
 
+def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> None:
+    data = {"t": 1e3 * T, **ANGLES}
+    with pytest.raises(
+        SpecError, match=r"1 samples per second, .*in milliseconds, write `time: {column: NAME, unit: m"
+    ):
+        leg(motion={"data": {**data, "t": 1e2 * T}, "time": "t"})
+    columns = {"columns": {name: name for name in ANGLES}, "smooth": "quintic", "time": "t", "data": data}
+    run = leg(motion=columns, accept=["times", "units"])
+    assert told(run) == {"time-unit"}
+    assert "they look like milliseconds; write `time: {column: t, unit: ms}`" in run.verdict_reasons[0]
+    in_ms = {**columns, "time": {"column": "t", "unit": "ms"}}
+    # the torques of the same motion with its times in seconds, which do not depend on how the times are written
+    expected = leg(motion={**columns, "data": {**data, "t": T}})
+    found = leg(motion=in_ms)
+    assert not found.verdict_reasons
+    knee = expected.actuators["knee_flexion"].value
+    assert found.actuators["knee_flexion"].value == pytest.approx(knee, rel=1e-6, abs=1e-6 * np.ptp(knee))
+    reverse = leg(motion={**in_ms, "data": {**data, "t": T}})
+    assert "time-unit" in told(reverse)
+
+
+def test_a_load_takes_the_times_of_the_motion_from_its_table() -> None:
+    data = {"t": 1e3 * T, **ANGLES, "f": 50 * np.sin(T)}
+    motion = {"data": data, "time": {"column": "t", "unit": "ms"}, "columns": {name: name for name in ANGLES}}
+    run = leg(motion=motion, loads={"pull": {"body": "foot", "force": ["f", 0.0]}})
+    assert run.loads["pull"].force[:, 0] == pytest.approx(data["f"])
+    with pytest.raises(SpecError, match="'mm' is not a unit of time"):
+        leg(motion={**motion, "time": {"column": "t", "unit": "mm"}})
+
+
+def test_radians_declared_as_degrees_are_doubted_but_one_small_angle_is_not() -> None:
+    columns = {name: {"column": name, "unit": "deg"} for name in ANGLES}
+    (reason,) = leg(motion={"columns": columns}).verdict_reasons
+    assert reason.startswith("units: the angles with `unit: deg` (hip_flexion, knee_flexion and ankle_dorsiflexion)")
+    assert "they look like radians" in reason
+    only_knee = {**{name: name for name in ANGLES}, "knee_flexion": columns["knee_flexion"]}
+    assert "(knee_flexion)" in leg(motion={"columns": only_knee}).verdict_reasons[0]
+    degrees = {name: np.degrees(x) for name, x in ANGLES.items()} | {"ankle_dorsiflexion": 5 * ANGLES["hip_flexion"]}
+    assert leg(degrees, motion={"columns": columns}).verdict == "unknown"
+
+
 def test_a_crank_that_turns_in_radians_is_not_taken_for_degrees() -> None:
     m = mbdkit.Mechanism()
     m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
@@ -102,7 +143,7 @@ def test_a_plate_with_an_offset_is_doubted() -> None:
     ("factor", "delay", "cause"),
     [
         (1.0, 0.0, ""),
-        (1.25, 0.0, "The loads seem to be too large: multiplied by 0.8, they fit."),
+        (1.25, 0.0, "The loads seem to be too large: multiplied by 0.8, they fit. Or they are right, and"),
         (-1.0, 0.0, "The loads seem to have the wrong sign."),
         (1.0, 0.05, "The loads seem to be 0.05 s too late."),
     ],
