@@ -13,6 +13,8 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     PrivateAttr,
+    SerializerFunctionWrapHandler,
+    model_serializer,
     model_validator,
 )
 
@@ -62,6 +64,23 @@ class _WithUnit(Section):
         section._unit = units[0] if units else None
         return section
 
+    @model_serializer(mode="wrap")
+    def _with_unit(self, serialize: SerializerFunctionWrapHandler) -> Any:
+        """Write numbers with their SI unit, so that a spec that is read again writes the same values into its bases."""
+        data = serialize(self)
+        if self._unit is not None:
+            for key in self.NUMBERS:
+                match data.get(key):
+                    case list() | tuple() as numbers:
+                        data[key] = [self._text(number) for number in numbers]
+                    case float() as number:
+                        data[key] = self._text(number)
+        return data
+
+    def _text(self, number: float) -> float | str:
+        """Return a number with its SI unit, if it has one."""
+        return number if self._unit is None else f"{number!r} {self._unit.si}"
+
     NUMBERS: ClassVar[tuple[str, ...]]
     """Keys that may have a unit."""
 
@@ -95,7 +114,7 @@ class Variable(_WithUnit):
     @property
     def written(self) -> float | str:
         """The first value, with its SI unit if the variable has one."""
-        return self.first if self._unit is None else f"{self.first!r} {self._unit.si}"
+        return self._text(self.first)
 
 
 class Limit(_WithUnit):

@@ -25,9 +25,10 @@ from mbdkit.designs.known_points import KnownPoints, PointFile
 from mbdkit.designs.solve_design import WORKER
 from mbdkit.designs.store import DesignFolder
 from mbdkit.spec import load_design_spec
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit.studies import pool
 from mbdkit.studies.executor_pool import Engine
-from tests.designs.oscillator import tuned
+from tests.designs.oscillator import STIFFNESS, tuned
 
 
 def command(*arguments: str) -> Result:
@@ -300,3 +301,18 @@ def test_the_report_of_a_design_without_a_result_says_how_to_get_one(whole: Path
     done = command("report", str(tmp_path))
     assert done.exit_code == 2
     assert "has no result yet" in done.stderr
+
+
+def test_units_of_variables_and_limits_are_kept_in_the_folder(tmp_path: Path) -> None:
+    for number, variable in enumerate(
+        ({"bounds": ["1 N m/rad", "4 N m/rad"], "start": 1.5}, {"bounds": [1, 4], "start": "1500 N mm/rad"})
+    ):
+        limit = {"half": {"value": "abs(final(wheel.angle))", "max": "90 deg"}}
+        first = load_design_spec(tuned(variables={STIFFNESS: variable}, subject_to=limit))
+        folder = DesignFolder(tmp_path / str(number))
+        folder.path.mkdir()
+        folder.spec.write_text(write_yaml(folder.plain_spec(first)), encoding="utf-8")
+        assert folder.is_same(first)
+        again = load_design_spec(folder.spec)
+        assert again.variables[STIFFNESS].written == first.variables[STIFFNESS].written == "1.5 N m/rad"
+        assert again.subject_to["half"].measure == {"value": "abs(final(wheel.angle))", "unit": "rad"}
