@@ -8,7 +8,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sized
 from contextlib import contextmanager
 from functools import lru_cache
 from itertools import islice
@@ -168,7 +168,10 @@ class _WrittenField(NamedTuple):
     default: Any
 
     def is_written(self, value: Any) -> bool:
-        return not self.may_be_absent or bool(value and value != self.default)
+        if not self.may_be_absent:
+            return True
+        is_empty = value is None or (isinstance(value, Sized) and not len(value))
+        return not is_empty and bool(value != self.default)  # 0 is a value where the default is another one
 
 
 @lru_cache(maxsize=512)

@@ -289,3 +289,25 @@ def test_friction_comes_back_from_to_spec_and_changes_the_compiled_mechanism() -
     spec = spec_with({"type": "revolute", "friction": {"coefficient": 0.1, "radius": "10 mm"}})
     values = {"model.joints.j.friction.coefficient": np.array([0.1, 0.9, 0.0])}
     assert len(set(mbdkit.ensemble(spec, values).to_frame()["data_sha256"])) == 3
+
+
+def test_a_coefficient_of_zero_is_kept_when_a_spec_is_written_again() -> None:
+    # the comparison runs of `check` are made from a spec that is written out; without friction, the measure is exact
+    m = Mechanism(gravity=(0.0, -9.81))
+    m.body("rod", mass=1.0, inertia=0.1, position=(0.5, 0.0))
+    m.revolute("pin", m.ground, "rod", at=(0, 0), friction={"coefficient": 0.1, "radius": 0.01})
+    model = m.to_spec()
+    model["joints"]["pin"]["friction"]["coefficient"] = "mu"
+    run = mbdkit.run(
+        {
+            "mbdkit": 1,
+            "parameters": {"mu": 0.0},
+            "model": model,
+            "integrator": {"name": "rk4"},
+            "time": {"end": 0.1, "step": 0.01},
+        },
+        check=True,
+        measures={"last": "final(t)"},
+    )
+    assert run.measures["last"] == 0.1
+    assert load_spec(run.spec).canonical_json() == load_spec(load_spec(run.spec).sections()).canonical_json()
