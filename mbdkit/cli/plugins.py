@@ -12,7 +12,7 @@ from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.cli.common_options import PLAIN, AsJson, Debug, Overwrite, Quiet, output_to
 
-plugins_app = typer.Typer(help="List, verify, diagnose and create plugins.", **PLAIN)
+plugins_app = typer.Typer(help="List, verify and diagnose plugins; `new` creates one.", **PLAIN)
 
 
 @plugins_app.command("list")
