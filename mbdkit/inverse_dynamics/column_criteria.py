@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -91,6 +92,9 @@ at least the first, and all values are within a full turn if they are taken for 
 In radians, these ranges are 17 and 172 degrees.
 """
 
+ODD_RANGE = 3.0
+"""If no pose fits, a column is named whose range is at least this multiple of the median range of the columns."""
+
 TRAVELS = 30.0
 """A length without a unit looks like millimetres if its range is at least this multiple of the mechanism's size."""
 
@@ -137,6 +141,34 @@ def column_doubts(result: Inverse) -> Iterator[Doubt]:
     yield from _constants(result)
     yield from _fit(result)
     yield from _noise(result)
+
+
+def suspicious_columns(measured: Measured, length: float) -> list[str]:
+    """Return sentences without full stops about columns that may be why no pose fits: outliers, units, or the largest
+    range.
+
+    Parameters
+    ----------
+    length
+        Longest link of the mechanism [m].
+    """
+    doubts = [
+        doubt.sentence.rstrip(".")
+        for criterion in (partial(_outliers, measured), lambda index, name: _units(measured, index, name, length))
+        for index, name in enumerate(measured.names)
+        for doubt in criterion(index, name)
+    ]
+    if doubts:
+        return doubts
+    scale = np.where(measured.quantities.is_angle, 1.0, length) * measured.quantities.scale
+    ranges = np.ptp(measured.values, axis=0) / np.abs(scale)
+    worst = int(np.argmax(ranges))
+    if not ranges[worst] > ODD_RANGE * np.median(ranges):
+        return []
+    usual = f"{np.median(ranges):.3g}, the median of the columns"
+    return [
+        f"column of {measured.names[worst]}: its range, {ranges[worst]:.3g} longest links or rad, is far above {usual}"
+    ]
 
 
 def _of_times(measured: Measured) -> Iterator[Doubt]:

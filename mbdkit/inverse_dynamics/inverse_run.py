@@ -12,8 +12,10 @@ from typing import Any
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.base.errors import RunError
 from mbdkit.base.logs import logger_of, warn_on_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.inverse_dynamics.column_criteria import suspicious_columns
 from mbdkit.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit.inverse_dynamics.data_verdict import doubts_about_data
 from mbdkit.inverse_dynamics.error_bars import error_bars
@@ -24,6 +26,9 @@ from mbdkit.spec import InverseSpec, load_inverse_spec
 from mbdkit.spec.inverse_loading import InverseSource
 
 _LOG = logger_of(__name__)
+
+MOST_NAMED = 3
+"""Largest number of columns that are named as possible causes if no pose fits the data."""
 
 
 def inverse(
@@ -98,7 +103,11 @@ def compute_run(spec: InverseSpec, *, path: Path | None = None, overwrite: bool 
     check_measures(spec)  # the error bars of joints depend on those of the actuators, which are written first
     setup, wall, cpu = time.perf_counter() - begin, time.perf_counter(), time.process_time()
     with one_thread_of_linear_algebra():
-        result = compute(problem)
+        try:
+            result = compute(problem)
+        except RunError as error:
+            suspicious = suspicious_columns(problem.measured, problem.fitter.manifold.length)[:MOST_NAMED]
+            raise RunError("; ".join([str(error), *suspicious])) from error
         timings = {"setup_s": setup, "wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
         bars = error_bars(result)
         doubts = doubts_about_data(result, bars)

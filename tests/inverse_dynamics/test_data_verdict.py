@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,38 @@ def test_milliseconds_without_a_unit_are_doubted_until_the_unit_is_given() -> No
     assert found.actuators["knee_flexion"].value == pytest.approx(knee, rel=1e-6, abs=1e-6 * np.ptp(knee))
     reverse = leg(motion={**in_ms, "data": {**data, "t": T}})
     assert "time-unit" in told(reverse)
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause"),
+    [
+        (lambda x: 1e3 * x, "column of toe.x: .* no `unit`: they look like millimetres"),
+        (
+            lambda x: np.where(np.arange(len(x)) == 9, -999.0, x),
+            "column of toe.x: the value at t = 0.72 s is",
+        ),
+        (lambda x: 3.5 * x, "column of toe.x: its range"),
+    ],
+)
+def test_the_refusal_of_a_fit_names_the_suspicious_column(
+    fault: Callable[[np.ndarray], np.ndarray], cause: str
+) -> None:
+    # markers of a double pendulum whose hip moves, from its geometry
+    m = mbdkit.Mechanism()
+    m.body("thigh", mass=1.0, inertia=0.1, position=(0.0, -0.2), angle=-np.pi / 2)
+    m.body("shank", mass=1.0, inertia=0.1, position=(0.0, -0.6), angle=-np.pi / 2)
+    m.revolute("knee", "thigh", "shank", at=(0.0, -0.4))
+    for name, body, at in (("hip", "thigh", -0.2), ("knee_marker", "thigh", 0.2), ("toe", "shank", 0.2)):
+        m.marker(name, body, point=(at, 0.0))
+    t = T[:160:8]
+    hip = 0.5 * t + 0j
+    knee = hip + 0.4 * np.exp(1j * (-np.pi / 2 + 0.5 * np.sin(4 * t)))
+    toe = knee + 0.4 * np.exp(1j * (-np.pi / 2 + 0.7 * np.sin(4 * t)))
+    data = {"hip.x": hip.real, "hip.y": hip.imag, "knee_marker.x": knee.real, "knee_marker.y": knee.imag}
+    data |= {"toe.x": fault(toe.real), "toe.y": toe.imag}
+    spec = {"mbdkit": 1, "model": m.to_spec(), "motion": {"data": {"time": t, **data}, "smooth": "quintic"}}
+    with pytest.raises(mbdkit.RunError, match=cause):
+        mbdkit.inverse(spec)
 
 
 def test_a_load_takes_the_times_of_the_motion_from_its_table() -> None:
