@@ -140,7 +140,8 @@ class Design:
                 label = f"{scenario}: {name}" if scenario else name
                 rows.append((label, f"{self.start.measures[scenario][name]:.6g}", f"{measures[name]:.6g}", ""))
         at_best, every = self.searches
-        lines = [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
+        lines = [self.doubt] if self.doubt else []
+        lines += [*(f"{goal_words(one.name)}: {one.text()}" for one in self.gains), table(rows)]
         lines += [f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
         if self.derivatives:
             lines.append(self.derivatives)
@@ -154,6 +155,19 @@ class Design:
         return "\n".join([*lines, *self.warnings])
 
     @property
+    def doubt(self) -> str:
+        """Sentence that the best point may not be an optimum, because derivatives there are not confirmed; empty
+        otherwise.
+        """
+        if not self.unconfirmed:
+            return ""
+        return (
+            "This point may not be an optimum: a goal or limit is not smooth there, and searches along gradients stop "
+            "at such points. Try several `starts`, the optimizer differential-evolution or cma-es, or a smooth goal, "
+            "such as rms(...) instead of a maximum."
+        )
+
+    @property
     def counted_runs(self) -> str:
         """Number of runs, and number of failed runs, in words."""
         return counted(self.runs, "run") + (f" ({self.failures} failed)" if self.failures else "")
@@ -163,7 +177,12 @@ class Design:
         """Remarks on the best point for the user, as sentences."""
         sides = {name: self.side(name) for name in self.best.variables}
         at_bounds = [f"{name} is at its {side} bound." for name, side in sides.items() if side]
-        return [*at_bounds, *map(sentence, self.undetermined), *self.unconfirmed, *self.trust.sentences()]
+        held = [
+            f"{name} has not moved from its start."
+            for name, side in sides.items()
+            if not side and self.best.variables[name] == self.start.variables[name]
+        ]
+        return [*at_bounds, *held, *map(sentence, self.undetermined), *self.unconfirmed, *self.trust.sentences()]
 
     @property
     def gains(self) -> list[Gain]:

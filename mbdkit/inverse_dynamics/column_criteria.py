@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -154,9 +153,8 @@ def suspicious_columns(measured: Measured, length: float) -> list[str]:
     """
     doubts = [
         doubt.sentence.rstrip(".")
-        for criterion in (partial(_outliers, measured), lambda index, name: _units(measured, index, name, length))
         for index, name in enumerate(measured.names)
-        for doubt in criterion(index, name)
+        for doubt in (*_outliers(measured, index, name), *_units(measured, index, name, length))
     ]
     if doubts:
         return doubts

@@ -108,7 +108,7 @@ def _page(
         commands="mbdkit design design.yaml --report",
         spec=write_yaml(data),
         spec_file="design.yaml",
-        alarm="" if design.is_feasible else "NO POINT SATISFIES ALL LIMITS",
+        alarm="NO POINT SATISFIES ALL LIMITS" if not design.is_feasible else design.doubt,
         sections=(*_devices(design, pairs), sensitivity_section(changes, words, measure_units(design.spec))),
         beside_verdict=("goals", "variables", "compared", "costs", "robustness"),
     )

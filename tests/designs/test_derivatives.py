@@ -69,6 +69,17 @@ def test_a_corner_of_the_goal_at_the_best_point_is_named() -> None:
     assert unconfirmed(evaluator, np.array([0.2])) == ()
 
 
+def test_a_result_at_a_corner_of_the_goal_may_not_be_an_optimum() -> None:
+    # a search that begins at the corner of |k - 20| phi_max has no descent direction, and stays there
+    most = 20.0 * 0.7 + 1e-9
+    goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})"
+    (name,) = ONE
+    found = mbdkit.design(design_of(swing(), variables={name: {**ONE[name], "start": 20.0}}, minimize=goal))
+    assert found.best.variables == found.start.variables
+    assert found.summary().startswith("This point may not be an optimum: a goal or limit is not smooth there")
+    assert f"{name} has not moved from its start." in found.warnings
+
+
 def test_sensitivities_at_a_corner_have_two_sides_and_no_sign() -> None:
     # expected: |k - 20| phi_max has a corner at k = 20, and (k - 20)^2 phi_max^2 has none; bounds as in ONE
     most = 20.0 * 0.7
