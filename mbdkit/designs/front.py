@@ -49,7 +49,7 @@ def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> lis
 
 
 def _before(found: dict[tuple[int, ...], Search], place: tuple[int, ...]) -> Search:
-    """Return the point found with the limits that are looser by one step in the last limited goal."""
+    """Return the search with the same limits, except that the limit of the last limited goal is looser by one step."""
     last = max(k for k, step in enumerate(place) if step > 0)
     return found[(*place[:last], place[last] - 1, *place[last + 1 :])]
 

@@ -73,7 +73,7 @@ class NoisePath:
         return smoothed_each(self._time, self._fitted @ noise, self._how if how is None else how)
 
     def residual(self, noise: np.ndarray) -> np.ndarray:
-        """Return the changes (T, K, S) of the differences between data and smoothed motion."""
+        """Return the changes (T, K, S) that noise causes in the differences between data and smoothed motion."""
         left: np.ndarray = noise - self._seen @ self.smoothed(noise).value
         return left
 

@@ -1,7 +1,7 @@
 """Derivatives of recruited muscles, and of the joint forces that contain them, by parameters.
 
-Moment arms, capacities and passive forces are part of the preparation, whose derivatives are known. The derivatives of
-tensions and reserves follow from the optimality conditions (`mbdkit.inverse_dynamics.shared_loads_derivative`). With
+The derivatives of moment arms, capacities and passive forces are computed before those of the muscles. The derivatives
+of tensions and reserves follow from the optimality conditions (`mbdkit.inverse_dynamics.shared_loads_derivative`). With
 the generalized forces P F of the tensions F, and the forces B u of actuators and reserves,
 
     Phi_q^T lam_p = (B u + P F)_p - (M a + Phi_q^T lam - Q - Q_loads)_p,    the last term at constant lam.

@@ -140,7 +140,7 @@ class Functional:
         return [self.quantities[int(number)] for operation, number in self.program if operation == "get"]
 
     def time(self, known: Integrals, span: tuple[float, float], events: EventTimes) -> float:
-        """Return the time of a value at a time [s].
+        """Return the time [s] at which this functional takes the value of its quantity, if it is a value at one time.
 
         Parameters
         ----------

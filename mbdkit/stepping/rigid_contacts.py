@@ -226,11 +226,11 @@ class RigidContacts:
     def shared(
         self, t: float, q: np.ndarray, v: np.ndarray, touching: np.ndarray, sliding: np.ndarray, forced: Forced
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return normal and tangential forces (C,) that satisfy Coulomb's law, where those of redundant contacts are
-        not unique.
+        """Return normal and tangential forces (C,) that cause the same accelerations as the forces in `forced`, and
+        that satisfy Coulomb's law.
 
-        The forces in `forced` are returned if no such forces give the same accelerations. See `decided` for the other
-        arguments.
+        Such forces are not unique if contacts are redundant. If none exist, the forces in `forced` are returned. See
+        `decided` for the other arguments.
         """
         some = np.flatnonzero(touching)
         a, _ = self.p.accelerations(t, q, v)

@@ -43,7 +43,7 @@ class ArchiveRows:
 
     @classmethod
     def of(cls, spec: StudySpec, points: Sequence[PlannedPoint]) -> ArchiveRows:
-        """Return the columns for the points of a study."""
+        """Return an instance with the measures that the study requests for these points."""
         compared = any(point.grid.reference for point in points)
         wanted = tuple(MEASURES) if spec.built_in_measures is None else spec.built_in_measures
         return cls(

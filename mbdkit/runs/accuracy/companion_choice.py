@@ -55,7 +55,8 @@ more steps.
 """
 
 GUARD_STEPS = (20_000, 40)
-"""Largest number of steps of a guard: a constant, and a multiple of the number of steps of the run, which are added.
+"""Largest number of steps of a guard (a comparison run with another method): the sum of a constant and of a multiple of
+the number of steps of the run.
 
 On stiff problems explicit guards exceed it, and the next guard is tried. A limit on wall time would make the result
 depend on the machine.
@@ -66,7 +67,8 @@ SINGLE_STEPS = (5_000, 10)
 
 
 LOOKS = 2_000
-"""Smallest number of steps of a guard, unless the run itself has at least as many fixed steps.
+"""Smallest number of steps of a guard (a comparison run with another method), unless the run itself has at least
+as many fixed steps.
 
 Adaptive steps of a body at rest grow without limit, and then miss a short pulse at any tolerance.
 """

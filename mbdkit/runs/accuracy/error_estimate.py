@@ -32,10 +32,10 @@ LARGEST_RATIO = 0.6
 """
 
 CONFIRMED = 0.25
-"""No observed order is needed if the most accurate run is close to the guard, compared with the first run.
+"""An estimate is accepted without an observed order if the most accurate run is close to the guard.
 
-Its distance from the guard may be at most this share of that of the first run. The value is that of a method of order
-1.
+Its distance from the guard may be at most this share of the distance of the first run from the guard. The value is that
+of a method of order 1.
 """
 
 ROUND_OFF = 1e-9
