@@ -89,9 +89,12 @@ class StepImpulses:
         some = np.flatnonzero(gaps <= SMALL * self.contacts.p.length)
         if not len(some):
             return smooth.v, memory, 0.0
+        left = np.zeros(len(gaps))
         if len(some) > MANY:
-            some = np.union1d(some, self._still_pressed(gaps, some))
-        some, rows, (after, found, changed) = self._of_all_pressed(some)
+            more = self._still_pressed(gaps, some)
+            left[more] = np.maximum(gaps[more], 0.0)
+            some = np.union1d(some, more)
+        some, rows, (after, found, changed) = self._of_all_pressed(some, left / h)
         forces = np.stack([found.normal, found.tangent]) / h
         slip = SLIP * np.sign(rows.rates(after)[1]).astype(int)
         memory = replace(memory, residual=max(held.residual, found.residual), changed=held.changed.union(changed))
@@ -106,17 +109,18 @@ class StepImpulses:
 
         Bodies that lie on each other fall together in this step, so that tiny gaps between them stay open. Without
         impulses there, the upper bodies would fall onto the lower ones, which the floor stops, and a pile would never
-        come to rest.
+        come to rest. With them, these gaps may close at the end of the step.
         """
         rows = self.contacts.kinematics.rows(self.smooth.middle, self.v, some)
         fallen = self.h * float(np.max(self._gained(rows)))
         return np.flatnonzero((self.held.normal > 0.0) & (gaps <= AT_REST * fallen))
 
-    def _of_all_pressed(self, some: np.ndarray) -> tuple[np.ndarray, Rows, _Solved]:
+    def _of_all_pressed(self, some: np.ndarray, closing: np.ndarray) -> tuple[np.ndarray, Rows, _Solved]:
         """Return the contacts that have impulses in the step, their rows, and the impulses.
 
         These are the contacts `some`, which would overlap, and others at rest that they press together. If there are
-        impacts, contacts that are struck by them have kinetic friction.
+        impacts, contacts that are struck by them have kinetic friction. Gaps may close with the rates `closing` (C,)
+        [m/s] at the end of the step.
         """
         contacts, smooth, v = self.contacts, self.smooth, self.v
         struck = np.zeros(len(contacts.names), dtype=bool)
@@ -125,7 +129,7 @@ class StepImpulses:
             guess = self.h * np.stack([self.held.normal, self.held.tangent])[:, some]
             sticks = self._sticks(rows.rates(v)[1], some) & ~struck[some]
             friction = np.where(sticks, contacts.static[some], contacts.kinetic[some])
-            solved = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess).solved()
+            solved = _Impact(contacts, rows, some, friction, v, smooth.v, smooth.solve, guess, closing[some]).solved()
             after, found, _ = solved
             # with more contacts, the order of impacts has larger effects, and this search takes long
             if len(some) > MANY:
@@ -197,6 +201,8 @@ class _Impact:
         (n,) velocities at the start, and at the end without impulses.
     solve, guess
         See `RigidContacts.pushed`.
+    closing
+        (k,) rates with which gaps may close after the impulses [m/s].
     """
 
     contacts: RigidContacts
@@ -207,6 +213,7 @@ class _Impact:
     free: np.ndarray
     solve: Callable[[np.ndarray], np.ndarray]
     guess: np.ndarray
+    closing: np.ndarray
 
     def solved(self) -> _Solved:
         """Return velocities after the impulses, the impulses, and the names of contacts with another law of impact.
@@ -236,7 +243,8 @@ class _Impact:
         return np.minimum(self.rows.rates(self.v)[0], 0.0)
 
     def _with(self, e: np.ndarray) -> tuple[np.ndarray, Pushed]:
-        return self.contacts.pushed(self.rows, self.free, e * self._approach, self.friction, self.solve, self.guess)
+        more = e * self._approach + self.closing
+        return self.contacts.pushed(self.rows, self.free, more, self.friction, self.solve, self.guess)
 
     def _gains(self, after: np.ndarray, found: Pushed) -> bool:
         """Return whether the impulses increase the kinetic energy by more than the errors of the impulses explain."""
