@@ -180,7 +180,7 @@ class Design:
         held = [
             f"{name} has not moved from its start."
             for name, side in sides.items()
-            if not side and self.best.variables[name] == self.start.variables[name]
+            if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
         ]
         return [*at_bounds, *held, *map(sentence, self.undetermined), *self.unconfirmed, *self.trust.sentences()]
 
@@ -189,10 +189,15 @@ class Design:
         """The gain of each goal from the start to the best point."""
         return gains(self.spec, self.start, self.best, self.trust)
 
+    def _slack(self, variable: str) -> float:
+        """Return the difference below which two values of a variable count as equal."""
+        low, high = self.spec.variables[variable].bounds
+        return 1e-6 * (high - low)
+
     def side(self, variable: str) -> str:
         """Return ``lower`` or ``upper`` if the best value of a variable is at this bound; otherwise an empty text."""
         (low, high), best = self.spec.variables[variable].bounds, self.best.variables[variable]
-        slack = 1e-6 * (high - low)
+        slack = self._slack(variable)
         return "lower" if best <= low + slack else "upper" if best >= high - slack else ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,8 @@ def test_a_result_at_a_corner_of_the_goal_may_not_be_an_optimum() -> None:
     assert found.best.variables == found.start.variables
     assert found.summary().startswith("This point may not be an optimum: a goal or limit is not smooth there")
     assert f"{name} has not moved from its start." in found.warnings
+    rounded = replace(found.best, variables={name: 20.0 - 1e-12})  # the last digits of a point change in the search
+    assert f"{name} has not moved from its start." in replace(found, best=rounded).warnings
 
 
 def test_sensitivities_at_a_corner_have_two_sides_and_no_sign() -> None:
