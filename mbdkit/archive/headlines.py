@@ -67,8 +67,8 @@ def plus_minus(value: float, error: float, sign: str = "+-") -> str:
     return f"{value:.{-last}f} {sign} {error:.2g}"
 
 
-def headlines(run: Run) -> list[Headline]:
-    """Return up to `MOST` headlines of a run that has rows, the most important first."""
+def headlines(run: Run, most: int = MOST) -> list[Headline]:
+    """Return up to `most` headlines of a run that has rows, the most important first."""
     if not len(run.time):
         return []
     measured = [
@@ -76,7 +76,7 @@ def headlines(run: Run) -> list[Headline]:
         for name, value in run.measures.items()
         if math.isfinite(value)
     ]
-    return (measured or [*_activations(run), *_actuators(run), *_contacts(run), *largest_loads(run)])[:MOST]
+    return (measured or [*_activations(run), *_actuators(run), *_contacts(run), *largest_loads(run)])[:most]
 
 
 def largest_loads(run: Run) -> list[Headline]:

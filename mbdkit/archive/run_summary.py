@@ -15,7 +15,7 @@ from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.spec.named_actuators import RESERVE
-from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
+from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -300,7 +300,8 @@ def _energy(run: Run) -> str:
         return ""
     drift = float(np.max(np.abs(run.energy.balance)))
     most = float(np.max(run.energy.kinetic))
-    share = f", {drift / most:.2g} of the largest kinetic energy" if most > 0 else ""
+    largest = max(drift, *(float(np.max(np.abs(run.array(f"energy/{one}")))) for one in ("potential", "work")))
+    share = f", {drift / most:.2g} of the largest kinetic energy" if most > rounding(largest) else ""
     return f"balance within {drift:.3g} J{share}"
 
 

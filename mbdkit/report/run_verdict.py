@@ -28,6 +28,9 @@ _LAWS = {
     "exponential": "it grows exponentially",
 }
 
+MOST_LAWS = 3
+"""Number of laws of growth from which on the data do not tell them apart."""
+
 
 def run_verdict(run: Run) -> Verdict:
     """Return the verdict on a run, with its charts and tables."""
@@ -155,7 +158,7 @@ def _growth_words(quantity: ElementQuantity, column: int) -> list[str]:
     except ValueError:  # too few rows, or not finite
         return []
     laws = [_LAWS[law] for law in growth.candidates if law in _LAWS]
-    if not laws:
+    if not 0 < len(laws) < MOST_LAWS:  # several laws say nothing
         return []
     return ["and " + " or ".join([laws[0], *(law.removeprefix("it ") for law in laws[1:])])]
 
@@ -180,8 +183,9 @@ def _energy(run: Run) -> Claim:
         sentence = "The energy is not finite."
         return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
     sentence = f"Energy is balanced to {off:.2g} J"
-    sentence += f", {proportion(share)} of the largest kinetic energy." if math.isfinite(share) else "."
-    is_rounding = off <= rounding(max(most, _largest_energy(run)))
+    smallest = rounding(max(most, _largest_energy(run)))
+    sentence += f", {proportion(share)} of the largest kinetic energy." if most > smallest else "."
+    is_rounding = off <= smallest
     answer = Answer.YES if is_rounding else Answer.OPEN if not math.isfinite(share) else _ANSWERS[ENERGY.level(share)]
     if answer in (Answer.NO, Answer.PARTLY):
         sentence += (

@@ -48,6 +48,12 @@ def test_the_force_follows_the_mass_and_the_spec_keeps_it() -> None:
     assert "should be greater than 0" in explorer.answer({"model.mass": -1.0})["error"]
 
 
+def test_every_measure_is_shown() -> None:
+    measures = {f"after_{k}": f"at(rod1.x, {k}/100)" for k in range(1, 8)}
+    shown = explorer_of({**HANGING, "measures": measures}, ["model.mass"]).answer({})["headlines"]
+    assert [name for name, _ in shown] == list(measures)
+
+
 def test_sliders_are_the_parameters_of_the_spec_or_numbers_of_its_model() -> None:
     named = {**HANGING, "parameters": {"m": 2.0, "twice": "2*m"}, "model": {**HANGING["model"], "mass": "m"}}
     assert [one.key for one in explorer_of(named).sliders] == ["parameters.m"]
@@ -101,7 +107,7 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
 
     assert BROWSER is not None
     with launched(BROWSER) as browser:
-        pages = []
+        pages, posted = [], []
         for width in (1400, 390):
             page = browser.new_page(viewport={"width": width, "height": 900}, reduced_motion="reduce")
             asked: list[str] = []
@@ -110,6 +116,7 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
             until(page, "document.querySelectorAll('#headlines dd').length > 0")
             pages.append((page, asked))
         page, asked = pages[0]
+        page.on("request", lambda request: posted.append(request.post_data_json) if request.post_data else None)
         before, drawn = page.inner_text("#headlines"), page.evaluate("document.getElementById('stage').toDataURL()")
         took = []
         for value in (800, 200, 900):
@@ -118,6 +125,9 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
             assert page.inner_text("#headlines dd") != shown
         assert page.inner_text("#headlines") != before
         assert page.evaluate("document.getElementById('stage').toDataURL()") != drawn
+        first = page.locator("input").first
+        assert first.get_attribute("aria-label") == "body mass [kg]"
+        assert float(page.inner_text("#sliders output >> nth=0")) == posted[-1]["model.body_mass"]  # all digits
         assert "body_mass: 1" in page.evaluate("document.getElementById('spec').textContent")
         assert pages[1][0].inner_text("#headlines") == before  # the other window has sliders of its own
         assert all(url.startswith((knee.url.partition("?")[0], "data:")) for _, urls in pages for url in urls)
