@@ -301,7 +301,7 @@ class NotStoredError(NotRecordedError):
 
     def __init__(self, what: str, store: str):
         MbdkitError.__init__(
-            self, f"this study keeps no {what} (store: {store}); `study.remake(number)` computes the run again"
+            self, f"this study keeps no {what} (store: {store}); `study.remake` computes the run again"
         )
 
 

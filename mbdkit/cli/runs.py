@@ -144,6 +144,8 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
 
         study = load_study_spec(source, assignments or ())
         plan = plan_study(study.stored_as(study.store or "all") if is_for_blocks(study) else study)
+        for warning in plan.warnings():
+            say(f"warning: {warning}")
         show(f"{spec}: this study is valid\n{plan_summary(plan)}")
         return
     document = read_source(source)

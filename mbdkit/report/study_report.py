@@ -79,11 +79,23 @@ def study_report(study: Study) -> ReportPage:
         failures=_failures(study),
         methods=methods(_specs(study), find_verdict(study.spec)[0].plugin.references if study.spec.verdict else ()),
         environment=_environment(study),
-        reproduce="Save the spec below as study.yaml. The study's folder contains an archive of every run, "
-        'with its spec; the command "mbdkit rerun" repeats a run.',
+        reproduce=f"Save the spec below as study.yaml. {_again(study)}",
         commands="mbdkit study study.yaml -o again\nmbdkit report again",
         spec=(study.folder / "study.yaml").read_text(encoding="utf-8"),
         spec_file="study.yaml",
+    )
+
+
+def _again(study: Study) -> str:
+    """Return how a run is read or repeated, by its number on the page."""
+    if not study.spec.in_blocks:
+        return (
+            'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
+            "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
+        )
+    return (
+        "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
+        "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
     )
 
 

@@ -12,7 +12,6 @@ import contextlib
 import json
 import os
 import queue
-import re
 import signal
 import subprocess
 import sys
@@ -25,9 +24,9 @@ from typing import Any
 
 from mbdkit.archive.part_file import part_path, remove_part
 from mbdkit.base.errors import ResourceError
+from mbdkit.base.text import without_numbers
 from mbdkit.studies.tasks import Outcome, Task, died
 
-_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 PROGRAM = "mbdkit.studies.worker"
 """Module that carries out the tasks of studies."""
 
@@ -117,7 +116,7 @@ class Pool:
 
     def say(self, text: str) -> None:
         """Pass a message to the user, unless it equals an earlier one except for numbers, as in sampled runs."""
-        kind = _NUMBER.sub("0", text)
+        kind = without_numbers(text)
         if kind not in self._said:
             self._said.add(kind)
             self.notify(text)

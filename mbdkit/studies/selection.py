@@ -147,8 +147,9 @@ class _Condition(Compiler):
         """Return a column by its name or alias."""
         column = self.columns.get(self.aliases.get(name, name))
         if column is None:
-            known = f"; columns: {listed(list(self.columns))}"
-            self.refuse(f"there is no column '{name}'{did_you_mean(name, self.columns) or known}", node)
+            keys = [key for key in self.columns if key.rpartition(".")[2] == name]
+            known = f"; write {listed(keys, 'or')}" if keys else did_you_mean(name, self.columns)
+            self.refuse(f"there is no column '{name}'{known or f'; columns: {listed(list(self.columns))}'}", node)
         return column
 
     def condition(self, node: ast.expr, nesting: int) -> Any:

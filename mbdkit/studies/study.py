@@ -14,6 +14,7 @@ import numpy as np
 from mbdkit.analysis.sobol_indices import RESAMPLES
 from mbdkit.archive.block_writer import KEEPING_TIMES
 from mbdkit.archive.group_table import data_frame
+from mbdkit.archive.measured_values import ERROR, MeasuredValues
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import NotStoredError
@@ -183,7 +184,7 @@ class Study(HtmlView):
         name = self._family(family)
         return next(grid for grid in self._planned.grids if grid.name == name)
 
-    def run(self, point: StudyPoint | int) -> Run | None:
+    def run(self, point: StudyPoint | int | None = None, *, number: int | None = None) -> Run | None:
         """Return the run of a point with the arrays that the study stores, or None if it has no results.
 
         Close the run, or use it in a `with` block.
@@ -192,14 +193,18 @@ class Study(HtmlView):
         ----------
         point
             A point, or its index among the points, counted from 0 as in `points` and in the table of `to_frame`.
+        number
+            Number of the run instead, counted from 1 as in answers, reports, messages and the column ``number``.
 
         Raises
         ------
         SpecError
             If the file contains another run (also if that belongs to another study), or other data than the index
             states.
+        MbdkitError
+            If there is no such run, or not exactly one of `point` and `number` is given.
         """
-        chosen = self._point(point)
+        chosen = self._point(point, number)
         path = self._path(chosen)
         if path is None or (self.spec.in_blocks and not chosen.row.data_sha256):
             return None
@@ -214,7 +219,21 @@ class Study(HtmlView):
             except BaseException:
                 run.close()
                 raise
+            self._add_measures(run, chosen)
         return run
+
+    def _add_measures(self, run: Run, point: StudyPoint) -> None:
+        """Add the measures that the study itself defines, which the spec of the run does not have."""
+        known, values = run.measures, point.values
+        own = [one.name for one in self.spec.defined_measures() if not one.of_base and one.name in values]
+        if own:
+            run.measures = MeasuredValues(
+                {**known, **{name: values[name] for name in own}},
+                {**known.units, **{name: self.measures[name].units for name in own}},
+                known.reasons,
+                {**known.errors, **{name: values.get(name + ERROR, np.nan) for name in own}},
+                known.remarks,
+            )
 
     def _path(self, point: StudyPoint) -> Path | None:
         """Return the file of a run; None if the run has no file of its own."""
@@ -229,21 +248,22 @@ class Study(HtmlView):
         """The division of the runs into blocks, if they are stored in blocks."""
         return StudyBlocks.of(self.spec, self._planned)
 
-    def remake(self, point: StudyPoint | int) -> Run:
+    def remake(self, point: StudyPoint | int | None = None, *, number: int | None = None) -> Run:
         """Integrate the run of a point again, and return it with all of its arrays, in memory.
 
         Parameters
         ----------
-        point
+        point, number
             See `run`.
 
         Raises
         ------
         MbdkitError
-            If the run has no results, if its file contains another run, or if its data, measures, counters and verdict
-            are not bitwise identical to those in the index. Timings and measures of second runs are not compared.
+            If there is no such run, if it has no results, if its file contains another run, or if its data, measures,
+            counters and verdict are not bitwise identical to those in the index. Timings and measures of second runs
+            are not compared.
         """
-        chosen = self._point(point)
+        chosen = self._point(point, number)
         if not chosen.row.data_sha256:
             raise MbdkitError(
                 f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
@@ -252,13 +272,30 @@ class Study(HtmlView):
         why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
         reference = self.reference(chosen)
         try:
-            return remake(self.spec, chosen, reference, why)
+            run = remake(self.spec, chosen, reference, why)
         finally:
             if reference is not None:
                 reference.close()
+        self._add_measures(run, chosen)
+        return run
 
-    def _point(self, point: StudyPoint | int) -> StudyPoint:
-        return point if isinstance(point, StudyPoint) else self.points[operator.index(point)]
+    def _point(self, point: StudyPoint | int | None, number: int | None) -> StudyPoint:
+        if (point is None) == (number is None):
+            raise MbdkitError(
+                "give a run by its index from 0, as in study.run(4), or by its number, study.run(number=5)"
+            )
+        if isinstance(point, StudyPoint):
+            return point
+        count = len(self.points)
+        if point is None:
+            assert number is not None
+            if not 1 <= operator.index(number) <= count:
+                raise MbdkitError(f"the study has no run number {number}; its runs have the numbers 1 to {count}")
+            return self.points[operator.index(number) - 1]
+        if not -count <= operator.index(point) < count:
+            hint = f"; study.run(number={count}) is the last run" if point == count else ""
+            raise MbdkitError(f"the study has no run with index {point}; indices are 0 to {count - 1}{hint}")
+        return self.points[operator.index(point)]
 
     def _written_by(self, point: StudyPoint) -> str:
         """Return the version of mbdkit that computed the run of a point, after checking its file; "unknown" without a

@@ -16,13 +16,20 @@ from mbdkit.studies.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit.studies.study_point import axis_unit, point_words
 
 if TYPE_CHECKING:
+    from mbdkit.studies.sensitivity import Sensitivity
     from mbdkit.studies.study import Study
 
 MOST = 5
 """Largest number of measures, and of samples of a study, in the headlines."""
 
 LEAST_SHARE = 0.05
-"""Smallest share of a variance that a headline mentions."""
+"""Smallest share of a variance, and of interactions in it, that a headline mentions."""
+
+WIDEST = 0.5
+"""Largest width of the confidence interval of a Sobol index that a headline mentions."""
+
+MOST_CAUSES = 3
+"""Largest number of variables in a headline."""
 
 ROUND_OFF = 1e-12
 """If the relative range of a measure is below this, its values differ by rounding errors only."""
@@ -67,28 +74,50 @@ def _told(study: Study, group: SampleGroup, name: str) -> str:
 
 
 def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) -> str:
-    """Return which variables explain the variance: by first-order Sobol indices, if available, otherwise by a linear
-    model.
-    """
+    """Return which variables explain the variance: by Sobol indices, if available, otherwise by a linear model."""
     sample = study.spec.sample
     where = ({"family": group.family} if group.family else {}) | dict(group.axes)
     if sample is not None and sample.design == "saltelli":
         try:
-            sobol = study.sensitivity(name, where=where or None, resamples=1)
+            sobol = study.sensitivity(name, where=where or None)
         except MbdkitError:  # too few members have a value
             return ""
-        shares, how = dict(zip(sobol.variables, np.nan_to_num(sobol.first), strict=True)), ""
-    else:
-        known, table = np.isfinite(values), study.grid(group.family).table
-        columns = {key: column[known] for key, column in table.items() if column.dtype.kind in "fi"}
-        of = values[known]
-        shares = {key: np.corrcoef(one, of)[0, 1] ** 2 for key, one in columns.items() if np.ptp(one) > 0}
-        how = " (linear fit)"
+        return _sobol_words(sobol)
+    known, table = np.isfinite(values), study.grid(group.family).table
+    columns = {key: column[known] for key, column in table.items() if column.dtype.kind in "fi"}
+    of = values[known]
+    shares = {key: np.corrcoef(one, of)[0, 1] ** 2 for key, one in columns.items() if np.ptp(one) > 0}
     least = max(LEAST_SHARE, 4 / len(values))  # variables without an effect reach this share by chance
-    ranked = sorted(((share, key) for key, share in shares.items() if share >= least), reverse=True)[:3]
+    ranked = sorted(((share, key) for key, share in shares.items() if share >= least), reverse=True)[:MOST_CAUSES]
     if not ranked:
         return ""
-    return f"{listed([f'{key_words(key)} explains {100 * share:.0f} %' for share, key in ranked], 'and')}{how}"
+    return f"{listed([f'{key_words(key)} explains {_percent(share)}' for share, key in ranked], 'and')} (linear fit)"
+
+
+def _sobol_words(sobol: Sensitivity) -> str:
+    """Describe the variables with the largest total indices; nothing, with the reason, if one of these is unknown."""
+    if sobol.reason:
+        return ""
+    indices = sobol.indices
+    if not np.all(indices.total_high - indices.total_low <= WIDEST) or np.any(np.isnan(sobol.total)):
+        return "the sample is too small to tell which variables explain it"
+    first = np.where(indices.first_high - indices.first_low <= WIDEST, sobol.first, np.nan)
+    shares = sorted(zip(sobol.total.tolist(), first.tolist(), sobol.variables, strict=True), key=lambda one: -one[0])
+    words = [_shares(key_words(key), first, total) for total, first, key in shares if total >= LEAST_SHARE]
+    return listed(words[:MOST_CAUSES], "and")
+
+
+def _shares(variable: str, first: float, total: float) -> str:
+    """Describe the first-order index of a variable, which may be nan, and its total index."""
+    if total - first < LEAST_SHARE:
+        return f"{variable} explains {_percent(total)}"
+    alone = "" if np.isnan(first) else f"{_percent(first)} alone and "
+    return f"{variable} explains {alone}{_percent(total)} with interactions"
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent; estimates of indices may lie outside 0 to 1."""
+    return f"{100 * min(max(share, 0.0), 1.0):.0f} %"
 
 
 def _extremes(study: Study, group: SampleGroup, values: np.ndarray) -> str:

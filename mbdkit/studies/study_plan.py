@@ -9,7 +9,9 @@ from functools import cached_property
 from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, path_text
+from mbdkit.base.text import without_numbers
 from mbdkit.measures.take import Description, describe, has_error, is_taken
+from mbdkit.runs.preparation import caution
 from mbdkit.spec import RunSpec
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
@@ -90,6 +92,14 @@ class StudyPlan:
         if errors and not valid:
             raise errors[0]
         return valid
+
+    def warnings(self) -> list[str]:
+        """Return the warnings about the validated specs of runs; if several differ only in numbers, the first one."""
+        specs = [spec for _, spec in self._valid_samples()] if self.spec.in_blocks else self.runs.values()
+        found: dict[str, str] = {}
+        for warning in (one for spec in specs for one in caution(spec)):
+            found.setdefault(without_numbers(warning), warning)
+        return list(found.values())
 
     @cached_property
     def expressions(self) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ def summary(study: Study) -> str:
     verdicts = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level])
     lines = [
         ("study", " ".join(study.spec.title.split())),
-        ("runs", f"{len(study.points)}: {runs}{beside}"),
+        ("runs", f"{len(study.points)}: {runs}{beside}; numbered from 1, as in study.run(number=1)"),
         ("verdicts", verdicts + (" (of runs by themselves, without the reference)" if study.references else "")),
         *(("answer", f"{name}: {told}") for name, told in headlines(study)),
         ("computed", f"{study.computed} now" if study.computed else "nothing now"),

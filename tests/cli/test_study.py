@@ -55,7 +55,7 @@ def test_the_summary_counts_runs_and_names_what_failed(mbdkit, in_tmp_path):
     lines = result.stdout.splitlines()
     assert lines[:5] == [
         "study      A sweep",
-        "runs       4: 2 complete, 2 failed",
+        "runs       4: 2 complete, 2 failed; numbered from 1, as in study.run(number=1)",
         "verdicts   2 unknown, 2 bad",
         "computed   4 now",
         "folder     sweep",
@@ -257,6 +257,18 @@ def test_an_assignment_comes_after_the_overrides_of_families():
     spec = load_study_spec(given, ["time.end=3"])
     times = [(point.spec.time.end, point.spec.time.step) for point in plan_points(spec)]
     assert times == [(3.0, 0.5), (3.0, 0.1)]
+
+
+def test_validate_warns_of_an_unused_variable_as_study_does(mbdkit, in_tmp_path):
+    (in_tmp_path / "sweep.yaml").write_text(
+        "mbdkit_study: 1\nbase:\n  parameters: {k: 1.0, kk: 1.0}\n  model: {name: single-pendulum, mass: k}\n"
+        "  integrator: {name: rk4}\n  time: {end: 0.02, step: 0.01}\naxes:\n  - parameters.kk: [1.0, 2.0]\n"
+    )
+    result = mbdkit("validate", "sweep.yaml")
+    assert result.exit_code == 0
+    told = "warning: the parameter at parameters.kk is not used (did you mean 'k'?)"
+    assert result.stderr.count(told) == 1
+    assert told in mbdkit("study", "sweep.yaml", "--workers", "1").stderr
 
 
 def test_validate_takes_a_study(mbdkit, in_tmp_path):

@@ -17,6 +17,7 @@ from mbdkit.spec.sample_section import Sample
 from mbdkit.studies import sampled_values as module
 from mbdkit.studies.folder_lock import Shard
 from mbdkit.studies.sampled_values import sampled_values
+from mbdkit.studies.study_headlines import _sobol_words, headlines
 from tests.analysis.test_sobol_indices import FIRST, TOTAL, ishigami
 
 BODY = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0], "angle": 0.0}
@@ -200,6 +201,37 @@ def test_the_indices_of_the_ishigami_function_come_from_its_runs(of_ishigami: mb
     frame = found.to_frame()
     assert list(frame.index) == [f"model.bodies.{name}.angle" for name in "abc"]
     assert list(frame["total"]) == list(found.total)
+
+
+def test_the_headline_says_shares_alone_and_with_interactions(of_ishigami: mbdkit.Study) -> None:
+    """The shares are those of the table, near the exact ones: 31 %, 44 % and 0 % alone, 56 %, 44 % and 24 % in all."""
+    ((_, told),) = headlines(of_ishigami)
+    found = of_ishigami.sensitivity("y")
+    (a, b, c), (all_a, _, all_c) = (np.round(100 * share).astype(int) for share in (found.first, found.total))
+    assert f"angle of a explains {a} % alone and {all_a} % with interactions" in told
+    assert f"angle of b explains {b} % and angle of c explains {c} % alone and {all_c} % with interactions" in told
+    few = of_ishigami.sensitivity("y", members=8)
+    assert np.isnan(few.total).any() or np.max(few.indices.total_high - few.indices.total_low) > 0.5
+    assert _sobol_words(few) == "the sample is too small to tell which variables explain it"
+
+
+def test_a_run_is_opened_by_the_number_that_answers_give(of_ishigami: mbdkit.Study) -> None:
+    frame = of_ishigami.to_frame()
+    number = int(headlines(of_ishigami)[0][1].rpartition("largest in run ")[2].split()[0])
+    assert frame["y"].max() == frame["y"][number - 1]
+    for run in (of_ishigami.run(number=number), of_ishigami.remake(number=number), of_ishigami.run(number - 1)):
+        assert run is not None
+        with run:
+            assert run["a"].angle[0] == frame["model.bodies.a.angle"][number - 1]
+            assert run.measures["y"] == frame["y"].max()  # a measure that the study defines, not the run
+    with pytest.raises(MbdkitError, match="the study has no run number 0; its runs have the numbers 1 to 640"):
+        of_ishigami.run(number=0)
+    with pytest.raises(MbdkitError, match=r"no run with index 640; .*study\.run\(number=640\) is the last run"):
+        of_ishigami.run(640)
+    with pytest.raises(MbdkitError, match="give a run by its index from 0"):
+        of_ishigami.run(1, number=2)
+    with pytest.raises(SpecError, match=r"there is no column 'angle'; write model\.bodies\.a\.angle, model\.bodies\.b"):
+        of_ishigami.select("angle > 1")
 
 
 def test_the_report_shows_the_sample(of_ishigami: mbdkit.Study) -> None:
