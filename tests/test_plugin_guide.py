@@ -32,7 +32,7 @@ PLUGINS = {
     "A tableau in ten lines": (10, PENDULUM, {"name": "heun"}),
     "An integrator in thirty lines": (30, PENDULUM, {"name": "verlet"}),
     "A model in twenty lines": (20, {"name": "swing"}, RK4),
-    "A force law in ten lines": (10, BALL, RK4),
+    "A force law in eleven lines": (11, BALL, RK4),
     "A measure in ten lines": (10, PENDULUM, RK4),
 }
 
@@ -62,6 +62,9 @@ def test_a_plugin_runs_as_printed_and_is_no_longer_than_it_says(heading: str, tm
     assert told["verdict"] == "unknown", told["verdict_reasons"]  # the best one without a check
     assert list(told.get("measures", ())) == list(measures)
     assert all(0.0 < told["measures"][name] < 2.0 for name in measures)
+    if "force law" in heading:  # its options have bounds and descriptions
+        verified = python("-m", "mbdkit", "plugins", "verify", "duffing", path=(tmp_path,), cwd=tmp_path)
+        assert verified.returncode == 0, verified.stdout + verified.stderr
 
 
 def test_a_packaged_study_runs_by_name_as_printed_and_is_reported_with_its_verdict(tmp_path: Path) -> None:
