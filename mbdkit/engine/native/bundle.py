@@ -13,7 +13,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from functools import cache
-from typing import Any, get_args, get_type_hints
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
 
@@ -67,10 +67,36 @@ def bundle_loader(example: Callable[[], tuple[Any, ...]]) -> Any:
     return load
 
 
-def words_in(bundle: Any) -> int:
-    """Return the number of words of a bundle of a class."""
-    kinds = fields_of(bundle)
-    return sum(words_in(one) if hasattr(one, "_fields") else ARRAY_WORDS + 2 * get_args(one)[2] for one in kinds)
+class ArrayType(NamedTuple):
+    """Type of the elements of an array, number of dimensions, and declared sizes as (axis, size)."""
+
+    dtype: np.dtype[Any]
+    dimensions: int
+    sizes: tuple[tuple[int, int], ...]
+
+
+@cache
+def arrays_in(bundle: Any) -> tuple[ArrayType, ...]:
+    """Return the types of the arrays of a bundle of a class, nested bundles included."""
+    found: list[ArrayType] = []
+    for kind, sizes in zip(fields_of(bundle), axes_of(bundle), strict=True):
+        if hasattr(kind, "_fields"):
+            found += arrays_in(kind)
+        else:
+            _, dtype, dimensions = get_args(kind)[:3]
+            found.append(ArrayType(np.dtype(dtype), dimensions, tuple(sizes.items())))
+    return tuple(found)
+
+
+def arrays_of(bundle: Any) -> list[Any]:
+    """Return the arrays of a bundle in the order of `arrays_in`."""
+    arrays: list[Any] = []
+    for x in bundle:
+        if isinstance(x, tuple):
+            arrays += arrays_of(x)
+        else:
+            arrays.append(x)
+    return arrays
 
 
 def array_words(x: np.ndarray) -> tuple[int, ...]:
