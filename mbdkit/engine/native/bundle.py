@@ -117,15 +117,20 @@ def words_of(bundle: Any) -> list[int]:
         If an axis of an array does not have its declared size.
     """
     words: list[int] = []
-    kind: Any = type(bundle)
-    for x, axes in zip(bundle, axes_of(kind), strict=True):
+    for x in bundle:
         words += words_of(x) if isinstance(x, tuple) else array_words(x)
-        for axis, size in axes.items():
-            if x.shape[axis] != size:
-                raise TypeError(
-                    f"an array of {type(bundle).__name__} has shape {x.shape}; axis {axis} must have {size}"
-                )
+    kind: Any = type(bundle)
+    for field, axis, size in _declared(kind):
+        if (shape := bundle[field].shape)[axis] != size:
+            raise TypeError(f"an array of {kind.__name__} has shape {shape}; axis {axis} must have {size}")
     return words
+
+
+@cache
+def _declared(bundle: Any) -> tuple[tuple[int, int, int], ...]:
+    """Return the declared sizes of a class of bundles as (field, axis, size), without those of nested bundles."""
+    axes = enumerate(axes_of(bundle))
+    return tuple((field, axis, size) for field, sizes in axes for axis, size in sizes.items())
 
 
 def _data_address(array: np.ndarray) -> int:
