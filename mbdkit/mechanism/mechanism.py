@@ -1018,7 +1018,11 @@ class Mechanism(HtmlView):
         1.0
         """
         if not isinstance(spec, Mapping):
-            raise SpecError(f"should be a mapping (`key: value`), not {value_text(spec)}", key="model")
+            raise SpecError(
+                f"should be a mapping (`key: value`), not {value_text(spec)}; the mechanism of a loaded spec is "
+                "`spec.mechanism()`",
+                key="model",
+            )
         values = plain(spec, ("model",))
         name = values.pop("name", "mechanism")
         if name != "mechanism":

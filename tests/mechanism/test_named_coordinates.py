@@ -8,6 +8,7 @@ import pytest
 
 from mbdkit import Mechanism, SpecError
 from mbdkit.mechanism.mechanism_data import NamedCoordinate
+from mbdkit.spec import load_spec
 
 MODEL: dict[str, Any] = {
     "name": "mechanism",
@@ -57,6 +58,12 @@ def test_a_wrong_coordinate_is_refused_by_its_key(one: Any, key: str, message: s
         Mechanism.from_spec(MODEL | {"coordinates": {"c": one}})
     assert error.value.key == f"model.coordinates.c.{key}"
     assert message in str(error.value)
+
+
+def test_the_model_of_a_loaded_spec_is_refused_with_what_to_use_instead() -> None:
+    spec = load_spec("four-bar")
+    with pytest.raises(SpecError, match=r"the mechanism of a loaded spec is `spec\.mechanism\(\)`"):
+        Mechanism.from_spec(spec.model)  # type: ignore[arg-type]
 
 
 def test_the_name_of_a_coordinate_is_not_that_of_a_quantity() -> None:

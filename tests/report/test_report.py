@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.analysis.verdict import Answer
 from mbdkit.base.errors import SpecError
+from mbdkit.report import run_verdict as module
 from mbdkit.report.methods_used import methods
 from mbdkit.report.report import report
 from mbdkit.report.run_report import run_report, yaml_text
@@ -110,6 +112,16 @@ def test_the_verdict_names_the_worst_joint_and_the_size_of_its_gap(make_run):
     assert "The largest misalignment is 2.5 \u00b5m, of joint J2" in verdict.sentence
     assert "it grows in proportion to time" in verdict.sentence
     assert [claim.answer for claim in verdict.claims] == [Answer.OPEN, *[Answer.YES] * 3]
+
+
+def test_laws_of_growth_that_cannot_be_told_apart_are_not_named(make_run, monkeypatch):
+    def pull(data):
+        data["joints/misalignment"][:, 1] = 2.5e-6 * data["time"] / data["time"][-1]
+
+    run = make_run(change=pull)
+    candidates = SimpleNamespace(candidates=("exponential", "quadratic", "linear"))
+    monkeypatch.setattr(module, "growth_law", lambda time, values: candidates)
+    assert "grows" not in run_verdict(run).sentence
 
 
 @pytest.mark.parametrize(
