@@ -144,7 +144,10 @@ def growth_law(time: np.ndarray, value: np.ndarray, *, blocks: int = BLOCKS) -> 
     """
     time, value = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
     if len(time) != len(value) or len(time) < 4 * FEWEST:
-        raise ValueError(f"a growth law needs {4 * FEWEST} rows and as many times, not {len(value)} and {len(time)}")
+        raise ValueError(
+            f"a growth law needs at least {4 * FEWEST} values and one time for each, not {len(value)} values and "
+            f"{len(time)} times"
+        )
     if not np.all(np.isfinite(value)) or np.any(value < 0):
         raise ValueError("a growth law is fitted to finite values that are not negative")
     at, largest = block_maxima(time, value, blocks)

@@ -294,9 +294,9 @@ class Target:
             remove_part(self.part)
 
     def take_place_of(self, part: Path) -> None:
-        """Rename the flushed .part and its checkpoint to `part` and its checkpoint, which they replace.
+        """Rename this .part and its checkpoint to `part` and the checkpoint of `part`, and replace existing files.
 
-        `drop` then no longer removes them.
+        The data must have been flushed. Afterwards, `drop` does not remove the files.
         """
         self.sync()
         try:

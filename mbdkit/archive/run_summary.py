@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF, Headline, headlines, plus_minus
 from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
+from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
@@ -25,6 +26,9 @@ JOINTS_NAMED = 4
 
 #: Number of events listed.
 EVENTS_NAMED = 4
+
+#: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
+PULLING = (0.4, 1.6)
 
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12
@@ -85,6 +89,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("actuators", _actuators(run)),
         ("residuals", _actuators(run, residual=True)),
         ("muscles", _muscles(run)),
+        ("", _far_fibers(run)),
         ("contact", _contact_forces(run)),
         ("contacts", _contacts(run)),
         ("impacts", _impacts(run)),
@@ -385,6 +390,26 @@ def _muscles(run: Run) -> str:
     peaks.sort(key=lambda peak: -peak[0])
     more = f"; {len(peaks) - JOINTS_NAMED} more" if len(peaks) > JOINTS_NAMED else ""
     return f"largest activations {'; '.join(text for _, text in peaks[:JOINTS_NAMED])}{more}" if peaks else ""
+
+
+def _far_fibers(run: Run) -> str:
+    """Return the muscles whose fibres leave the range of lengths in which they can pull; empty if there are none."""
+    try:
+        muscles = run.mechanism.muscles if run.muscles else {}
+    except MbdkitError:  # a plugin of the model is not installed
+        return ""
+    texts = []
+    for name, muscle in run.muscles.items():
+        lengths = muscle.fiber_length[np.isfinite(muscle.fiber_length)]
+        if name in muscles and lengths.size:
+            low, high = lengths.min() / muscles[name].optimal_length, lengths.max() / muscles[name].optimal_length
+            if low < PULLING[0] or high > PULLING[1]:
+                texts.append(f"those of {name} are {low:.3g} to {high:.3g} optimal lengths long")
+    if not texts:
+        return ""
+    more = f"; {len(texts) - JOINTS_NAMED} more" if len(texts) > JOINTS_NAMED else ""
+    limits = f"below {PULLING[0]:g} and above {PULLING[1]:g} optimal lengths"
+    return f"fibres have almost no active force {limits}; {'; '.join(texts[:JOINTS_NAMED])}{more}"
 
 
 def _contacts(run: Run) -> str:

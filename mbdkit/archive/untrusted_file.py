@@ -51,7 +51,8 @@ _FEW = 64  # strings of an attribute that are read without an estimate of their 
 _DEFLATE = 1032  # largest ratio of deflate
 _FILTERS = {h5z.FILTER_DEFLATE, h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32}
 _OF_SCALES = {b"CLASS", b"NAME", b"REFERENCE_LIST", b"DIMENSION_LIST"}
-_DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")])  # layout of a string in the file
+_DESCRIPTOR = np.dtype([("length", "<u4"), ("address", "<u8"), ("index", "<u4")])
+# reference to a string of variable length, as it is stored in the file
 
 
 def check_regular(path: Path) -> None:
@@ -279,7 +280,7 @@ class _Inspection:
         elif layout == h5d.CONTIGUOUS:
             places.append((item.get_offset(), size))
         else:
-            raise self.refused(f"the strings of {path} are stored in an unknown way")
+            raise self.refused(f"the strings of {path} have a storage layout that is not supported")
         with self.path.open("rb") as stream:
             for start, length in places:
                 stream.seek(start)

@@ -48,7 +48,7 @@ def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False
             without = (
                 ""
                 if checked.covers_attributes
-                else f", without {ATTRIBUTES_HASH}: changed attributes cannot be detected"
+                else f" (changed attributes cannot be detected, because the archive has no {ATTRIBUTES_HASH})"
             )
             show(f"{archive}: sound{without}")
     if not sound:

@@ -394,7 +394,7 @@ def _few(prepared: PreparedMechanism, state: State, count: int) -> tuple[np.ndar
             f"at most {prepared.freedoms // 2 - 4} modes can be computed for a mechanism of this size", key=""
         )
     values, shapes = lowest(prepared, state, 2 * count + 2)
-    # A real part this small is a rounding error of the iteration; otherwise, undamped modes would seem to grow.
+    # Set real parts this small to zero: they are rounding errors, and undamped modes would seem to grow.
     values = np.where(np.abs(values.real) <= 1e-9 * np.abs(values), 1j * values.imag, values)
     once = np.flatnonzero(values.imag >= 0)
     once = once[np.argsort(np.abs(values[once]))][:count]

@@ -196,7 +196,7 @@ class BetweenPoints(Between):
     """Keys of the points in the global frame: one for a common point, or one for each body."""
 
     points: Points | None = None
-    """One point in each body's own frame [m]."""
+    """One point of each body, in the frame of that body [m]."""
 
     @model_validator(mode="after")
     def _points_once(self) -> Self:

@@ -35,7 +35,7 @@ def law_parameters(law: ForceLaw, options: Any, name: str) -> tuple[tuple[str, .
             f"force law {name}: its state '{missing[0]}' needs a parameter of this name, its initial value"
         )
     if law.states and law.potential not in (None, False):
-        raise PluginError(f"force law {name} has states, so that its force has no potential")
+        raise PluginError(f"force law {name} has states, so its force cannot have a potential; leave out `potential`")
     if not all(isfinite(value) for value in values):
         raise PluginError(f"force law {name} computed parameters that are not finite")
     return names, values

@@ -65,8 +65,8 @@ class CrossedFourBar:
         if self._branch == 0:
             lengths = f"tibial {self.tibial:g}, femoral {self.femoral:g}, acl {self.acl:g}, pcl {self.pcl:g}"
             raise SpecError(
-                f"the straight leg cannot be assembled with crossed rods from links with these lengths ({lengths} m) "
-                "and pitches",
+                f"the linkage of the straight leg cannot be assembled with crossed rods; the lengths are {lengths} m, "
+                f"the pitches {self.tibial_pitch:g} and {self.femoral_pitch:g} rad",
                 key="links",
             )
 

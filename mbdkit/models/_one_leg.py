@@ -30,7 +30,7 @@ class LegPose(StrictModel):
     hip_flexion: Number = 0.0
     """Initial angle from trunk to thigh, forward [rad]."""
     knee_flexion: Number = 0.0
-    """Initial angle from thigh to shank, backward [rad]."""
+    """Initial angle of the shank relative to the thigh [rad], positive if the knee is bent."""
     ankle_dorsiflexion: Number = 0.0
     """Initial angle from shank to foot, toes up [rad]."""
     hip_flexion_rate: Number = 0.0

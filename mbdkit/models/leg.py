@@ -107,7 +107,7 @@ class LegOptions(LegPose):
     forces: dict[str, Force] = Field(default_factory=dict)
     """Force elements by name."""
     markers: dict[str, Marker] = Field(default_factory=dict)
-    """Further points of bodies whose positions and velocities are recorded, by name."""
+    """Further points on bodies, by name; the positions and velocities of these points are recorded."""
     muscles: dict[str, Muscle] = Field(default_factory=dict)
     """Muscles by name. In runs they exert forces; in inverse dynamics with `recruitment`, they share moments."""
     contacts: dict[str, Contact] = Field(default_factory=dict)

@@ -24,7 +24,9 @@ from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
 
 FAR = 0.1
-"""Share of the mechanism's size by which assembly may change the initial positions without a warning."""
+"""Share of the mechanism's size by which assembly may change the initial positions without a warning, and share of a
+given velocity by which it may change this velocity.
+"""
 
 DIGITS = 3
 """Angles above one turn with at most this many decimals are assumed to be degrees; radians rarely have so few
@@ -53,16 +55,20 @@ def mechanism_warnings(spec: RunSpec) -> tuple[str, ...]:
 
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
-    """Return a warning if assembly moved the start by more than a tenth of the mechanism's size.
+    """Return warnings if assembly moved the start by more than a tenth of the mechanism's size, or changed a velocity
+    that the spec gives by more than a tenth of it.
 
     Parameters
     ----------
     start
         The initial state after assembly.
     """
-    mechanism = spec.mechanism()
     if not start.changed:
         return ()
+    return (*_moved_start(spec.mechanism(), start), *_changed_velocities(spec.mechanism(), start))
+
+
+def _moved_start(mechanism: Mechanism, start: AssembledState) -> Iterator[str]:
     points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
     for joint in mechanism.joints.values():
         for _, name, point in joint.attachments():
@@ -74,15 +80,39 @@ def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
             distance = math.dist(given.to_global(point), now.to_global(point))
             moved, name = max((moved, name), (distance, body))
     size = mechanism_size(mechanism, start.q)
-    if not moved > FAR * size:
-        return ()
-    key = f"model.bodies.{quoted(name)}" if mechanism.name == "mechanism" else "model"
-    warning = (
-        f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's size of "
-        f"{size:.3g} m; check the positions and angles at {key} and its neighbours, because the mechanism may have "
-        f"been assembled in an unintended configuration (`mbdkit validate` lists all changes)"
-    )
-    return (warning,)
+    if moved > FAR * size:
+        yield (
+            f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's "
+            f"size of {size:.3g} m; check the positions and angles at {_key(mechanism, name)} and its neighbours, "
+            f"because the mechanism may have been assembled in an unintended configuration (`mbdkit validate` lists "
+            f"all changes)"
+        )
+
+
+def _changed_velocities(mechanism: Mechanism, start: AssembledState) -> Iterator[str]:
+    changes = []
+    for (name, body), (vx, vy, rate) in zip(mechanism.bodies.items(), start.v.tolist(), strict=True):
+        for what, unit, given, now in (
+            ("velocity", "m/s", body.velocity, (vx, vy)),
+            ("angular velocity", "rad/s", (body.angular_velocity,), (rate,)),
+        ):
+            size = math.hypot(*given)
+            if size > 0.0 and (change := math.dist(given, now) / size) > FAR:
+                texts = [", ".join(f"{x:.4g}" for x in values) for values in (given, now)]
+                texts = texts if len(given) == 1 else [f"({text})" for text in texts]
+                changes.append((change, name, f"the {what} of {name} from {texts[0]} to {texts[1]} {unit}"))
+    if changes:
+        _, name, largest = max(changes)
+        others = f", and {len(changes) - 1} other velocities" if len(changes) > 1 else ""
+        yield (
+            f"assembly changes {largest} at the start{others}, because the velocities of the bodies do not satisfy "
+            f"the joints; check those at {_key(mechanism, name)} and its neighbours: velocities that are not given "
+            f"are zero"
+        )
+
+
+def _key(mechanism: Mechanism, body: str) -> str:
+    return f"model.bodies.{quoted(body)}" if mechanism.name == "mechanism" else "model"
 
 
 def doubts(spec: RunSpec, warnings: Sequence[str]) -> tuple[str, ...]:

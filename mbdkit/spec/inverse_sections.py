@@ -244,7 +244,8 @@ class Load(Section):
     """Body that the load acts on."""
     kind: Literal["plate", "other"] | None = None
     """`plate` if a force plate measured it, which presses on the body near its outline, or `other`; decides which
-    criteria of the verdict apply. By default, a plate if columns give the point in the global frame."""
+    criteria of the verdict apply. The default is `plate` if columns give the point of
+    application in the global frame, otherwise `other`."""
     file: Named | None = None
     """Table of the load; by default, the table of the motion."""
     data: Data | None = None

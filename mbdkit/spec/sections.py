@@ -287,7 +287,7 @@ def _named(given: Any) -> Any:
     if isinstance(name, str) and name in NAMES:
         return {"name": name} if given is name else given
     if isinstance(given, Mapping) and "name" not in given:
-        raise SpecError(f"is missing: the name of the stabilization; known: {listed(NAMES)}", key="name")
+        raise SpecError(f"is missing; it should be the name of a stabilization: {listed(NAMES, 'or')}", key="name")
     hint = did_you_mean(name, NAMES) if isinstance(name, str) else ""
     raise SpecError(
         f"should be {listed((repr(known) for known in NAMES), 'or')}, not {value_text(name)}{hint}",

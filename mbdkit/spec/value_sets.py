@@ -110,7 +110,7 @@ def _check_labelled(entry: Any, key: str) -> None:
         raise SpecError(message, key=f"{key}.set")
     name = entry.get("if_installed")
     if "if_installed" in entry and not (isinstance(name, str) and _DISTRIBUTION.fullmatch(name)):
-        message = f"should be the name of a distribution, such as mbdkit-generalized-alpha, not {value_text(name)}"
+        message = f"should be the name of a Python package, such as mbdkit-generalized-alpha, not {value_text(name)}"
         raise SpecError(message, key=f"{key}.if_installed")
 
 

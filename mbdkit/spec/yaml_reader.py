@@ -27,7 +27,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import DEEPEST, LARGEST_NUMBER, Path, path_text
 
 LARGEST = 500_000  # values, after expansion of aliases
-LONGEST = 16 * 2**20  # characters in scalars, after expansion of aliases
+LONGEST = 16 * 2**20  # characters of all scalars together, after expansion of aliases
 
 CORE = "tag:yaml.org,2002:"
 IMPLICIT = ("null", "bool", "int", "float", "timestamp", "merge", "value")
@@ -77,8 +77,8 @@ def read_data(text: str) -> Any:
 class _Reader:
     """Builds plain data from events.
 
-    `count` is the number of values so far, and `length` the number of characters in scalars so far, both after
-    expansion of aliases.
+    `count` is the number of values so far, and `length` the number of characters of all scalars so far,
+    both after expansion of aliases.
     """
 
     def __init__(self, text: str, lines: dict[Path, int] | None):

@@ -178,7 +178,10 @@ def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
 
 
 def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
-    """Return the measure of the largest velocity error of any body, over the rows that both runs recorded."""
+    """Return a measure: the largest error of the velocity components `part` of any body.
+
+    The error is the difference from the reference run, at the times that both runs recorded, without the start.
+    """
 
     def take(run: Run, reference: Run | None) -> float:
         if reference is None or not run.status == reference.status == "complete":

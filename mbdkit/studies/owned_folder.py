@@ -159,7 +159,7 @@ class OwnedFolder(ABC, Generic[Spec]):
                         rename_new(begun, self.spec)
                 finally:
                     begun.unlink(missing_ok=True)
-            self.check_same(spec)  # it may have appeared since `check`
+            self.check_same(spec)  # another call may have written a different spec since `self.check`
             self.create_more(spec)
         except OSError as error:
             raise file_error(error.errno, f"cannot be created: {error.strerror or error}", file=self.path) from error

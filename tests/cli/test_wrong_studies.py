@@ -203,7 +203,7 @@ WRONG = {
         study("{name: rk4}", "{label: x, value: {name: rk4}, if_installed: 3}"),
         9,
         "axes[0].integrator[0].if_installed",
-        "should be the name of a distribution, such as mbdkit-generalized-alpha, not 3",
+        "should be the name of a Python package, such as mbdkit-generalized-alpha, not 3",
     ),
     "a mistyped reversal": (STUDY + "measures: [reversibility_defct]\n", 14, "measures[0]", "'reversibility_defect'?"),
     "axes beside families": (STUDY + "families: {a: {}}\n", 7, "axes", "give each family its own axes"),

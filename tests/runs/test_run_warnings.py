@@ -194,3 +194,19 @@ def test_an_unused_parameter_is_told_but_does_not_question_the_run() -> None:
     assert run.warnings == ["the parameter at parameters.crank is not used"]
     assert run.verdict == "unknown"
     assert not run.verdict_reasons
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.0, 2.0)])
+def test_a_given_velocity_that_assembly_changes_is_told(velocity: tuple[float, float]) -> None:
+    # expected: a rod on a pin at its end keeps the share I / (I + m a^2) = 1/4 of a rate given without its velocity
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=1.0 / 12.0, position=(0.5, 0.0), velocity=velocity, angular_velocity=4.0)
+    m.revolute("pin", "ground", "rod", at=(0.0, 0.0))
+    spec = load_spec(
+        {"mbdkit": 1, "model": m.to_spec(), "time": {"end": 0.1, "step": 0.01}, "integrator": {"name": "rk4"}}
+    )
+    warnings = start_warnings(spec, build(spec)[1])
+    if velocity == (0.0, 2.0):
+        assert warnings == ()
+    else:
+        assert "changes the angular velocity of rod from 4 to 1 rad/s" in warnings[0]

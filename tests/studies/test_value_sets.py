@@ -101,8 +101,8 @@ def test_what_is_no_set_of_values_is_refused(given, key, words):
         ({"label": "x", "value": 1, "set": {"time.step": 1}}, "[0]", "either `value` or `set`, not both"),
         ({"label": "x", "set": {}}, "[0].set", "dotted keys of a run spec with their values, not an empty mapping"),
         ({"label": "x", "set": 3}, "[0].set", "dotted keys of a run spec with their values, not 3"),
-        ({"label": "x", "value": 1, "if_installed": True}, "[0].if_installed", "name of a distribution"),
-        ({"label": "x", "value": 1, "if_installed": ""}, "[0].if_installed", "name of a distribution"),
+        ({"label": "x", "value": 1, "if_installed": True}, "[0].if_installed", "name of a Python package"),
+        ({"label": "x", "value": 1, "if_installed": ""}, "[0].if_installed", "name of a Python package"),
     ],
 )
 def test_what_is_no_labelled_value_is_refused(entry, key, words):
