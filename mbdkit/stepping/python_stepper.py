@@ -140,7 +140,7 @@ class PythonStepper:
     @property
     def guards(self) -> GuardState:
         """State of the guards."""
-        return self._watch._step.guards
+        return self._watch.guards
 
     def continue_from(self, reached: Reached) -> None:
         """Continue from a point of the run, for example that of a checkpoint."""

@@ -155,9 +155,14 @@ class StepWatch:
         limits = self.limits.energy_jump, step.limits
         return guard_failure(int(status), self.workspace.mechanism, (step.guards, step.worst), limits, end, self.hint)
 
+    @property
+    def guards(self) -> GuardState:
+        """State of the guards after the last step."""
+        return self._step.guards
+
     def evidence(self, impacts: Sequence[Impact]) -> StepEvidence:
-        """Return the observed quantities so far, including the impulses of the run."""
-        return guard_evidence(self._step.guards, impacts)
+        """Return the quantities observed so far, including the impulses `impacts` of the run."""
+        return guard_evidence(self.guards, impacts)
 
 
 def guard_evidence(guards: GuardState, impacts: Sequence[Impact]) -> StepEvidence:

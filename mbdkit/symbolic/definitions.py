@@ -211,7 +211,11 @@ PATHWAYS = (
     # a string around a circle is the sum of two such terms with opposite r, up to multiples of 2 pi r. Each term
     # depends on only two bodies.
     PathwayKind(
-        "tangent", straight, "s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent", (("r", "r"),), (tangent_x, tangent_y)
+        "tangent",
+        straight,
+        "s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent (derivatives: of s + r psi, psi the angle of its direction)",
+        (("r", "r"),),
+        (tangent_x, tangent_y),
     ),
 )
 

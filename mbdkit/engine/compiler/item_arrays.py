@@ -58,7 +58,7 @@ class ItemArray(types.Type):
 
     @classmethod
     def behind(cls, builder: Any, place: Any, count: Any) -> Any:
-        """Generate code for the address of the real item `count` items behind another one."""
+        """Generate code for the address that is `count` real items after the address `place`."""
         words = count * cls.DOUBLES if isinstance(count, int) else builder.mul(count, count.type(cls.DOUBLES))
         return builder.gep(place, [ir.IntType(64)(words) if isinstance(words, int) else words], inbounds=True)
 

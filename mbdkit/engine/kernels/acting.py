@@ -1,4 +1,4 @@
-"""Recorded values of force elements, of joints in the frames of their bodies, and of markers, at one state."""
+"""Recorded quantities of force elements, of joints (in the frames of their bodies) and of markers, at one state."""
 
 from __future__ import annotations
 

@@ -1626,7 +1626,7 @@ def travel_hessian(k, a, b, q, cs, p, hess):
 
 @subkernel
 def tangent_gradient(k, a, b, q, cs, p, s, grad):
-    """Length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent and its gradient."""
+    """Length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent (derivatives: of s + r psi, psi the angle of its direction) and its gradient."""
     xa = q[3*a+0]
     ya = q[3*a+1]
     xb = q[3*b+0]
@@ -1660,7 +1660,7 @@ def tangent_gradient(k, a, b, q, cs, p, s, grad):
 
 @subkernel
 def tangent_hessian(k, a, b, q, cs, p, hess):
-    """Second derivatives of the length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent."""
+    """Second derivatives of the length s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent (derivatives: of s + r psi, psi the angle of its direction)."""
     xa = q[3*a+0]
     ya = q[3*a+1]
     xb = q[3*b+0]

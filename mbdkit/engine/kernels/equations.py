@@ -137,7 +137,7 @@ def _take_rows(eq, x, out):
 
 @inlined
 def _evaluate_rows(eq, t, q, v):
-    """Take over a state and evaluate the Jacobian and gamma of the rows that are solved for."""
+    """Copy a state into the bundle, and evaluate there the Jacobian and gamma of the rows that are solved for."""
     _put(eq.q, q)
     _put(eq.v, v)
     prepare(eq.top, eq.w, t, eq.q)
