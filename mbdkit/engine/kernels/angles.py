@@ -44,18 +44,6 @@ def cosine_and_sine(x):
     return _cosine_and_sine(x)
 
 
-@overload(cosine_and_sine)
-def _typed(x):
-    if is_dual(x):
-        return _of_dual
-    return lambda x: _cosine_and_sine(x)
-
-
-def _of_dual(x):
-    c, s = _cosine_and_sine(value_of(x))
-    return chain(x, c, -s), chain(x, s, c)
-
-
 @inlined
 def _cosine_and_sine(x):
     c, s = _of_near(x)
@@ -90,18 +78,6 @@ def _near(x):
     return _of_near(x)
 
 
-@overload(_near)
-def _typed_near(x):
-    if is_dual(x):
-        return _of_near_dual
-    return lambda x: _of_near(x)
-
-
-def _of_near_dual(x):
-    c, s = _of_near(value_of(x))
-    return chain(x, c, -s), chain(x, s, c)
-
-
 @inlined
 def _of_near(x):
     quarters = nearest(x * _QUARTERS)
@@ -125,3 +101,23 @@ def _of_near(x):
     s = where(quadrant >= 2.0, -s, s)
     c = where((quadrant == 1.0) | (quadrant == 2.0), -c, c)
     return c, s
+
+
+def _of_any(of_number):
+    """Return how to choose the form of a function for the type of its argument: that of numbers, or of dual numbers."""
+
+    def choose(x):
+        if not is_dual(x):
+            return lambda x: of_number(x)
+
+        def of_dual(x):
+            c, s = of_number(value_of(x))
+            return chain(x, c, -s), chain(x, s, c)
+
+        return of_dual
+
+    return choose
+
+
+overload(cosine_and_sine)(_of_any(_cosine_and_sine))
+overload(_near)(_of_any(_of_near))
