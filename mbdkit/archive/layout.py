@@ -57,7 +57,8 @@ INTEGRALS = "integrals"
 units.
 """
 GRADIENTS = "gradients"
-"""Root attribute with the derivatives of the measures by parameters, in JSON; absent without `gradients`."""
+"""Root attribute with the derivatives of the measures with respect to parameters, in JSON; absent without `gradients`.
+"""
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
 """Root attributes with the verdict on a run, its reasons and warnings; archives of earlier versions lack them."""
 

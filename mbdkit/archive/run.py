@@ -295,10 +295,11 @@ class Run(HtmlView):
 
     @cached_property
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:
-        """Derivatives of the measures by the parameters that the spec lists under `gradients`, by name of the measure.
+        """Derivatives of measures with respect to the parameters that the spec lists under `gradients`.
 
-        Each entry has its ``unit``, the ``derivatives`` by parameter and a ``check`` by differences of runs. If there
-        are no derivatives, it has a ``reason`` instead. The mapping is empty if the spec has no `gradients`.
+        The keys are the names of the measures. Each entry has its ``unit``, the ``derivatives`` by name of the
+        parameter, and a ``check`` by differences of runs. If there are no derivatives, it has a ``reason`` instead. The
+        mapping is empty if the spec has no `gradients`.
         """
         return self._contents.gradients()
 

@@ -47,7 +47,8 @@ def design(
     with_report: Annotated[
         bool,
         typer.Option(
-            "--report", help="Also write report.html, with the device, its loads, and the goals around the best point."
+            "--report",
+            help="Also write report.html: the optimised mechanism, its loads, and the goals around the best point.",
         ),
     ] = False,
     overwrite: Annotated[
@@ -69,8 +70,9 @@ def design(
 ) -> None:
     """Choose numbers of a spec so that measures become small.
 
-    The stages are the optimisation, the errors of its result, a comparison with each of
-    the other settings of `compare`, and the robustness. Writes design.json, archives of
+    Variables, goals and limits are stated in the design spec. The optimum is found first;
+    then its errors are estimated, it is compared with the optima of other settings
+    (`compare` of the spec), and its robustness is computed. Writes design.json, archives of
     the start and of the best point, and points.jsonl with all points that are evaluated.
     If a call is interrupted, the same command continues from these points. See `mbdkit guide design`.
 

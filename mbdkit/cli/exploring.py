@@ -20,8 +20,8 @@ def explore(
         typer.Option(
             "--parameters",
             metavar="NAME",
-            help="Add a slider for this parameter, or dotted key of a number; may be repeated. By default, sliders "
-            "change the named parameters or, if there are none, numbers of the model.",
+            help="Add a slider for this parameter of the spec, or for the number with this key path; may be repeated. "
+            "By default, sliders change all parameters or, if there are none, numbers of the model.",
         ),
     ] = None,
     port: Annotated[
@@ -30,10 +30,10 @@ def explore(
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Print the address only.")] = False,
     debug: Debug = False,
 ) -> None:
-    """Show sliders in the browser; motion and forces follow them.
+    """Change numbers of a spec with sliders in the browser.
 
-    The page is served on this machine only, until Ctrl-C. Every request needs the token in
-    its address. Needs `pip install "mbdkit[explore]"`.
+    The page shows how motion and forces change. It is served on this machine only, until
+    Ctrl-C, at an address that contains a secret token. Needs `pip install "mbdkit[explore]"`.
     """
     from mbdkit.exploration.explorer import explorer_of
     from mbdkit.exploration.server import Exploration

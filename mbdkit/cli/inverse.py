@@ -40,8 +40,8 @@ def inverse(
 ) -> None:
     """Compute joint and actuator forces from a measured motion.
 
-    The mechanism is fitted to the measured columns of the spec, with its joints closed
-    to round-off, the motion is smoothed, and the equations of motion are solved for the
+    First, the mechanism is fitted to the measured data, with its joints closed to
+    round-off. Then the motion is smoothed, and the equations of motion are solved for the
     actuators and the reactions. See `mbdkit guide inverse`.
     """
     from mbdkit.spec import load_inverse_spec
@@ -57,16 +57,19 @@ def inverse(
 def workload(
     archive: Archive,
     load: Annotated[
-        str | None, typer.Option("--load", metavar="LOAD", help="Begin a cycle where this load rises to the threshold.")
+        str | None,
+        typer.Option("--load", metavar="LOAD", help="Begin a cycle when the force of this load exceeds the threshold."),
     ] = None,
-    threshold: Annotated[float, typer.Option("--threshold", metavar="N", help="Force of contact [N].")] = 20.0,
+    threshold: Annotated[
+        float, typer.Option("--threshold", metavar="N", help="Force above which there is contact [N].")
+    ] = 20.0,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Print the workload of joints: peaks, impulses and work.
 
-    With --load, it is also printed for each contact, swing and cycle; --json has the cycles from 0 to 100 % with their
-    mean and deviation. Drivers of a forward run count as actuators.
+    With --load, the workload is also printed for each phase of contact, each swing and each cycle, and --json contains
+    the mean cycle from 0 to 100 % with its standard deviation. Drivers of a forward run count as actuators.
     """
     from mbdkit.analysis.workload import workload as of
     from mbdkit.archive.archive_check import blaming_damage

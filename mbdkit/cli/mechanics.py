@@ -70,7 +70,7 @@ def modes(
         typer.Option("--at", help="Linearise at the equilibrium near the start, or at the start."),
     ] = "equilibrium",
     count: Annotated[
-        int | None, typer.Option("--count", min=1, metavar="N", help="Number of modes, the slowest first.")
+        int | None, typer.Option("--count", min=1, metavar="N", help="Compute only the N slowest modes.")
     ] = None,
     output: Annotated[Path | None, output_to("FILE.png", "Draw the modes to a PNG, SVG or PDF file.")] = None,
     as_json: AsJson = False,
@@ -78,7 +78,7 @@ def modes(
 ) -> None:
     """Find natural frequencies, damping ratios and mode shapes.
 
-    Drivers prescribe their motion. An existing picture is replaced.
+    Coordinates that drivers prescribe do not vibrate. An existing picture is replaced.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.modes import modes_of
@@ -103,14 +103,15 @@ def modes(
 def kinematics(
     spec: SpecName,
     assignments: Set = None,
-    output: Annotated[Path | None, output_to("FILE.csv", "Write positions, velocities, accelerations as CSV.")] = None,
+    output: Annotated[Path | None, output_to("FILE.csv", "Write the motion of all bodies to a CSV file.")] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Compute the motion that drivers prescribe, without forces.
 
-    The mechanism must be fully driven. Times are the steps of the spec.
+    Drivers must prescribe all degrees of freedom. The motion is computed at the times of
+    the steps in the spec.
     """
     from mbdkit.mechanics import mechanics_summary
     from mbdkit.mechanics.kinematics import kinematics_of

@@ -72,7 +72,11 @@ def plot(
     selection: Selection,
     size: Annotated[
         str | None,
-        typer.Option("--size", metavar="MMxMM", help="A figure for a paper, without heading: 85mm wide, or 85mmx60mm."),
+        typer.Option(
+            "--size",
+            metavar="SIZE",
+            help="Draw a figure for a paper, without heading, of this width (85mm) or width and height (85mmx60mm).",
+        ),
     ] = None,
     x_limits: Annotated[
         tuple[float, float] | None,
@@ -82,7 +86,7 @@ def plot(
     ] = None,
     y_limits: Annotated[
         tuple[float, float] | None,
-        typer.Option("--y-limits", metavar="LOW HIGH", help="Ends of the vertical axis."),
+        typer.Option("--y-limits", metavar="LOW HIGH", help="Range of the vertical axis."),
     ] = None,
     output: Annotated[Path | None, output_to("FILE.png", "A PNG, SVG or PDF file; by default FILE-KIND.png.")] = None,
     quiet: Quiet = False,
@@ -150,7 +154,7 @@ def report(
         output_to(
             "FILE.html",
             "The page; by default NAME-report.html, or report.html in the folder. "
-            "FILE.md: verdict and tables as Markdown.",
+            "With FILE.md, the verdict and the tables as Markdown.",
         ),
     ] = None,
     figures: Annotated[
@@ -158,7 +162,8 @@ def report(
         typer.Option(
             "--figures",
             metavar="DIR",
-            help="Also write the figures as PNG and SVG; by default only for a study, to its figures/.",
+            help="Also write the figures as PNG and SVG to this folder. By default, only those of a study are written, "
+            "to figures/ in its folder.",
         ),
     ] = None,
     overwrite: Overwrite = False,

@@ -48,11 +48,11 @@ def run(
     assignments: Set = None,
     overwrite: Overwrite = False,
     check: Annotated[
-        bool, typer.Option("--check", help="Estimate errors by comparison runs; about ten times as slow.")
+        bool, typer.Option("--check", help="Estimate errors by comparison runs; takes about ten times as long.")
     ] = False,
     accuracy: Annotated[
         float | None,
-        typer.Option("--accuracy", metavar="SHARE", help="Choose method and step for this accuracy, such as 1e-6."),
+        typer.Option("--accuracy", metavar="FRACTION", help="Choose method and step for this accuracy, such as 1e-6."),
     ] = None,
     resume: Annotated[
         Path | None,
@@ -65,9 +65,10 @@ def run(
     With --check, comparison runs estimate the errors of positions, velocities and
     reactions, and the time until which these errors are known.
 
-    With --accuracy, pilot runs choose method and step so that positions are accurate
-    to this share of the mechanism's size over the whole run, and a check confirms it.
-    If the spec gives an integrator, only its step or tolerance is chosen.
+    With --accuracy, mbdkit chooses method and step from short trial runs, so that errors
+    of positions stay below this fraction of the mechanism's size over the whole run, and
+    a check confirms this. If the spec names an integrator, only its step or tolerance is
+    chosen.
 
     With --resume instead of SPEC, a run that was killed is continued from its last
     checkpoint; the results are bitwise identical to those of an uninterrupted run.
@@ -128,8 +129,8 @@ def validate(spec: AnySpecName, assignments: Set = None, debug: Debug = False) -
 
     The mechanism is built and its initial state made consistent; changes of the initial
     state are printed. Gravity is (0, -9.81) m/s^2 unless `model.gravity` is given. For a
-    study, the specs of all runs are checked (a few of them if it is stored in blocks), and
-    the expressions of its measures; --set changes the base of every run.
+    study, the expressions of its measures and the specs of all runs are checked (a few of
+    them if many runs share a file); --set changes the base of every run.
     """
     from mbdkit.spec import load_spec
     from mbdkit.spec.loading import read_source
@@ -244,11 +245,11 @@ def rerun(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Run the spec in an archive again and compare.
+    """Run the spec of an archive again and compare the results.
 
-    Files of measured motions and loads are read from the folder of the archive.
-    Exit status 1 if the data differ, or if the archive changed after it was written;
-    prints the largest relative difference.
+    Prints the largest relative difference. Files of measured motions and loads are read
+    from the folder of the archive. Exit status 1 if the data differ, or if the archive was
+    changed after the run.
     """
     if output is not None:
         check_new(output, str(archive), overwrite)

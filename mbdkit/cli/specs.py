@@ -85,7 +85,7 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
 
 @examples_app.command("copy")
 def examples_copy(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="An example, as listed.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of an example, from `mbdkit examples`.")],
     output: Annotated[
         Path | None, output_to("FILE", "The file; by default ./NAME.yaml, or ./NAME.ipynb for a notebook.")
     ] = None,

@@ -48,8 +48,8 @@ class Stored:
                 "What is stored of each run: one archive per run, `files` (about 140 kB); or, in files of many runs, "
                 "`all` arrays (84 kB), `histories`: positions and reactions over time (26 kB), `summary`: counters, "
                 "times and misalignments (0.8 kB), or `hashes`. Every choice keeps spec, verdict and measures of each "
-                "run, which can be computed again (`study.remake`). By default `files` for up to 500 runs and for "
-                "studies with a `reference` or `repeats`, and `all` for others."
+                "run, so that the run can be computed again (`study.remake`). The default is `files` for up to 500 "
+                "runs and for studies with a `reference` or `repeats`, and otherwise `all`."
             ),
         ),
     ] = None
@@ -78,12 +78,12 @@ def study(
     with_report: Annotated[
         bool,
         typer.Option(
-            "--report", help="Also write report.html and figures/, replacing old ones, and print the headline table."
+            "--report", help="Also write report.html and figures/, replacing old ones, and print the main table."
         ),
     ] = False,
     printing: Printing,
 ) -> None:
-    """Run a study: a family of runs.
+    """Run a study: many variants of one spec.
 
     Writes an archive for each run, or blocks of many runs, and index.h5, a table with
     one row for each run. A second call computes only missing runs; failed runs are not
@@ -152,7 +152,7 @@ def watch(
     ] = 10.0,
     once: Annotated[bool, typer.Option("--once", help="Print the state now, and end.")] = False,
 ) -> None:
-    """Show the state of a study or design that runs elsewhere.
+    """Show the progress of a study or design that another process runs.
 
     Prints a line whenever the state has changed, until the work is complete, or until
     no process computes it. Nothing in the folder is changed.

@@ -1,4 +1,7 @@
-"""Derivatives of goals and limits by the variables: exact ones where gradients exist, otherwise differences."""
+"""Derivatives of goals and limits of designs with respect to the variables.
+
+They are exact where gradients exist, and otherwise computed by differences.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ STEP = 1e-4
 
 
 def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
-    """Return the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,).
+    """Return the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point (n,).
 
     The derivatives are exact unless a scenario has no gradients (see `Evaluator.why_differences`), or a run fails at
     this point.
@@ -71,7 +74,7 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
 
 
 def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradient]:
-    """Return the gradients of goals and limits of each scenario by the variables, at a point (n,).
+    """Return the gradients of goals and limits of each scenario with respect to the variables, at a point (n,).
 
     Raises
     ------

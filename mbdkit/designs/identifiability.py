@@ -48,7 +48,7 @@ def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], 
 
 
 def _second_derivatives(problem: Problem, best: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return the second derivatives (F, F) of the cost by the free variables; nan if a run fails."""
+    """Return the second derivatives (F, F) of the cost with respect to the free variables; nan if a run fails."""
     center = np.clip(best, 2 * STEP, 1 - 2 * STEP)
     single = [STEP * np.eye(len(best))[place] for place in free]
     pairs = list(combinations(range(len(free)), 2))

@@ -20,7 +20,8 @@ FEASIBLE = 1e-6
 """Largest violation of a limit that counts as zero, relative to the larger of the limit and the value at the start."""
 
 Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
-"""Function that returns the derivatives (S, K, n) of goals and limits by the scaled variables, at a point (n,)."""
+"""Function that returns the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point
+(n,)."""
 
 
 @dataclass(frozen=True)

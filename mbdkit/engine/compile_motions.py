@@ -15,9 +15,10 @@ from mbdkit.mechanism.values import Motion, Table, curve_of
 
 
 class CompiledMotions:
-    """Collects the programs of all motions of a mechanism in flat lists; equal motions share one number.
+    """Collects the programs of all motions of a mechanism in flat lists. Equal motions share one program.
 
-    The programs of moving centers come last; see `mbdkit.engine.kernels.motions`.
+    A program is a list of operations with constants, see `mbdkit.engine.kernels.motions`. The programs of moving
+    centers come last.
     """
 
     def __init__(self) -> None:
@@ -71,17 +72,23 @@ class CompiledMotions:
 
     @property
     def values(self) -> list[float]:
-        """The constants of the programs, followed by the tables; the offset of each table is made absolute."""
+        """The constants of the programs, followed by the numbers of the tables.
+
+        The constant of a ``table`` operation is the index at which the table begins in this list.
+        """
         ops = zip(self.ops, self.constants, strict=True)
         return [x + len(self.ops) if op == OPCODES["table"] else x for op, x in ops] + self.tables
 
 
 def _piecewise_polynomial(table: Table, *, derivative: bool) -> list[float]:
-    """Return the curve of a table as numbers for the kernel: numbers of pieces and of coefficients, period, times,
-    coefficients.
+    """Return the curve of a table, or its derivative, as the list of numbers that kernels read.
+
+    The list contains the number of pieces, the number of coefficients of each piece, the period, the times between the
+    pieces, and the coefficients, those of the highest power last. All coefficients are nan if no curve passes through
+    the points.
     """
     times = np.array(table.table[0])
-    coefficients = np.full((len(times) - 1, 4), np.nan)  # `check_motions` of assembly reports this later
+    coefficients = np.full((len(times) - 1, 4), np.nan)  # stays if there is no curve; `check_motions` reports it
     with np.errstate(all="ignore"), suppress(ValueError, np.linalg.LinAlgError):
         curve = curve_of(table).derivative() if derivative else curve_of(table)
         if np.all(np.isfinite(curve.c)):

@@ -3,7 +3,7 @@
 A contact exerts a force and a torque on each of its bodies that is not ground. Their values are laws without a pathway
 (see `mbdkit.engine.state_expressions`) that share one block of parameters: the coordinates and velocities of the
 bodies, which kernels renew, the numbers of the shapes, and those of the laws. The tangents are the derivatives of the
-traced functions by these coordinates and velocities.
+traced functions with respect to these coordinates and velocities.
 """
 
 from __future__ import annotations

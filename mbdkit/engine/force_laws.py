@@ -115,7 +115,7 @@ def law_for_duals(compiled_law: CompiledLaw, name: str) -> CompiledLaw:
         address, program, keeper = _code_of(law, example, duals=True)
     except Exception as error:
         raise PluginError(
-            f"the law of force {name} cannot be differentiated by parameters: {one_line(error)}"
+            f"the law of force {name} cannot be differentiated with respect to parameters: {one_line(error)}"
         ) from error
     return CompiledLaw(address, program, compiled_law.claims, keeper, law, compiled_law.parameters)
 

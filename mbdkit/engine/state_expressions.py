@@ -1,4 +1,5 @@
-"""Expressions of the state for kernels: values of loads, with derivatives by their inputs, and rates of states.
+"""Expressions of the state for kernels: values of loads, with derivatives with respect to their inputs, and rates of
+states.
 
 An expression becomes a law (`mbdkit.engine.force_laws`) without a pathway. Its parameters are its constants, its inputs
 and the states that it contains; kernels update the inputs and states before each evaluation. Inputs are coordinates,
@@ -54,7 +55,7 @@ class StateExpression:
     inputs
         Its inputs, in the order of the parameters that stand for them, which come first.
     slopes
-        Its derivatives by the inputs, except states.
+        Its derivatives with respect to the inputs, except states.
     parameters
         Number of its parameters, followed by their values; those that stand for inputs are zero.
     """
@@ -196,7 +197,7 @@ class _Terms:
 def _laws(
     program: Program, written: tuple[str, ...], inputs: int, constants: tuple[str, ...]
 ) -> tuple[ExpressionLaw, tuple[ExpressionLaw, ...]]:
-    """Compile a program of quantities to a law and the laws of its derivatives by the inputs.
+    """Compile a program of quantities to a law and the laws of its derivatives with respect to the inputs.
 
     Constants of the program become parameters of the law.
     """

@@ -44,8 +44,8 @@ _SLOPES: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.cos: lambda f, x: (-np.sin(x),),
     **dict.fromkeys((np.less, np.less_equal, np.greater, np.greater_equal), lambda f, x, y: (0.0, 0.0)),
 }
-"""Derivatives of functions by their operands; f is the value of the function. All other functions are traced without
-derivatives.
+"""Derivatives of functions with respect to their operands; f is the value of the function. All other functions are
+traced without derivatives.
 """
 
 
@@ -106,7 +106,7 @@ def _without_effect(function: Any, operands: Sequence[Term]) -> Term | None:
 
 
 class Traced(NDArrayOperatorsMixin):
-    """A number of a law that is traced, with its derivatives by length and rate if they are requested."""
+    """A number of a law that is traced, with its derivatives with respect to length and rate if they are requested."""
 
     def __init__(self, source: Source, term: Term, slopes: tuple[Any, ...] = ()):
         self.source, self.term, self.slopes = source, term, slopes
@@ -162,8 +162,8 @@ def _plain(slope: Any) -> Any:
 def traced_source(law: TracedLaw, names: Sequence[str]) -> str:
     """Return the source of ``law(length, rate, time, parameters)``, which returns four numbers.
 
-    They are the force, its derivatives by length and by rate, and 0 for the potential. The derivatives are 0 if the law
-    has none.
+    They are the force, its derivatives with respect to length and rate, and 0 for the potential. The derivatives are 0
+    if the law has none.
 
     Parameters
     ----------

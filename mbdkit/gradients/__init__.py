@@ -1,1 +1,1 @@
-"""Gradients: exact derivatives of measures of runs by parameters of the model, with a check by differences."""
+"""Gradients: exact derivatives of measures with respect to parameters of the model, with a check by differences."""

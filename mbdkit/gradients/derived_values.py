@@ -1,4 +1,4 @@
-"""Values with derivatives by parameters, as NumPy arrays, and the arithmetic of expressions on them."""
+"""Values with derivatives with respect to parameters, as NumPy arrays, and the arithmetic of expressions on them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mbdkit.expressions.operations import OPERATIONS
 
 @dataclass(frozen=True)
 class Value:
-    """Values (...) with derivatives (K, ...) by K parameters."""
+    """Values (...) with derivatives (K, ...) with respect to K parameters."""
 
     value: np.ndarray
     slope: np.ndarray

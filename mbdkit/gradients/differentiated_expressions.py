@@ -78,7 +78,9 @@ def of_event(name: str) -> str:
 
 
 def slopes_of(program: Program, seeds: Seeds, name: str) -> np.ndarray:
-    """Return the derivatives (I, K) of the numbers in a program by K parameters, from the array with this name."""
+    """Return the derivatives (I, K) of the numbers in a program with respect to K parameters, from the array with this
+    name.
+    """
     found = seeds.get(name)
     return np.zeros((len(program), seeds.count)) if found is None else found
 

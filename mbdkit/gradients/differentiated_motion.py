@@ -45,7 +45,8 @@ class _Part:
 
 
 class DifferentiatedMotion:
-    """The motion of a run between the ends of its steps, with derivatives by up to `DIRECTIONS` parameters.
+    """The motion of a run between the ends of its steps, with derivatives with respect to up to `DIRECTIONS`
+    parameters.
 
     Parameters
     ----------
@@ -175,7 +176,9 @@ class DifferentiatedPart:
 
 
 def states_of(motions: Sequence[DifferentiatedMotion], number: int, time: np.ndarray) -> DifferentiatedStates:
-    """Return the states at times (T,) [s] in part `number`, counted from 0, with the derivatives by all parameters."""
+    """Return the states at times (T,) [s] in part `number`, counted from 0, with the derivatives with respect to all
+    parameters.
+    """
     return joined_states([motion.parts[number].states(time) for motion in motions])
 
 

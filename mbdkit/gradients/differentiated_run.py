@@ -1,4 +1,4 @@
-"""A run with derivatives, by parameters, of its recorded states and of the quantities computed from them."""
+"""A run with derivatives of its recorded states, and of quantities computed from these, with respect to parameters."""
 
 from __future__ import annotations
 
@@ -103,12 +103,12 @@ class DifferentiatedRun:
 def differentiated_run(
     spec: RunSpec, seeds: Seeds, needs: Needs, *, sizes: Sequence[float] | None = None
 ) -> DifferentiatedRun:
-    """Run a spec, and differentiate it by parameters.
+    """Run a spec, and differentiate it with respect to parameters.
 
     Parameters
     ----------
     seeds
-        Derivatives of the prepared run by the parameters.
+        Derivatives of the prepared run with respect to the parameters.
     needs
         Data that the measures need in addition to the recorded states.
     sizes
@@ -181,7 +181,7 @@ def refuse(spec: RunSpec, method: Method) -> None:
     try:
         require_derivatives(method, spec.stabilized)
     except NoDerivativeError as error:
-        message = f"{spec.integrator_item.id} has no derivatives by parameters here: {error}"
+        message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {error}"
         raise SpecError(message, key="integrator") from None
     if spec.settings():
         raise SpecError("runs in which events set states have no derivatives", key="events")
@@ -195,7 +195,7 @@ def refuse(spec: RunSpec, method: Method) -> None:
 
 
 def _pass(spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None) -> DifferentiatedRun:
-    """Run a spec with the derivatives by up to `DIRECTIONS` parameters."""
+    """Run a spec with the derivatives with respect to up to `DIRECTIONS` parameters."""
     events = events_of(spec, sizes) if spec.events else []
     stepper = _stepper(spec, seeds, needs, sizes)
     try:

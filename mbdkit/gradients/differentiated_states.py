@@ -1,4 +1,4 @@
-"""States of a run with derivatives by parameters, and the quantities in them that expressions use."""
+"""States of a run with derivatives with respect to parameters, and the quantities in them that expressions use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from mbdkit.quantities.states import NONE, Muscles, States
 
 @dataclass(frozen=True)
 class DifferentiatedStates(States):
-    """T states of a run with derivatives by K parameters, and the quantities computed from them.
+    """T states of a run with derivatives with respect to K parameters, and the quantities computed from them.
 
     All arrays but `time` have a last axis of 1 + K: the value, then the derivatives.
 
@@ -90,7 +90,7 @@ def require_derivative(quantity: Quantity) -> None:
 
 
 def _refused(quantity: Quantity, why: str) -> SpecError:
-    return SpecError(f"{quantity} has no derivative by parameters{why}", key="measures")
+    return SpecError(f"{quantity} has no derivative with respect to parameters{why}", key="measures")
 
 
 def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> Value:

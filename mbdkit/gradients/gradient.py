@@ -1,4 +1,4 @@
-"""`gradient`: measures of a run and their exact derivatives by parameters of its model."""
+"""`gradient`: measures of a run and their exact derivatives with respect to parameters of its model."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ REFERENCE_STEPS = 2_000
 
 @dataclass(frozen=True)
 class Gradient(HtmlView):
-    """Measures of a run, and their derivatives by parameters.
+    """Measures of a run, and their derivatives with respect to parameters.
 
     Attributes
     ----------
@@ -65,7 +65,8 @@ class Gradient(HtmlView):
     value
         (M,) values of the measures.
     jacobian
-        (M, K) derivatives of the measures by the parameters, in the unit of the measure per SI unit of the parameter.
+        (M, K) derivatives of the measures with respect to the parameters, in the unit of the measure per SI unit of the
+        parameter.
     preparation_error
         (K,) estimated relative errors of the derivatives of the compiled mechanism and its start; 0 where exact.
     doubts
@@ -88,8 +89,8 @@ class Gradient(HtmlView):
         return float(self.jacobian[self.measures.index(measure), self.parameters.index(parameter)])
 
     def described(self, measure: str) -> dict[str, Any]:
-        """Return unit, derivatives by parameter and check of one measure as plain data; numbers that are not finite
-        become None.
+        """Return unit, derivatives by name of the parameter, and check of one measure as plain data. Numbers that are
+        not finite become None.
         """
         m = self.measures.index(measure)
         found: dict[str, Any] = {
@@ -134,11 +135,11 @@ def gradient(
     check: bool = True,
     **sections: Any,
 ) -> Gradient:
-    """Run a spec, and return the exact derivatives of measures of the run by parameters of its model.
+    """Run a spec, and return the exact derivatives of measures of the run with respect to parameters of its model.
 
     Every step of the method is differentiated with the run (forward sensitivities of the discrete solution), so that
-    the result is the derivative of the computed numbers for any step size. Derivatives of the initial state by
-    parameters, and by assembly, are included.
+    the result is the derivative of the computed numbers for any step size. The dependence of the initial state on the
+    parameters is included, also that due to assembly.
 
     Parameters
     ----------
@@ -304,7 +305,7 @@ def gradient_of_run(
     Parameters
     ----------
     run
-        The run, with derivatives by the parameters.
+        The run, with derivatives with respect to the parameters.
     expressions
         The measures by name.
     parameters, prepared

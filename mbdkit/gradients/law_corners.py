@@ -38,8 +38,8 @@ class SidedLaw:
     law
         The law.
     conditions
-        Functions that return g and its derivatives by all of their arguments. These are length, rate and the parameters
-        of the original law, in the order of the law.
+        Functions that return g and its derivatives with respect to all of their arguments. These are length, rate and
+        the parameters of the original law, in the order of the law.
     """
 
     law: ExpressionLaw

@@ -1,4 +1,5 @@
-"""Measures of a run with their derivatives by parameters: the expressions are evaluated on values with derivatives.
+"""Measures of a run with their derivatives with respect to parameters: the expressions are evaluated on values with
+derivatives.
 
 Reductions over time are evaluated on the recorded rows, on the stages of the steps, or on the continuous motion, as in
 runs. The points at which an integrand changes its form, and the time of an extremum, depend on the parameters. The

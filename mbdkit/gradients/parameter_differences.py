@@ -1,4 +1,5 @@
-"""Derivatives, by parameters, of the arrays that a spec is compiled to, such as the mechanism and its initial state.
+"""Derivatives, with respect to parameters, of the arrays that a spec is compiled to, such as the mechanism and its
+initial state.
 
 The preparation, which turns a spec into arrays, is repeated with other values of one parameter. If an array depends on
 the parameter linearly, its derivative is the slope of a line through two points, which is exact up to rounding errors.
@@ -62,10 +63,11 @@ class PreparedDerivatives:
     Parameters
     ----------
     seeds
-        Derivatives by K parameters of the arrays of the mechanism, of the initial state ``q`` and ``v``, and of the
-        numbers of measures and events (`numbers_of`).
+        Derivatives with respect to K parameters of the arrays of the mechanism, of the initial state ``q`` and ``v``,
+        and of the numbers of measures and events (`numbers_of`).
     error
-        (K,) estimated errors of these derivatives by each parameter, relative to the largest derivative of an array.
+        (K,) estimated errors of these derivatives with respect to each parameter, relative to the largest derivative of
+        an array.
     side
         (K,) 0 if the spec is valid for changes of both signs, otherwise the sign for which it is valid, such as 1 for a
         damping of zero.
@@ -103,7 +105,7 @@ class Preparation(ABC):
         """
 
     def derivatives(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
-        """Return the derivatives of the arrays by parameters.
+        """Return the derivatives of the arrays with respect to parameters.
 
         Raises
         ------
@@ -143,7 +145,7 @@ class Preparation(ABC):
             if (one.period, one.delay) != (other.period, other.delay):
                 raise SpecError(
                     f"the times of the samples of the controller '{one.name}' depend on '{parameter.name}'; there are "
-                    "no derivatives by such a parameter",
+                    "no derivatives with respect to such a parameter",
                     key="gradients",
                 )
 
@@ -161,7 +163,7 @@ class Preparation(ABC):
         return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
 
     def _by(self, parameter: Parameter) -> _Derivatives:
-        """Return the derivatives of all arrays by one parameter."""
+        """Return the derivatives of all arrays with respect to one parameter."""
         try:
             return _Derivatives(*self._with_places(parameter, CENTRAL), 0)
         except SpecError as error:
@@ -171,13 +173,15 @@ class Preparation(ABC):
             if error.key == "gradients":
                 raise
             raise SpecError(
-                f"there is no derivative by '{parameter.name}', because the spec is not valid for values close to "
-                f"{parameter.value!r}: {error}",
+                f"there is no derivative with respect to '{parameter.name}', because the spec is not valid for values "
+                f"close to {parameter.value!r}: {error}",
                 key="gradients",
             ) from None
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
-        """Return the non-zero derivatives by a parameter and their error, computed from points at these positions."""
+        """Return the non-zero derivatives with respect to a parameter and their error, computed from points at these
+        positions.
+        """
         unit = 2.0 ** np.floor(np.log2(WIDEST / 4.0 * self._scale(parameter)))
         points = {place: self._point(parameter, place * unit) for place in FEW[places]}
         slopes: dict[str, np.ndarray] = {}
@@ -230,7 +234,7 @@ class Preparation(ABC):
 
 @dataclass(frozen=True)
 class _Derivatives:
-    """The derivatives of all arrays by one parameter that are not zero; see `PreparedDerivatives`."""
+    """The derivatives of all arrays with respect to one parameter that are not zero; see `PreparedDerivatives`."""
 
     slopes: dict[str, np.ndarray]
     error: float

@@ -1,4 +1,5 @@
-"""Derivatives of the preparation of a run: of the compiled mechanism and of its consistent start, by parameters.
+"""Derivatives of the preparation of a run: of the compiled mechanism and of its consistent start, with respect to
+parameters.
 
 The preparation validates the model, builds and compiles the mechanism, and assembles its initial state. The numbers in
 expressions of measures and events may depend on named parameters, and are differentiated in the same way.
@@ -24,7 +25,8 @@ from mbdkit.spec.varied_specs import VariedSpecs
 def prepared_derivatives(
     spec: RunSpec, parameters: Sequence[Parameter], definitions: Definitions = NO_MEASURES
 ) -> PreparedDerivatives:
-    """Return the derivatives of a prepared run by parameters: of the mechanism, and of its start ``q`` and ``v``.
+    """Return the derivatives of a prepared run with respect to parameters: of the mechanism, and of its start ``q`` and
+    ``v``.
 
     Parameters
     ----------
@@ -66,7 +68,7 @@ class _RunPreparation(Preparation):
         if knots_of(spec) != self.knots:
             raise SpecError(
                 f"the time at which a motion, or its derivative, is discontinuous depends on '{parameter.name}'; "
-                f"there are no derivatives by such a parameter",
+                f"there are no derivatives with respect to such a parameter",
                 key="gradients",
             )
         self.require_same_form(self._numbers(spec), parameter)

@@ -54,7 +54,8 @@ class Equilibrium:
     length, rate
         Lengths of the fibres [m] and their rates [m/s].
     activation, stiffness
-        Activations with which the fibres exert the tensions, and derivatives of the tensions by the activations [N].
+        Activations with which the fibres exert the tensions, and derivatives of the tensions with respect to the
+        activations [N].
     by_velocity
         Factors of the force-velocity curve; zero where fibres exert no active force at any activation.
     """

@@ -174,7 +174,9 @@ def _covariances(
 
 
 def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) -> list[np.ndarray]:
-    """Return the derivatives (3 U, ...) of each quantity of the outcome, by central differences over the deviations."""
+    """Return the derivatives (3 U, ...) of each quantity of the outcome with respect to coordinates, rates and
+    accelerations, by central differences whose steps are the typical standard deviations of these.
+    """
     parts = (series.value, series.rate, series.acceleration)
     count = series.value.shape[1]
     typical = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
@@ -194,16 +196,27 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
 def _with_loads(
     result: Inverse, sensitivity: list[np.ndarray], covariance: np.ndarray
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the derivatives of each quantity of the outcome, and the covariance, including the noise of the loads.
+    """Return derivatives and covariance with C further variables: the components of loads that are noisy.
 
-    Each of the C noisy components of loads is a further variable in each frame, independent of the others and of the
-    motion.
+    They are independent of each other and of the motion.
+
+    Parameters
+    ----------
+    sensitivity
+        Derivatives (3 U, ...) of each quantity of the outcome with respect to the variables of the motion.
+    covariance
+        (T, 3 U, 3 U) covariances of these variables.
+
+    Returns
+    -------
+    tuple
+        The derivatives (3 U + C, ...) and the covariances (T, 3 U + C, 3 U + C).
     """
     problem, base = result.problem, _outcome(result)
     deviations, columns = [], []
     for name, series in problem.loads.items():
         for component, deviation in series.deviation.items():
-            # the outcome is linear in each component
+            # the outcome is linear in each component, so that one change of any size gives the exact derivative
             loads = problem.loads | {name: series.moved(component, deviation)}
             with_noise = replace(problem, loads=loads)
             moved = forces_of(with_noise, result.fitted, result.independent, result.motion, strict=False)
@@ -222,8 +235,9 @@ def _with_loads(
 def _muscle_squares(result: Inverse, random: np.random.Generator) -> list[np.ndarray] | None:
     """Return the squared bounds of all quantities due to uncertain properties of muscles, in the order of `_bounds`.
 
-    A sample is ignored in frames that its muscles cannot produce. In frames in which these are more than half of the
-    samples, the bounds are nan. None is returned if the properties count as exact.
+    The properties are drawn at random several times. A draw is ignored in frames in which its muscles cannot produce
+    the motion. In frames in which more than half of the draws are ignored, the bounds are nan. None is returned if the
+    properties are taken as exact.
     """
     base, factor = _outcome(result), chi2.ppf(LEVEL, 1)
     unknown = tuple(np.full_like(part, np.nan) for part in base.parts)

@@ -1,8 +1,9 @@
-"""`inverse_gradient`: measures of inverse dynamics and their derivatives by parameters, without integration.
+"""`inverse_gradient`: measures of inverse dynamics and their derivatives with respect to parameters, without
+integration.
 
 The motion is part of the preparation (`mbdkit.gradients.parameter_differences`): if the motion depends on a parameter,
 such as a length, it is fitted again for other values of this parameter. The derivatives of the forces that produce the
-motion are exact: differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` by a parameter p gives
+motion are exact: differentiation of ``M a + Phi_q^T lam = Q + Q_loads + B u`` with respect to a parameter p gives
 
     B u_p - Phi_q^T lam_p = (M a + Phi_q^T lam - Q - Q_loads - B u)_p,   the right side at constant u and lam,
 
@@ -61,7 +62,8 @@ WITHOUT_BARS: Settings = [(("motion", "errors"), "none")]  # type: ignore[list-i
 def inverse_gradient(
     source: InverseSource, measures: Measures, parameters: str | Sequence[str], *, check: bool = True, **sections: Any
 ) -> Gradient:
-    """Compute inverse dynamics, and return the derivatives of measures of the result by parameters of the model.
+    """Compute inverse dynamics, and return the derivatives of measures of the result with respect to parameters of the
+    model.
 
     Parameters
     ----------
@@ -156,15 +158,15 @@ def _require_unique_forces(result: Inverse, parameters: Sequence[Parameter], pre
     for k, one in enumerate(parameters):
         if any(np.any(x[..., k]) for x in moved):
             raise SpecError(
-                f"the motion depends on '{one.name}'. There is no derivative by this parameter, because the motion "
-                f"does not determine the values of the actuators; use parameters that do not affect the motion, such "
-                f"as masses and stiffnesses",
+                f"the motion depends on '{one.name}'. There is no derivative with respect to this parameter, because "
+                f"the motion does not determine the values of the actuators; use parameters that do not affect the "
+                f"motion, such as masses and stiffnesses",
                 key="gradients",
             )
 
 
 class _Frames:
-    """The frames of a result, with derivatives by up to `DIRECTIONS` parameters.
+    """The frames of a result, with derivatives with respect to up to `DIRECTIONS` parameters.
 
     Parameters
     ----------

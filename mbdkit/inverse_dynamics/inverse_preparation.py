@@ -70,8 +70,8 @@ class InversePreparation(Preparation):
         own = self.result.independent
         if own is not None and independent is not None and own.intervals != independent.intervals:
             raise SpecError(
-                f"the independent coordinates of the motion change with '{parameter.name}', so that the result has no "
-                "derivative by it",
+                "the independent coordinates of the motion depend on the value of this parameter, so that the result "
+                f"has no derivative with respect to '{parameter.name}'",
                 key="gradients",
             )
         return motion

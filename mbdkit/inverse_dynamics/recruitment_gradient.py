@@ -1,4 +1,4 @@
-"""Derivatives of recruited muscles, and of the joint forces that contain them, by parameters.
+"""Derivatives of recruited muscles, and of the joint forces that contain them, with respect to parameters.
 
 The derivatives of moment arms, capacities and passive forces are computed before those of the muscles. The derivatives
 of tensions and reserves follow from the optimality conditions (`mbdkit.inverse_dynamics.shared_loads_derivative`). With
@@ -66,7 +66,7 @@ def require_derivatives_of(recruiter: Recruiter) -> None:
 
 @dataclass(frozen=True)
 class RecruitedChange:
-    """Derivatives of recruited muscles by K parameters.
+    """Derivatives of recruited muscles with respect to K parameters.
 
     Attributes
     ----------
@@ -111,7 +111,9 @@ class RecruitedChange:
 
 
 def _slopes(seeds: Seeds, recruited: Recruited, index: int) -> dict[str, np.ndarray]:
-    """Return the derivatives of the arrays of muscles by one parameter; zeros for arrays that do not depend on it."""
+    """Return the derivatives of the arrays of muscles with respect to one parameter; zeros for arrays that do not
+    depend on it.
+    """
     own = recruited.contraction
     shapes = {name: recruited.sharing.arms if name == "arms" else getattr(own, name) for name in OF_MUSCLES}
     none: Mapping[str, np.ndarray] = {name: np.zeros_like(x) for name, x in shapes.items()} | {
@@ -128,7 +130,7 @@ def _change(
     columns: tuple[np.ndarray, np.ndarray],
     slope: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the derivatives by one parameter, see `RecruitedChange`."""
+    """Return the derivatives with respect to one parameter, see `RecruitedChange`."""
     own, sharing, count = recruited.contraction, recruited.sharing, recruited.activation.shape[1]
     arms, driven, programme = sharing.arms, sharing.driven, sharing.programme
     matrix = np.zeros_like(programme.matrix)

@@ -92,8 +92,8 @@ class Shared:
         relative to its size, and a derivative of the Lagrangian with the wrong sign is relative to the largest
         derivative of the cost.
     multipliers
-        (T, K) multipliers of the equations, which are the derivatives of the cost by the right sides; nan for linear
-        programmes.
+        (T, K) multipliers of the equations, which are the derivatives of the cost with respect to the right sides; nan
+        for linear programmes.
     """
 
     value: np.ndarray
@@ -191,7 +191,7 @@ def _proximal_newton(programme: Programme, start: np.ndarray, p: float, proximal
 
 
 def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unknowns (T, N) that minimise the Lagrangian, and their derivatives by g."""
+    """Return the unknowns (T, N) that minimise the Lagrangian, and their derivatives with respect to g."""
     g = (np.swapaxes(programme.matrix, 1, 2) @ y[..., None])[..., 0]
     if p == 2:
         x, slope = 0.5 * g, np.full_like(g, 0.5)

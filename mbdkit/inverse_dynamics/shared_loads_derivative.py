@@ -1,4 +1,4 @@
-"""Derivatives of the solution of recruitment by parameters of its programmes.
+"""Derivatives of the solution of recruitment with respect to parameters of its programmes.
 
 The implicit function theorem is applied to the optimality conditions. Unknowns at their bounds stay there. The other
 unknowns x and the multipliers y of the equations satisfy
@@ -34,7 +34,7 @@ REFINEMENTS = 2
 
 @dataclass(frozen=True)
 class ProgrammeChange:
-    """Derivatives of programmes by one parameter; the arrays have the shapes of those in `Programme`."""
+    """Derivatives of programmes with respect to one parameter; the arrays have the shapes of those in `Programme`."""
 
     matrix: np.ndarray
     right: np.ndarray
@@ -42,7 +42,7 @@ class ProgrammeChange:
 
 
 def change_of_shares(programme: Programme, shared: Shared, exponent: float, change: ProgrammeChange) -> np.ndarray:
-    """Return the derivatives (T, N) of the solutions by one parameter.
+    """Return the derivatives (T, N) of the solutions with respect to one parameter.
 
     Parameters
     ----------

@@ -42,7 +42,8 @@ class TableOptions(StrictModel):
 
 
 def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float, float, float, float]:
-    """Return force, its derivatives by length and rate, and the potential, which is zero at the first table length.
+    """Return force, its derivatives with respect to length and rate, and the potential, which is zero at the first
+    table length.
 
     `parameters` holds the damping, the number n of pieces, the n + 1 lengths, and five numbers for each piece: its
     coefficients in ascending powers of the length from the beginning of the piece, and the potential there.

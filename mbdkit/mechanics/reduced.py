@@ -59,7 +59,7 @@ class Reduced:
     stiffness, damping : (f, f) arrays
         Stiffness and damping in this basis [1/s^2, 1/s].
     turning : (n, f) array
-        Derivative of the basis by time.
+        Derivative of the basis with respect to time.
     """
 
     basis: np.ndarray

@@ -5,7 +5,7 @@ equilibrium tries. The forces are then a function of q alone, with the stiffness
 
     K = -dQ/dq + Q_z g_z^-1 g_q
 
-The derivatives of Q by z, and those of g, are computed by differences of order 8.
+The derivatives of Q with respect to z, and those of g, are computed by differences of order 8.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class StatesAtRest:
         self.z = mechanism.initial_states.copy()
 
     def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the states by time (Z,)."""
+        """Return the derivatives of the states with respect to time (Z,)."""
         y = np.concatenate([q, v, [0.0, 0.0], z])
         out, workspace = np.empty(len(y)), self._workspace
         acc = np.zeros((3, workspace.mechanism.size))
@@ -121,7 +121,7 @@ class StatesAtRest:
         )
 
     def by_states(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of the forces (n, Z) and of the rates (Z, Z) by the states."""
+        """Return the derivatives of the forces (n, Z) and of the rates (Z, Z) with respect to the states."""
         n, size = len(q), np.maximum(np.abs(z), 1.0)
         both = self._differences(
             lambda x: np.concatenate([self.forces(t, q, v, x), self.rates(t, q, v, x)]), z, DISTANCE * size
@@ -129,7 +129,9 @@ class StatesAtRest:
         return both[:n], both[n:]
 
     def rates_by_motion(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of the rates by the positions and by the velocities, (Z, n) each."""
+        """Return the derivatives (Z, n) of the rates with respect to the positions, and those with respect to the
+        velocities.
+        """
         length = self._workspace.mechanism.length
         size = DISTANCE * np.tile([length, length, 1.0], len(q) // 3)
         by_position = self._differences(lambda x: self.rates(t, x, v, z), q, size)
@@ -160,7 +162,7 @@ class CoupledStates:
     names
         Names of the Z states.
     force : (f, Z) array
-        Derivatives of the accelerations by the states.
+        Derivatives of the accelerations with respect to the states.
     by_position, by_velocity, by_state : (Z, f), (Z, f) and (Z, Z) arrays
         Derivatives of the rates.
     """

@@ -27,7 +27,7 @@ class IntegrationPoint(NamedTuple):
     """Shape functions of the nodes of an element, and their derivatives, at an integration point; and the weight of the
     point.
 
-    Derivatives are by the coordinate from 0 to 1 along the element. The weights of an element add up to 1.
+    Derivatives are with respect to the coordinate from 0 to 1 along the element. The weights of an element add up to 1.
     """
 
     shape: tuple[float, ...]

@@ -62,7 +62,7 @@ class BeamSection(NamedTuple):
     nodes
         Names of the nodes of the element.
     shape, slope
-        Values of the shape functions of the nodes, and their derivatives by the arc length [1/m].
+        Values of the shape functions of the nodes, and their derivatives with respect to the arc length [1/m].
     length
         Length of the part of the beam that the cross-section represents [m].
     reference
@@ -96,8 +96,8 @@ class Beam(StrictModel):
     b: Point | None = None
     """Second end (x, y) [m]."""
     points: Annotated[tuple[Point, ...], BeforeValidator(sequence), Field(min_length=3)] | None = None
-    """Instead of `a` and `b`: three or more points (x, y) [m] of a curved beam. A cubic spline through them is its
-    shape without stress."""
+    """Three or more points (x, y) [m] of a curved beam, as an alternative to `a` and `b`. A cubic spline through them
+    is the stress-free shape."""
     elements: Annotated[int, Field(ge=1, le=MOST_ELEMENTS)] = 16
     """Number of elements."""
     nodes: Literal[2, 3] = 2

@@ -130,8 +130,8 @@ class AtPoint(Element):
     point: Point | None = (0.0, 0.0)
     """The point in the body's frame [m]; the centre of mass by default."""
     at: Point | None = None
-    """Instead of `point`: the point (x, y) [m] in the global frame, at the initial position as given (before
-    assembly)."""
+    """The point (x, y) [m] in the global frame, at the initial position of the body as given (before assembly); an
+    alternative to `point`."""
 
     @model_validator(mode="before")
     @classmethod
@@ -258,8 +258,8 @@ class At(BetweenPoints):
     GLOBAL: ClassVar[tuple[str, ...]] = ("at",)
 
     at: Point | None = None
-    """Instead of `points`: the common position of both points (x, y) [m] in the global frame, at the initial positions
-    as given (before assembly)."""
+    """Common position (x, y) [m] of both points in the global frame, at the initial positions of the bodies as given
+    (before assembly); an alternative to `points`."""
 
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.at,)
@@ -280,10 +280,10 @@ class FromTo(BetweenPoints):
     GLOBAL: ClassVar[tuple[str, ...]] = ("from", "to")
 
     from_: Point | None = Field(default=None, alias="from")
-    """With `to`, instead of `points`: the point of the first body (x, y) [m] in the global frame, at the initial
-    positions as given (before assembly)."""
+    """Point (x, y) [m] of the first body in the global frame, at the initial positions of the bodies as given (before
+    assembly); `from` and `to` are an alternative to `points`."""
     to: Point | None = None
-    """The point of the second body (x, y) [m] in the global frame, at the initial positions as given."""
+    """Point (x, y) [m] of the second body in the global frame, at the initial positions as given."""
 
     def _global(self) -> tuple[tuple[float, float] | None, ...]:
         return (self.from_, self.to)

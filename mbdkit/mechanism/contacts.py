@@ -246,11 +246,12 @@ class Contact(Element):
     bodies: BodyPair | None = None
     """Names of the two bodies [a, b]; `ground` is the fixed global frame."""
     among: Annotated[tuple[str, ...], BeforeValidator(sequence)] | None = None
-    """Instead of `bodies`: names of bodies that touch each other, all pairs but those that a joint connects."""
+    """Names of bodies that may touch each other, as an alternative to `bodies`. All pairs of them are included, except
+    those that a joint connects."""
     shapes: Annotated[tuple[Shape, ...], BeforeValidator(sequence)] | dict[str, Shape]
     """One shape for each of the two `bodies`; with `among`, a mapping from the body to its shape."""
     restitution: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Coefficient of restitution: normal velocity after an impact over that before it."""
+    """Coefficient of restitution: ratio of the normal velocity after an impact to that before it."""
     friction: NotNegative | Friction = 0.0
     """Coefficient of friction, or ``{static: number, kinetic: number}``."""
     compliance: Compliance | None = None

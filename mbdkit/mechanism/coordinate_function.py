@@ -105,7 +105,7 @@ def names_of(function: CoordinateFunction) -> list[str]:
 def value_and_slopes(
     function: CoordinateFunction, coordinates: Mapping[str, np.ndarray], frames: int
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return a function in T frames, (T,), and its derivatives by the coordinates that it contains.
+    """Return a function in T frames, (T,), and its derivatives with respect to the coordinates that it contains.
 
     Parameters
     ----------

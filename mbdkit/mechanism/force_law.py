@@ -137,7 +137,7 @@ class TracedLaw:
     states
         First-order states of an element with this law, whose rates have the same parameters.
     has_derivatives
-        Whether derivatives by length and rate are needed; they are not for the rate of a state.
+        Whether derivatives with respect to length and rate are needed; they are not for the rate of a state.
     passive
         Whether all power is dissipated.
     valid_range

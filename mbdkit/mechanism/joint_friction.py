@@ -42,9 +42,10 @@ class JointFriction(StrictModel):
     coefficient: NotNegative | None = None
     """Coefficient of friction, both at rest and in motion."""
     static: NotNegative | None = None
-    """Instead of `coefficient`: largest friction force over normal force, reached at the transition speed."""
+    """Ratio of the largest friction force, which is reached at the transition speed, to the normal force. `static` and
+    `kinetic` are an alternative to `coefficient`."""
     kinetic: NotNegative | None = None
-    """With `static`: friction force over normal force in fast motion."""
+    """Ratio of the friction force in fast motion to the normal force; requires `static`."""
     transition_speed: Positive = 0.01
     """Slip [m/s] at which the regularised friction force reaches its static value."""
 

@@ -695,10 +695,10 @@ class Mechanism(HtmlView):
             ``{"point": (x, y)}``, ``{"circle": {"center": (x, y), "radius": r}}`` or ``{"polygon": [(x, y), ...]}``.
             With `among`, a mapping from the body to its shape.
         among
-            Instead of `a` and `b`: bodies that may touch each other. All pairs are included except those that a joint
-            connects.
+            Bodies that may touch each other, as an alternative to `a` and `b`. All pairs of them are included, except
+            those that a joint connects.
         restitution
-            Normal velocity after an impact over that before it, from 0 to 1.
+            Ratio of the normal velocity after an impact to that before it, from 0 to 1.
         friction
             Coefficient of friction, or ``{"static": number, "kinetic": number}``.
         compliance

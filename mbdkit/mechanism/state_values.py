@@ -77,7 +77,7 @@ class FirstOrderState(StrictModel):
     initial: Number = 0.0
     """Value of the state at the start."""
     rate: Expression
-    """Derivative of the state by time: an expression of t and of the quantities of the mechanism, such as
+    """Derivative of the state with respect to time: an expression of t and of the quantities of the mechanism, such as
     `states.NAME`."""
     unit: str = "1"
     """Unit of the state."""

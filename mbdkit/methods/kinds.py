@@ -77,7 +77,7 @@ class Traits:
         In which runs the method computes multipliers itself: in runs with any formulation, only in runs with a
         formulation whose stages solve for multipliers, or never.
     has_lanes, has_derivatives
-        Whether runs can be advanced in SIMD lanes, and whether steps can be differentiated by parameters.
+        Whether runs can be advanced in SIMD lanes, and whether steps can be differentiated with respect to parameters.
     can_be_projected
         Whether states may be changed between the steps.
     is_time_stepping

@@ -32,8 +32,8 @@ class MoreauJeanOptions(Options):
     """Weights of the forces at the start and at the end of a step."""
 
     theta: Annotated[float, Field(ge=0.5, le=1, allow_inf_nan=False)] = 0.5
-    """Weight of the forces at the end of a step, from 0.5, which damps least, to 1; those at its start have the
-    remaining weight."""
+    """Weight of the forces at the end of a step, from 0.5 (least numerical damping) to 1 (most). The forces at the
+    start have the weight 1 - theta."""
 
 
 @dataclass(frozen=True)

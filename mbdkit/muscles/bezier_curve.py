@@ -171,7 +171,7 @@ def _chosen(points: np.ndarray, begins: Sequence[Any], x: Any) -> Points:
 
 
 def _bezier_of(points: Points, u: Any) -> tuple[Any, Any, Any]:
-    """Return value, first and second derivative by u of the curve."""
+    """Return value, first and second derivative with respect to u of the curve."""
     start, a, b, c = points
     w = 1.0 - u
     uu, ww = u * u, w * w
@@ -201,7 +201,7 @@ def _reached(points: Points, goal: Any, iterations: int) -> Any:
 
 
 def _bezier(points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return value and derivative by u of curves with control points (..., 4)."""
+    """Return value and derivative with respect to u of curves with control points (..., 4)."""
     a, b, c, d = np.moveaxis(points, -1, 0)
     w = 1.0 - u
     value = a * w**5 + b * (5 * u * w**4 + 10 * u**2 * w**3) + c * (10 * u**3 * w**2 + 5 * u**4 * w) + d * u**5

@@ -55,7 +55,7 @@ Parameters = Mapping[str, Any]
 
 
 def activation_rate(excitation: Any, p: Parameters) -> Any:
-    """Return the derivative of the activation by time."""
+    """Return the derivative of the activation with respect to time."""
     a = p["activation"]
     slowing = 0.5 + 1.5 * a
     f = 0.5 * np.tanh(STEEPNESS * (excitation - a))

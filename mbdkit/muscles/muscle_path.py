@@ -1,4 +1,5 @@
-"""Lengths of the paths of muscles and their derivatives by the coordinates of the bodies, in many frames at once.
+"""Lengths of the paths of muscles and their derivatives with respect to the coordinates of the bodies, in many frames
+at once.
 
 Between two points a and b, the path is the shortest curve that passes each circle on its side. It consists of tangents
 and arcs. With centers c_i, signed radii r_i (positive on the left side; 0 for a point) and d = c_j - c_i, a tangent has
@@ -48,7 +49,7 @@ class PathState:
     length
         (T,) length [m].
     gradient
-        (T, n) derivatives of the length by the coordinates of the bodies.
+        (T, n) derivatives of the length with respect to the coordinates of the bodies.
     """
 
     length: np.ndarray
@@ -173,7 +174,8 @@ class MusclePath:
         return length, gradient
 
     def _taut(self, time: np.ndarray, span: Sequence[_Placed]) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return the planar length (T,) between two points, and its derivatives (T, 2) by the position of each place.
+        """Return the planar length (T,) between two points, and its derivatives (T, 2) with respect to the position of
+        each place.
 
         Circles that the path does not touch are found by trying all selections of touched circles, small ones first.
         """
@@ -235,8 +237,8 @@ def _patterns(circles: range) -> Iterator[tuple[int, ...]]:
 def _string(
     centers: Sequence[np.ndarray], radii: Sequence[float], touched: tuple[int, ...]
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Return length (T,) and derivatives (T, 2) by all centers of a taut string, and whether it touches exactly these
-    circles.
+    """Return length (T,) and derivatives (T, 2) with respect to all centers of a taut string, and whether it touches
+    exactly these circles.
     """
     length = np.zeros(len(centers[0]))
     forces = [np.zeros((len(length), 2)) for _ in centers]

@@ -133,8 +133,8 @@ class Recorded(Array):
     is_of_steps
         Whether the value is an error of computed states, which is not defined for the motion between them.
     no_derivative
-        Reason why the quantity has no derivatives by parameters; empty if it has derivatives. Quantities that redundant
-        joints share never have derivatives.
+        Reason why the quantity has no derivatives with respect to parameters; empty if it has derivatives. Quantities
+        that redundant joints share never have derivatives.
     of_whole
         Whether the quantity in expressions is the sum over the elements of a beam; otherwise, it has a value in each
         element.

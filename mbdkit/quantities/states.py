@@ -65,7 +65,8 @@ class Muscles:
 class States:
     """T states of a mechanism.
 
-    All arrays except `time` may have an additional last axis with the value, followed by its derivatives by parameters.
+    All arrays except `time` may have an additional last axis with the value, followed by its derivatives with respect
+    to parameters.
 
     Parameters
     ----------
@@ -180,12 +181,12 @@ class States:
         Raises
         ------
         SpecError
-            If the states have derivatives by parameters.
+            If the states have derivatives with respect to parameters.
         """
         if not self.mechanism.contacts:
             return NONE
         if self.q.ndim > 2:
-            raise SpecError(f"derivatives of {name} of contacts by parameters are not known")
+            raise SpecError(f"derivatives of {name} of contacts with respect to parameters are not known")
         return (self._ground_reactions if of_ground else self._contacts)[name]
 
     def of_muscles(self, name: str) -> np.ndarray:
@@ -216,7 +217,7 @@ class States:
         """
         own = self.muscles
         if self.q.ndim > 2:
-            raise SpecError(f"derivatives of {name} of muscles by parameters are not known")
+            raise SpecError(f"derivatives of {name} of muscles with respect to parameters are not known")
         muscles = tuple(one.force.muscle for one in self.mechanism.muscles) if own is None else own.muscles
         length, rate = self.of_muscles("fiber_length"), self.of_muscles("fiber_rate")
         if name == "fiber_power":

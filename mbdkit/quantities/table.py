@@ -79,7 +79,7 @@ def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
 def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
     return Recorded(
         name, ("time", "contact"), units, what, take=lambda s: s.of_contacts(name),
-        no_derivative="the derivatives of quantities of contacts by parameters are not known", **more,
+        no_derivative="the derivatives of quantities of contacts with respect to parameters are not known", **more,
     )  # fmt: skip
 
 
@@ -87,7 +87,7 @@ def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
     dims = ("time", "foot", "axis") if "components" in more else ("time", "foot")
     return Recorded(
         name, dims, units, what, take=lambda s: s.of_contacts(name, of_ground=True),
-        no_derivative="the derivatives of quantities of contacts by parameters are not known", **more,
+        no_derivative="the derivatives of quantities of contacts with respect to parameters are not known", **more,
     )  # fmt: skip
 
 
@@ -279,8 +279,8 @@ KINDS = (
         _texts("rate_row_units", "state", "units of rate, row by row",
             lambda names: [f"{unit}/s" for unit in names.state_units]),
         _taken("value", ("time", "state"), MIXED, "value of the state", lambda s: s.z, row_units="row_units"),
-        _taken("rate", ("time", "state"), MIXED, "derivative of the state by time", lambda s: s.observed.state_rates,
-            row_units="rate_row_units"),
+        _taken("rate", ("time", "state"), MIXED, "derivative of the state with respect to time",
+            lambda s: s.observed.state_rates, row_units="rate_row_units"),
         since="1.1", optional=True, word="states", one="state", example="value", axis="state", is_optional=True,
         unit_of=lambda mechanism, name: mechanism.states[name].unit if name in mechanism.states else "1",
     ),

@@ -45,8 +45,9 @@ def write_report(
     path
         A run archive, or the folder of a study or of a design.
     output
-        Path of the page, ending in .html; by default ``NAME-report.html`` beside the archive, or ``report.html`` in the
-        folder. If the path ends in .md, the verdict, the claims and the tables are written as Markdown.
+        Path of the page, ending in .html, .htm or .md; by default ``NAME-report.html`` beside the archive, or
+        ``report.html`` in the folder. A page that ends in .md contains the verdict, the claims and the tables as
+        Markdown.
     figures
         Folder for the charts as PNG and SVG. By default the charts of a run or design are not written; those of a study
         are written to ``figures`` in its folder, unless `output` is given.
@@ -58,8 +59,8 @@ def write_report(
     Raises
     ------
     SpecError
-        If `path` does not exist, or if the page or a chart cannot be written. All files are checked before the first
-        one is written.
+        If `path` does not exist, if `output` does not end in .html, .htm or .md, or if the page or a chart cannot be
+        written. All files are checked before the first one is written.
     """
     source = Path(path)
     is_folder = os.path.isdir(source)

@@ -81,7 +81,7 @@ def _document(source: Any) -> tuple[Document, FilePath]:
 
 
 Given = dict[str, tuple[Path, Any]]
-"""Key paths and values, by the key of the design that sets them."""
+"""Settings of a base: key path and value of each, by the key of the design that states it."""
 
 
 def _scenario_spec(
@@ -129,7 +129,7 @@ def _scenario_spec(
 
 
 def _put_all(data: dict[str, Any], given: Given) -> None:
-    """Set values in a base; `given` has key paths and values by the key of the design that sets them."""
+    """Set values in a base."""
     for where, (path, value) in given.items():
         try:
             put(data, path, value)
@@ -138,7 +138,7 @@ def _put_all(data: dict[str, Any], given: Given) -> None:
 
 
 def _check_variable(name: str, data: Mapping[str, Any]) -> None:
-    """Raise SpecError if a variable is neither a parameter of its base nor a key of one of its elements."""
+    """Raise SpecError if a variable is neither a parameter of the base nor a key below an element of the base."""
     path, place = variable_path(name), dict(data)  # type: Path, Any
     for depth, part in enumerate(path):
         if not isinstance(place, Mapping):
@@ -147,7 +147,7 @@ def _check_variable(name: str, data: Mapping[str, Any]) -> None:
             place = place[part]
             continue
         if depth == len(path) - 1 and path[0] != "parameters":
-            return  # an option of an element that has its default value in the base
+            return  # an option that an element of the base does not set; validation of the spec checks the name
         known = [str(key) for key in place]
         hint = did_you_mean(str(part), known) or (f"; there are {listed(known)}" if known else "")
         what = f"parameter '{part}'" if path[0] == "parameters" else f"'{path_text(path[: depth + 1])}'"
@@ -156,8 +156,8 @@ def _check_variable(name: str, data: Mapping[str, Any]) -> None:
 
 
 def _located(error: SpecError, given: Given, document: Document, place: str) -> SpecError:
-    """Return an error in the spec of a scenario with the location of the key in the design, or of the line in the
-    base.
+    """Return an error in the spec of a scenario, located at the key of the design that set the wrong value, or else in
+    the base.
     """
     path = parse_path(error.key)
     for where, (key, _) in given.items():

@@ -215,7 +215,7 @@ class MeasuredMotion(Section):
     """Table with a column of times: CSV, OpenSim .mot or .sto, .trc, C3D, or a run archive; relative to the folder of
     the spec."""
     data: Data | None = None
-    """Instead of `file`: columns by heading."""
+    """Columns by heading, as an alternative to `file`."""
     time: Times = TimeColumn()
     """Column with the times."""
     columns: dict[str, Observed] | None = None
@@ -243,13 +243,13 @@ class Load(Section):
     body: Named
     """Body that the load acts on."""
     kind: Literal["plate", "other"] | None = None
-    """`plate` if a force plate measured it, which presses on the body near its outline, or `other`; decides which
-    criteria of the verdict apply. The default is `plate` if columns give the point of
-    application in the global frame, otherwise `other`."""
+    """`plate` if a force plate measured the load, which then acts near the outline of the body; otherwise `other`. The
+    kind decides which criteria of the verdict apply. The default is `plate` if columns give the point of application
+    in the global frame, otherwise `other`."""
     file: Named | None = None
     """Table of the load; by default, the table of the motion."""
     data: Data | None = None
-    """Instead of `file`: columns by heading."""
+    """Columns by heading, as an alternative to `file`."""
     time: Times | None = None
     """Column with the times; by default that of the motion if the table is that of the motion, and otherwise
     `time`."""
@@ -294,13 +294,13 @@ class Actuator(Section):
     joint: Named | None = None
     """Joint on whose relative angle or travel the actuator acts, with a torque or force on the second body."""
     bodies: BodyPair | None = None
-    """Instead of `joint`: the two bodies between which the actuator acts. With `points`, it is a tension that pulls
-    these together; otherwise, a torque on the second body, positive counter-clockwise, and its reaction on the
-    first."""
+    """The two bodies between which the actuator acts, as an alternative to `joint`. With `points`, the value of the
+    actuator is a tension that pulls the points together. Otherwise, it is a torque on the second body, positive
+    counter-clockwise, with its reaction on the first."""
     points: Points | None = None
     """Points of attachment, each in the frame of its body [m]."""
     body: Named | None = None
-    """Instead of `joint`, with `coordinate`: body on which the actuator acts from the ground."""
+    """Body on which the actuator acts from the ground, as an alternative to `joint`; requires `coordinate`."""
     coordinate: Literal["x", "y", "angle"] | None = None
     """Coordinate of `body`: a force at its centre of mass along a global axis, or a torque."""
     weight: Positive = 1.0

@@ -187,7 +187,7 @@ def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.n
     bodies
         (k, 2) indices of the two bodies of each contact.
     gradients
-        (2, k, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
+        (2, k, 6) derivatives of the rates of gap and slip with respect to the velocities of both bodies.
     lightness
         (B + 1, 3) inverse masses and inverse moments of inertia of the bodies; 0 for the ground.
     """

@@ -33,7 +33,7 @@ class Rows:
     bodies
         (C, 2) indices of the two bodies of each contact.
     gradients
-        (2, C, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
+        (2, C, 6) derivatives of the rates of gap and slip with respect to the velocities of both bodies.
     n
         Number of coordinates.
     """
@@ -53,12 +53,12 @@ class Rows:
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """(C, n) derivatives of the rates of the gaps by the velocities."""
+        """(C, n) derivatives of the rates of the gaps with respect to the velocities."""
         return self._whole(self.gradients[0])
 
     @cached_property
     def tangent(self) -> np.ndarray:
-        """(C, n) derivatives of the slip velocities by the velocities."""
+        """(C, n) derivatives of the slip velocities with respect to the velocities."""
         return self._whole(self.gradients[1])
 
     def _whole(self, parts: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Derivatives of expressions of the state by parameters: the chain rule over the parameters of their laws.
+"""Derivatives of expressions of the state with respect to parameters: the chain rule over the parameters of their laws.
 
 The inputs of an expression are parameters of its law (`mbdkit.engine.state_expressions`). Evaluating a state with dual
 numbers stores the values and derivatives of these inputs in the array of parameters.
@@ -63,7 +63,7 @@ class DifferentiatedLaws:
         return np.asarray(found)
 
     def state_rates(self, t: float, forces: np.ndarray) -> np.ndarray:
-        """Return the rates of all first-order states with their derivatives by parameters, (Z, 1 + K).
+        """Return the rates of all first-order states with their derivatives with respect to parameters, (Z, 1 + K).
 
         Parameters
         ----------
@@ -82,7 +82,8 @@ class DifferentiatedLaws:
 def _with_slopes(name: str, compiled: CompiledLaw) -> tuple[Callable[..., list[float]], int]:
     """Return a function that evaluates a law and its derivatives, and the number of parameters of the law.
 
-    The arguments of the function are length, rate, parameters and time; the derivatives are those by the first three.
+    The arguments of the function are length, rate, parameters and time; the derivatives are those with respect to the
+    first three.
     """
     import sympy as sp
 
@@ -90,8 +91,8 @@ def _with_slopes(name: str, compiled: CompiledLaw) -> tuple[Callable[..., list[f
 
     if not isinstance(compiled.law, ExpressionLaw):
         raise SpecError(
-            f"the rates of the states of '{name}' are functions, which have no derivatives by parameters; write them "
-            "as SymPy expressions",
+            f"the rates of the states of '{name}' are functions, which have no derivatives with respect to parameters; "
+            "write them as SymPy expressions",
             key="gradients",
         )
     names = [name for name, _ in compiled.parameters]

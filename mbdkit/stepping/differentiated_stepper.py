@@ -1,4 +1,4 @@
-"""A stepper that advances a run together with the derivatives of its states by parameters."""
+"""A stepper that advances a run together with the derivatives of its states with respect to parameters."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class DifferentiatedSteps:
     workspace
         The mechanism and its start.
     seeds
-        Derivatives of mechanism and start by parameters.
+        Derivatives of mechanism and start with respect to parameters.
     rows, nodes
         Initial sizes of the buffers: numbers of recorded states after the start, and of stored stages.
 

@@ -61,7 +61,7 @@ class GeneralizedAlphaSteps(TimeStepping):
         q0, v0 = state.q, state.v
         w, multipliers = p.accelerations(t, q0, v0)
         a0, w0 = accelerations or (w, w)
-        # derivatives of a_0 and a_1 by w_1, and of velocities and positions
+        # derivatives of a_0 and a_1 with respect to w_1, and of velocities and positions
         begin, end = 0.0, (1.0 - self.alpha_f) / (1.0 - self.alpha_m)
         if not accelerations:
             begin, end = self.ahead, 1.0 + self.ahead

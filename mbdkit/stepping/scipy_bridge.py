@@ -217,7 +217,9 @@ class SciPyStepper:
         return status == OK
 
     def jacobian(self, t: float, y: np.ndarray) -> np.ndarray:
-        """Return the Jacobian of `rates` by y, exact in q and v; the rows and columns of the two energies are zero."""
+        """Return the Jacobian of `rates` with respect to y, exact in q and v; the rows and columns of the two energies
+        are zero.
+        """
         self.counters.jacobian_evaluations += 1
         n3, workspace = self.n3, self.workspace
         q, v = self._state(y)

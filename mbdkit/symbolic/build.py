@@ -442,7 +442,9 @@ def _number(value: float) -> sp.Expr:
 
 
 def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
-    """Return the displacement of a moving center at a relative angle, and its first two derivatives by the angle."""
+    """Return the displacement of a moving center at a relative angle, and its first two derivatives with respect to the
+    angle.
+    """
     values: dict[sp.Symbol, sp.Expr] = {}
     for symbols, (_, function) in zip(d.CENTER, center.functions, strict=True):
         jet = _jet(function, expression_of)

@@ -42,8 +42,8 @@ _TURNED = (sp.symbols("hx0:4", real=True), sp.symbols("hy0:4", real=True))
 """Global components of the vectors in `CENTER`."""
 
 SECTION = sp.symbols("dx dy th dth", real=True)
-"""State of a cross-section of a beam: derivatives of its position (x, y) by the arc length, its angle, and the
-derivative of the angle by the arc length. Position and angle are interpolated between the nodes."""
+"""State of a cross-section of a beam: derivatives of its position (x, y) with respect to the arc length, its angle, and
+the derivative of the angle with respect to the arc length. Position and angle are interpolated between the nodes."""
 SECTION_RATES = sp.symbols("dvx dvy w dw", real=True)
 c, s = sp.symbols("c s", real=True)
 """Cosine and sine of the angle of the cross-section."""
@@ -81,7 +81,7 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
 """Intermediate quantities by symbol, each as an expression in coordinates, parameters and earlier quantities."""
 
 # These rules express derivatives in the intermediate quantities themselves. For example, the derivative of a rotated
-# vector by its angle is the vector rotated by another 90 degrees.
+# vector with respect to its angle is the vector rotated by another 90 degrees.
 _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     ca: {tha: -sa},
     sa: {tha: ca},
@@ -186,7 +186,7 @@ class PathwayKind:
     constants: tuple[tuple[str, str], ...] = ()
     """Name and LaTeX of the parameters ``p4`` and ``p5``, which follow the points."""
     slopes: tuple[sp.Expr, sp.Expr] | None = None
-    """Derivatives by `gx` and `gy` that are used instead of those of `length`."""
+    """Derivatives with respect to `gx` and `gy` that are used instead of those of `length`."""
 
 
 PATHWAYS = (

@@ -57,7 +57,7 @@ def _expression(given: Any, names: Sequence[str], arguments: Sequence[str]) -> s
 def law_source(law: ExpressionLaw, example: Mapping[str, float]) -> str:
     """Return the source of ``law(length, rate, time, parameters)``.
 
-    The function returns the force, its derivatives by length and by rate, and the potential.
+    The function returns the force, its derivatives with respect to length and rate, and the potential.
 
     Parameters
     ----------

@@ -109,7 +109,9 @@ class ForceLawUnderTest:
         return np.array(found)
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
-        """Return force, derivatives by length and rate, and potential (N, 4) at lengths, rates and times (N, 3)."""
+        """Return force, derivatives with respect to length and rate, and potential (N, 4) at lengths, rates and times
+        (N, 3).
+        """
         return self._values(places, *self.compiled)
 
     def rates(self, places: np.ndarray) -> dict[str, np.ndarray]:
@@ -189,13 +191,13 @@ def finite(law: ForceLawUnderTest) -> Result:
 
 @check("derivatives.length")
 def by_length(law: ForceLawUnderTest) -> Result:
-    """The law's derivative by length agrees with finite differences of its force."""
+    """The law's derivative with respect to length agrees with finite differences of its force."""
     return _derivative(law, 0)
 
 
 @check("derivatives.rate")
 def by_rate(law: ForceLawUnderTest) -> Result:
-    """The law's derivative by rate agrees with finite differences of its force."""
+    """The law's derivative with respect to rate agrees with finite differences of its force."""
     return _derivative(law, 1)
 
 
@@ -206,7 +208,8 @@ def _derivative(law: ForceLawUnderTest, argument: int) -> Result:
     worst = int(np.argmax(defects))
     if defects[worst] > AGREE:
         return failed(
-            f"its derivative by {ARGUMENTS[argument]} differs from that of its force at {_at(law.places[worst])}",
+            f"its derivative with respect to {ARGUMENTS[argument]} differs from that of its force at "
+            f"{_at(law.places[worst])}",
             difference=float(defects[worst]),
         )
     return passed(difference=float(defects[worst])).within({"difference": AGREE})
@@ -225,7 +228,7 @@ def _defects(
     argument
         Index of the argument.
     values, given
-        (N,) values at `places`, and their derivatives by the argument.
+        (N,) values at `places`, and their derivatives with respect to the argument.
     of
         Index of the result of the law: 0 for the force, 3 for the potential.
     """

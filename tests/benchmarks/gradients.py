@@ -1,4 +1,5 @@
-"""What a gradient by ten parameters costs, as a multiple of the run; differences of runs would cost twenty.
+"""What a gradient with respect to ten parameters costs, as a multiple of the run; differences of runs would cost
+twenty.
 
 The run is that of the knee without its archive. The preparation, which is repeated for each parameter, does not depend
 on the number of steps; the differentiated run grows with them as the run does. Beside it stand CasADi's forward
@@ -45,7 +46,7 @@ STAGES, STEP, STEPS = 3, 1e-3, 4000
 
 def gradients(console: Console) -> None:
     """Print the cost of gradients of the knee over 4 s."""
-    table = Table(title="gradient of two measures of the knee by ten parameters, 4 s; median of the CPU time")
+    table = Table(title="gradient of two measures of the knee in ten parameters, 4 s; median of the CPU time")
     for column in ("method", "step", "run", "preparation", "differentiated run", "gradient", "with check"):
         table.add_column(column)
     for integrator, step in METHODS:

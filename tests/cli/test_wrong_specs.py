@@ -68,14 +68,14 @@ WRONG = {
         f"{SMALL}measures: {{gap: max(joints.J1.misalignment)}}\ngradients: [model.masses.0]\n",
         9,
         "measures.gap",
-        "joints.J1.misalignment has no derivative by parameters: a misalignment is an error of the method",
+        "joints.J1.misalignment has no derivative with respect to parameters: a misalignment is an error of the method",
     ),
     "a gradient of a method of SciPy": (
         small("{name: gauss, stages: 2}", "{name: scipy-dop853}").replace("  step: 0.01\n", "")
         + "measures: {a: final(energy.total)}\ngradients: [model.masses.0]\n",
         5,
         "integrator",
-        "has no derivatives by parameters here",
+        "has no derivatives with respect to parameters here",
     ),
     "unknown key at the top": (small("time:", "tiem:"), 6, "tiem", "did you mean 'time'?"),
     "unknown key below": (small("step:", "stpe:"), 8, "time.stpe", "did you mean 'step'?"),

@@ -1,4 +1,5 @@
-"""Derivatives of goals and limits by the variables: exact ones beside differences, and what is said of them."""
+"""Derivatives of goals and limits with respect to the variables: exact ones beside differences, and what is said of
+them."""
 
 from __future__ import annotations
 

@@ -121,7 +121,9 @@ def cross(u: Any, v: Any) -> Any:
 
 
 class Polynomials:
-    """Lagrange's polynomials of some nodes from -1 to 1; `scale` is the derivative of the place by the arc length."""
+    """Lagrange's polynomials of some nodes from -1 to 1; `scale` is the derivative of the place with respect to the arc
+    length.
+    """
 
     def __init__(self, nodes: np.ndarray, scale: float):
         self.nodes, self.scale = nodes, scale
@@ -137,7 +139,9 @@ class Polynomials:
         return float(self._one(i).deriv()(x)) * self.scale
 
     def state(self, x: float, values: list[Any]) -> tuple[Any, Any]:
-        """Return the derivatives of x, y and angle by the arc length, and the angle, for `values` at the nodes."""
+        """Return the derivatives of x, y and angle with respect to the arc length, and the angle, for `values` at the
+        nodes.
+        """
         slopes = sum(self.slope(i, x) * np.asarray(value) for i, value in enumerate(values))
         angle = sum(self.value(i, x) * value[2] for i, value in enumerate(values))
         return slopes, angle

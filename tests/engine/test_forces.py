@@ -182,7 +182,7 @@ def test_the_tangent_of_a_force_is_that_of_its_turning_arm() -> None:
 
 
 def test_a_force_in_the_frame_of_its_body_turns_with_it() -> None:
-    # expected: R(theta) F at the point, written by hand, its derivatives by theta by complex step
+    # expected: R(theta) F at the point, written by hand, its derivatives with respect to theta by complex step
     m = two_bodies()
     m.force("f", "b", value=[3.0, "2*cos(t)"], point=POINT_B, frame="body")
     c = Compiled(m, T)

@@ -55,8 +55,8 @@ PENDULUM: dict[str, Any] = {
     ],
 )
 def test_gradient_of_the_slider_crank_of_sundials(integrator: dict[str, Any], step: float) -> None:
-    # expected: the integral of the kinetic energy over 10 s and its derivatives by stiffness and damping, computed from
-    # the equations of the example in one coordinate to 13 digits
+    # expected: the integral of the kinetic energy over 10 s and its derivatives with respect to stiffness and damping,
+    # computed from the equations of the example in one coordinate to 13 digits
     found = mbdkit.gradient(
         SLIDER_CRANK,
         "integral(energy.kinetic)",

@@ -68,7 +68,7 @@ def bounce(y: complex, k: complex, c: complex, end: float, engages_at: float = P
 
 
 def expected(end: float, **known: float) -> np.ndarray:
-    """Return the derivatives of height and velocity at the end by y, k and c, by complex step."""
+    """Return the derivatives of height and velocity at the end with respect to y, k and c, by complex step."""
     values = [HEIGHT, STIFFNESS, DAMPING]
     columns = []
     for i in range(3):

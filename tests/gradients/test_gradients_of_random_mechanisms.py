@@ -1,4 +1,4 @@
-"""Gradients of random mechanisms by parameters of all kinds, against differences of whole runs."""
+"""Gradients of random mechanisms with respect to parameters of all kinds, against differences of whole runs."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def with_law(law: str, **options: Any) -> Mechanism:
 @pytest.mark.parametrize(
     ("law", "options", "words"),
     [
-        ("without-derivatives", {}, "its function returns one value, not the four numbers force, derivative by length"),
+        ("without-derivatives", {}, "its function returns one value, not the four numbers force, derivative with resp"),
         ("not-compilable", {}, "cannot be compiled: TypingError"),
         ("not-numbers", {}, "its function returns other types, not the four numbers"),
         ("not-smooth", {}, "SymPy cannot differentiate its force f(length)"),

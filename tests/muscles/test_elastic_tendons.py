@@ -32,7 +32,9 @@ def moving(both: bool = False, tendon: str = "elastic", **recruitment: object) -
 
 
 def geometry(x: float, y: float, at: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the length (T,) of a path from a point to one on the forearm, and its derivative by the angle."""
+    """Return the length (T,) of a path from a point to one on the forearm, and its derivative with respect to the
+    angle.
+    """
     angle = motion()[0]
     dx, dy = at * np.cos(angle) - x, at * np.sin(angle) - y
     length = np.hypot(dx, dy)

@@ -26,7 +26,7 @@ def path_of(m: Mechanism, name: str) -> MusclePath:
 
 
 def motion() -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Return positions, their derivatives by both angles, and velocities."""
+    """Return positions, their derivatives with respect to both angles, and velocities."""
     by_angle = directions(ANGLES[:, :2])
     return poses(ANGLES[:, :2]), by_angle, sum(d * ANGLES[:, 2 + i, None] for i, d in enumerate(by_angle))
 

@@ -72,7 +72,7 @@ def arm(kind: str, fiber: float = FIBER, slack: float = 0.18, excitation: Any = 
 
 
 def length_of(angle: float) -> tuple[float, float]:
-    """Length of the path and its derivative by the angle of the forearm."""
+    """Length of the path and its derivative with respect to the angle of the forearm."""
     x, y = 0.04 * np.cos(angle) - 0.04, 0.04 * np.sin(angle) - 0.3
     length = float(np.hypot(x, y))
     return length, float((-0.04 * np.sin(angle) * x + 0.04 * np.cos(angle) * y) / length)

@@ -54,7 +54,7 @@ class Element:
     def center_at(self, q: Any) -> np.ndarray:
         """Return the jets (4, 3) of a center x, its derivative, y and its derivative at the relative angle.
 
-        Both components are polynomials of degree four, so that all derivatives by the angle matter.
+        Both components are polynomials of degree four, so that all derivatives with respect to the angle matter.
         """
         angle = q[3 * self.second + 2] - q[3 * self.first + 2]
         jets = np.zeros((4, 3), dtype=q.dtype)
@@ -112,7 +112,7 @@ def derivative(function: Callable[[Any], Any], at: np.ndarray, direction: np.nda
 
 
 def partials(function: Callable[[Any], Any], at: np.ndarray, places: list[int]) -> np.ndarray:
-    """Return the derivatives of `function` by the entries of `at` at `places`, along the last axis."""
+    """Return the derivatives of `function` with respect to the entries of `at` at `places`, along the last axis."""
     return np.stack([derivative(function, at, np.eye(len(at))[i]) for i in places], axis=-1)
 
 

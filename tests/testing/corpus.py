@@ -287,12 +287,12 @@ def hardening(length: float, rate: float, time: float, p: Any) -> tuple[float, f
 
 
 def wrong_slope(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
-    """Its derivative by length forgets a factor."""
+    """Its derivative with respect to length forgets a factor."""
     return 3 * length + 5 * length**3 + rate, 3 + 5 * length**2, 1.0, 1.5 * length**2 + 1.25 * length**4
 
 
 def wrong_rate(length: float, rate: float, time: float, p: Any) -> tuple[float, float, float, float]:
-    """Its derivative by rate is missing."""
+    """Its derivative with respect to rate is missing."""
     return 3 * length + 5 * length**3 + rate, 3 + 15 * length**2, 0.0, 1.5 * length**2 + 1.25 * length**4
 
 

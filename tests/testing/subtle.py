@@ -57,7 +57,7 @@ def creates_a_little(s: float, v: float, t: float, p: Any) -> Four:
 
 
 def wrong_slope_when_long(s: float, v: float, t: float, p: Any) -> Four:
-    """Its derivative by length is that of a softer spring beyond 5."""
+    """Its derivative with respect to length is that of a softer spring beyond 5."""
     return 3.0 * s + v, 2.9 if s > 5.0 else 3.0, 1.0, 1.5 * s * s
 
 
@@ -68,12 +68,12 @@ def wrong_slope_below_zero(s: float, v: float, t: float, p: Any) -> Four:
 
 
 def wrong_slope_near_zero(s: float, v: float, t: float, p: Any) -> Four:
-    """Its derivative by length is missing within a millimetre of zero."""
+    """Its derivative with respect to length is missing within a millimetre of zero."""
     return 3.0 * s + v, 0.0 if abs(s) < 1e-3 else 3.0, 1.0, 1.5 * s * s
 
 
 def wrong_slope_of_the_product(s: float, v: float, t: float, p: Any) -> Four:
-    """Its derivative by length forgets the damping that depends on length."""
+    """Its derivative with respect to length forgets the damping that depends on length."""
     return 3.0 * s + s * s * v, 3.0, s * s, 1.5 * s * s
 
 
@@ -83,7 +83,7 @@ def wrong_rate_when_fast(s: float, v: float, t: float, p: Any) -> Four:
 
 
 def wrong_rate_late(s: float, v: float, t: float, p: Any) -> Four:
-    """Its derivative by rate changes its sign after 8 s, its force does not."""
+    """Its derivative with respect to rate changes its sign after 8 s, its force does not."""
     return 3.0 * s + v, 3.0, 1.0 if t < 8.0 else -1.0, 1.5 * s * s
 
 

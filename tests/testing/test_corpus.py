@@ -109,8 +109,8 @@ WRONG: dict[str, tuple[Any, Registry, str]] = {
     "a solver that obeys no tolerance": ("integrator", corpus.offer_solver(), "tolerance.forced-pendulum"),
     "a driver with a corner": ("model", corpus.offer_model(motion="0.5*abs(t - 0.4)"), "model.drivers"),
     "a model that is another each time": ("model", corpus.offer_model(random=True), "model.repeatable"),
-    "a wrong derivative by length": ("force-law", corpus.offer_law(corpus.wrong_slope), "derivatives.length"),
-    "a wrong derivative by rate": ("force-law", corpus.offer_law(corpus.wrong_rate), "derivatives.rate"),
+    "a wrong derivative in the length": ("force-law", corpus.offer_law(corpus.wrong_slope), "derivatives.length"),
+    "a wrong derivative in the rate": ("force-law", corpus.offer_law(corpus.wrong_rate), "derivatives.rate"),
     "a potential of the wrong sign": ("force-law", corpus.offer_law(corpus.wrong_potential), "law.potential"),
     "a damper that pushes": ("force-law", corpus.offer_law(corpus.pushes), "law.passivity"),
     "a law that is no number": (

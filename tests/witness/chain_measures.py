@@ -136,7 +136,7 @@ class Chain:
         ])  # fmt: skip
 
     def exact(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the exact measures (M,) and their derivatives (M,) by the first stiffness."""
+        """Return the exact measures (M,) and their derivatives (M,) with respect to the first stiffness."""
         step = 1e-3 * (1.0 + self.stiffness[0])
         places = np.array([0.0, -2.0, -1.0, 1.0, 2.0])
         moved = self.stiffness + step * np.outer(places, np.eye(len(self.stiffness))[0])

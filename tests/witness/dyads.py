@@ -5,9 +5,10 @@ numbers. The circles about U and V meet in W, and
 
     U + a exp(i alpha) = V + b exp(i beta)
 
-differentiated once and twice by phi gives the derivatives of both angles. With the kinetic energy I(phi) phi'^2 / 2,
-Eksergian's equation of motion is I phi'' + I' phi'^2 / 2 = Q. Sources: Assur's groups in Paul, Kinematics and Dynamics
-of Planar Machinery, 1979, chapters 1 and 12; Eksergian, Dynamical analysis of machines, J. Franklin Inst. 209 (1930).
+differentiated once and twice with respect to phi gives the derivatives of both angles. With the kinetic energy I(phi)
+phi'^2 / 2, Eksergian's equation of motion is I phi'' + I' phi'^2 / 2 = Q. Sources: Assur's groups in Paul, Kinematics
+and Dynamics of Planar Machinery, 1979, chapters 1 and 12; Eksergian, Dynamical analysis of machines, J. Franklin Inst.
+209 (1930).
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Dyad:
 
 @dataclass(frozen=True)
 class Pose:
-    """A link's centre of mass [m] and tilt [rad]: value, first and second derivative by phi."""
+    """A link's centre of mass [m] and tilt [rad]: value, first and second derivative with respect to phi."""
 
     centre: tuple[complex, complex, complex]
     angle: tuple[float, float, float]

@@ -6,7 +6,7 @@ D->C (beta). Closure
 
     A + l1 e(phi) + l2 e(alpha) = D + l3 e(beta)
 
-gives alpha and beta by the intersection of two circles, their first and second derivatives by phi from the
+gives alpha and beta by the intersection of two circles, their first and second derivatives with respect to phi from the
 differentiated closure, and with T = I(phi) phi'^2 / 2 the equation I phi'' + I' phi'^2 / 2 = Q(phi, phi'). Source:
 Eksergian, Dynamical analysis of machines, J. Franklin Inst. 209 (1930); Paul, Kinematics and Dynamics of Planar
 Machinery, 1979, chapter 12. A link's inertia enters only in the sum I, so that a tiny one does no harm here.
@@ -111,7 +111,7 @@ class FourBar:
         return self.crank, self.coupler, self.follower
 
     def _geometry(self, phi: float) -> tuple[Array, Array, Array]:
-        """Return the three line angles and their first and second derivatives by phi."""
+        """Return the three line angles and their first and second derivatives with respect to phi."""
         l1, l2, l3 = (link.length for link in self.links)
         joint = np.array(self.ground[0]) + l1 * _e(phi)
         gap = np.subtract(self.ground[1], joint)
@@ -129,7 +129,7 @@ class FourBar:
         return np.array([phi, alpha, beta]), np.array([1.0, da, db]), np.array([0.0, dda, ddb])
 
     def _centres(self, lines: Array, first: Array, second: Array) -> tuple[Array, Array, Array]:
-        """Return the links' centres of mass and their first and second derivatives by phi, each (3, 2)."""
+        """Return the links' centres of mass and their first and second derivatives with respect to phi, each (3, 2)."""
         start = np.array(self.ground[0]) + self.crank.length * _e(lines[0])
         start_first = self.crank.length * _n(lines[0])
         start_second = -self.crank.length * _e(lines[0])

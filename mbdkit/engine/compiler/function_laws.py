@@ -89,7 +89,9 @@ def _for_numbers(law: Any) -> Any:
 
     @cfunc(_OF_NUMBERS, error_model="numpy")
     def entry(program, length, rate, time, parameters, out):
-        """Write force, its derivatives by length and by rate, and the potential; all stay NaN if the law raises."""
+        """Write force, its derivatives with respect to length and rate, and the potential; all stay NaN if the law
+        raises.
+        """
         results = carray(out, (4,))
         results[0] = results[1] = results[2] = results[3] = _NAN
         count = int(carray(parameters, (1,))[0])
@@ -105,7 +107,9 @@ def _for_numbers(law: Any) -> Any:
 def _for_duals(law: Any) -> Any:
     @cfunc(_OF_DUALS, error_model="numpy")
     def entry(program, length, rate, time, parameters, out):
-        """Write force, its derivatives by length and by rate, and the potential, with derivatives by parameters."""
+        """Write force, its derivatives with respect to length and rate, and the potential, each as a dual number with
+        derivatives with respect to parameters.
+        """
         for i in range(4):
             _put_dual(out, i, _NAN)
         count = int(_dual_at(parameters, 0))
@@ -133,6 +137,7 @@ def _check_results(law: Any) -> None:
         return
     found = "one value" if len(numbers) == 1 else f"{len(numbers)} values" if len(numbers) != 4 else "other types"
     raise PluginError(
-        f"its function returns {found}, not the four numbers force, derivative by length, derivative by rate and "
-        "potential: return all four, or write the law as a SymPy expression, whose derivatives are computed"
+        f"its function returns {found}, not the four numbers force, derivative with respect to length, derivative with "
+        "respect to rate and potential: return all four, or write the law as a SymPy expression, whose derivatives are "
+        "computed"
     )

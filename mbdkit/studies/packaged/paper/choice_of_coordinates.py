@@ -42,9 +42,10 @@ def coordinates(study: Study) -> tuple[Claim, Table]:
     claim = Claim(
         "coordinates",
         "The misalignment of the joints measures the accuracy of a method.",
-        "methods are ranked by the misalignment of the joints",
-        f"largest misalignment {largest[BODIES]:.1e} m (coordinates of the bodies), {closed} (of the "
-        f"joints); ratio of the errors at 15 s {between}",
+        "the paper ranks methods by the misalignment of the joints",
+        f"the largest misalignment is {largest[BODIES]:.1e} m in coordinates of the bodies and {closed} in coordinates "
+        f"of the joints; the errors at 15 s in coordinates of the joints are {between} times those in coordinates of "
+        "the bodies",
         answer,
         "Misalignment depends on the choice of coordinates: if RK-Gill integrates those of the joints instead of those "
         f"of the bodies, the largest misalignment falls from {largest[BODIES]:.1e} m to {closed}, while "

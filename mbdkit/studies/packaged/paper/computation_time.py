@@ -39,7 +39,8 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
         "time-bodies",
         "Computation time grows steeply with the number of bodies.",
         "steep growth with the number of bodies and of stages, for 1500 steps",
-        ", ".join(f"like n^{exponent:.1f} ({method})" for method, exponent in growth.items()),
+        "the time for n bodies grows like "
+        + ", ".join(f"n^{exponent:.1f} ({method})" for method, exponent in growth.items()),
         steep,
         f"With compiled elements, the time for 1500 steps grows at most like n^{most:.1f} with the number n of bodies"
         + (
@@ -100,8 +101,9 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
     claim = Claim(
         "substitution",
         f"Compiled elements evaluate two bodies at least {SPEED_UP:,.0f} times faster than symbolic substitution.",
-        "substitution is named as the bottleneck, and a faster substitution as future work",
-        ", ".join(f"{factor:,.0f} times ({number} bodies)" for number, factor in gains.items()).replace(
+        "the paper names substitution as the bottleneck, and faster substitution as future work",
+        "compiled elements are faster by factors of "
+        + ", ".join(f"{factor:,.0f} ({number} bodies)" for number, factor in gains.items()).replace(
             "(1 bodies", "(1 body"
         ),
         enough,

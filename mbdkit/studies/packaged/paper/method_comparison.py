@@ -40,12 +40,12 @@ def orders(study: Study) -> tuple[Claim, Table]:
             if expected is not None:
                 near = abs(seen.order - expected) <= TOLERANCE
                 answers.append((Answer.YES if near else Answer.NO) if seen.found else Answer.OPEN)
-                found.append(f"{seen.order:.2f} ({model}, {method})")
+                found.append(f"{seen.order:.2f} ({model} pendulum, {method})")
     claim = Claim(
         "orders",
         "RK-Gill and Gauss with two stages have order 4, Gauss with three stages order 6.",
-        "4, 4 and 6",
-        ", ".join(found),
+        "orders 4, 4 and 6",
+        "orders " + ", ".join(found),
         together(answers),
         f"In the asymptotic range of steps, {sum(answer is Answer.YES for answer in answers)} of {len(answers)} "
         f"observed orders lie within {TOLERANCE} of the theoretical ones.",
@@ -88,16 +88,17 @@ def growth(study: Study) -> tuple[Claim, Table]:
     claim = Claim(
         "growth",
         "The misalignment grows with RK-Gill, but not with the Gauss methods.",
-        "in Fig. 4, over 150 steps, it increases with RK-Gill and does not with Gauss",
-        f"RK-Gill {' and '.join(dict.fromkeys(gill)) or 'unknown'}, single pendulum with Gauss 2 and 3 "
-        f"{' and '.join(dict.fromkeys(single)) or 'unknown'} over twenty swings and {late} over two hundred",
+        "over 150 steps (Fig. 4), it increases with RK-Gill, but not with Gauss",
+        f"with RK-Gill, the growth is {' and '.join(dict.fromkeys(gill)) or 'unknown'}; for the single pendulum, it is "
+        f"{' and '.join(dict.fromkeys(single)) or 'unknown'} with Gauss 2 and 3 over twenty swings, and {late} with "
+        "Gauss 2 over two hundred",
         (Answer.PARTLY if late == "quadratic" and together(answers) is Answer.YES else together(answers))
         if laws
         else Answer.OPEN,
         "The misalignment grows with the square of time with RK-Gill. With the Gauss methods it oscillates about a "
         "constant for the first twenty swings of the single pendulum. Over two hundred swings the growth is "
         f"{late}, but from a much smaller value: constraints at acceleration level do not close the gap of a joint. "
-        f"Radau IIA: {radau}.",
+        f"With Radau IIA the growth is {radau}.",
     )
     columns = columns_of("pendulum; method; over [s]; law; exponent of t; largest misalignment [m]")
     note = "All laws that the data do not distinguish are listed; unclear: no law can be separated from oscillation."
@@ -176,8 +177,8 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
             ]
     answers = [_saves_work(ratio) for ratio in ratios.get(RADAU3, [])]
     text = "; ".join(
-        f"{method}: "
-        + ", ".join(f"{ratio:.2g} for {target:.0e} m" for ratio, target in zip(found, TARGETS, strict=True))
+        ", ".join(f"{ratio:.2g} at {target:.0e} m" for ratio, target in zip(found, TARGETS, strict=True))
+        + f" ({method})"
         for method, found in ratios.items()
     )
     answer = together(answers)
@@ -185,8 +186,9 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
     return Claim(
         "adaptive",
         "Refining the step adaptively makes the implicit method better.",
-        "recommended, not tried",
-        f"evaluations of SciPy's adaptive Radau divided by those with fixed steps of {text or 'unknown'}",
+        "the paper recommends this, but does not try it",
+        "ratios of the evaluations of SciPy's adaptive Radau to those with fixed steps, at equal misalignments: "
+        f"{text or 'unknown'}",
         answer,
         f"{start} the same misalignment, SciPy's adaptive Radau needs {least_most(ratios.get(RADAU3, []))} times the "
         f"evaluations of the same method with fixed steps, and {least_most(ratios.get(GAUSS3, []))} times those of "
@@ -204,7 +206,7 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
     else:
         drift = math.nan
     answers = [_saves_work(1 / gain) for gain in gains]
-    text = ", ".join(f"{gain:.2f} times for {target:.0e} m" for gain, target in zip(gains, TARGETS, strict=False))
+    text = ", ".join(f"{gain:.2f} at {target:.0e} m" for gain, target in zip(gains, TARGETS, strict=False))
     extra = (
         f" At equal work, the misalignment is {drift:.0f} times smaller with six stages."
         if math.isfinite(drift) and drift > 1
@@ -213,8 +215,8 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
     return Claim(
         "stages",
         "With more than three stages, the same misalignment needs less work.",
-        "not tried",
-        f"evaluations of Gauss 3 divided by those of Gauss 6: {text}",
+        "the paper does not try this",
+        f"ratios of the evaluations of Gauss 3 to those of Gauss 6, at equal misalignments: {text}",
         together(answers),
         f"For the same misalignment, six stages need {least_most([1 / gain for gain in gains])} times the evaluations "
         f"of three.{extra}",

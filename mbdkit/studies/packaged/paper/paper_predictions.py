@@ -151,7 +151,7 @@ def _knee_claim(
         "knee-" + method.lower().replace(" ", ""),
         f"The misalignment of the knee linkage with four revolute joints is {wanted} with {method}.",
         str(wanted),
-        f"{at:.1e} mm at h = 0.1 s; in the range for steps of {_span(low, high)}",
+        f"{at:.1e} mm at h = 0.1 s; the prediction holds for steps of {_span(low, high)}",
         answer,
         f"The prediction for {method} holds for steps of {_span(low, high)} ({_span(*free)} without the spring); at "
         f"the paper's step of 0.1 s the misalignment of the knee is {at:.1e} mm, {at_paper}.{resolved}",
@@ -170,7 +170,7 @@ def _both_claim(spans: dict[tuple[str, str], tuple[float, float]]) -> Claim:
         "knee-both",
         "Both predictions for the knee hold at one step.",
         "0.001 to 1 mm and 1e-7 to 1e-4 mm",
-        f"both for steps of {_span(*common[0])}" if found else "at no step",
+        f"both hold for steps of {_span(*common[0])}" if found else "at no step do both hold",
         (Answer.PARTLY if found else Answer.NO) if known else Answer.OPEN,
         "The misalignment of the knee linkage is as predicted, 0.001 to 1 mm with two stages and 1e-7 to 1e-4 mm with "
         f"three, only for steps of {_span(*common[0])} ({_span(*common[1])} without its spring)."
@@ -235,15 +235,17 @@ def joints(study: Study) -> tuple[Claim, Table, Figure]:
             rows.append((method, step, int(number), float(values[k]), factor))
     beyond = sum(answer is Answer.YES for key, found in claimed.items() for answer in map(PER_JOINT.holds, found[1:]))
     answer = together(answers)
-    cost = f"the factor is {least_most(first)} for the second joint; of the {len(later)} factors for later joints, "
+    cost = f"the factor is {least_most(first)} for the second joint; the {len(later)} factors for later joints are "
     claim = Claim(
         "per-joint",
         "The misalignment grows by a factor of 10 to 100 with each further revolute joint.",
-        "10 to 100 per joint",
-        f"{least_most(first)} for the second joint, {least_most(later)} for each from the third to the tenth",
+        "a factor of 10 to 100 per joint",
+        f"a factor of {least_most(first)} for the second joint, and of {least_most(later)} for each joint from the "
+        "third to the tenth",
         answer,
         f"The misalignment {'grows' if answer is Answer.YES else 'does not grow'} by a factor of 10 to 100 with each "
-        f"further joint: {cost}{least_most(later)}, {beyond or 'none'} {'is' if beyond == 1 else 'are'} in this range.",
+        f"further joint: {cost}{least_most(later)}, and {beyond or 'none'} of them {'is' if beyond == 1 else 'are'} in "
+        "this range.",
     )
     columns = columns_of("method; step [s]; joints; misalignment [m]; factor per added joint")
     table = Table("joints-chain", "Largest misalignment of a chain by its number of joints", columns, tuple(rows))

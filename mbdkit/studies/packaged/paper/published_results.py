@@ -48,7 +48,7 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
     for (model, method), published in PUBLISHED.items():
         found = points.at({MODEL: model, METHOD: method}).value("misalignment_max")
         answers.append(Range.around(published, FACTOR).holds(found))
-        computed.append(f"{found:.1e} m ({model}, {method})")
+        computed.append(f"{found:.1e} m ({model} pendulum, {method})")
         rows.append((model, method, published, found, found / published, str(answers[-1])))
     answer = together(answers)
     number = sum(one is Answer.YES for one in answers)
@@ -56,11 +56,11 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
         "magnitudes",
         "With two-stage and three-stage Gauss, the misalignment of the single and the double pendulum has the "
         "published magnitudes.",
-        "1e-6 and 1e-5 m with two stages, 1e-10 and 1e-8 m with three (single and double)",
+        "1e-6 m (single pendulum) and 1e-5 m (double pendulum) with two stages, 1e-10 m and 1e-8 m with three",
         ", ".join(computed),
         answer,
         f"{number} of the 4 published misalignments are reproduced within a factor of {FACTOR:.0f}. The paper does not "
-        "state masses, lengths and initial angles; we assume values.",
+        "state masses, lengths and initial angles; we assume values for them.",
     )
     columns = columns_of("model; method; published [m]; computed [m]; computed / published; within a factor of 3")
     return claim, Table("magnitudes", "Largest misalignment, published and computed", columns, tuple(rows))
@@ -105,22 +105,22 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
     )
     but = f" Exceptions: {'; '.join(exceptions)}." if exceptions else ""
     yes, decided = worst.count(Answer.YES), len(worst) - worst.count(Answer.OPEN)
-    undecided = f" ({len(worst) - decided} more are open because runs failed)" if decided < len(worst) else ""
+    undecided = f" ({len(worst) - decided} more are undecided because runs failed)" if decided < len(worst) else ""
     gill_claim = Claim(
         "gill-worst",
         "RK-Gill is by far the worst of the three methods.",
-        "worst for single and double pendulum at h = 0.1 s",
-        f"worst in {yes} of {decided} pairs of model and step{undecided}",
+        "RK-Gill is worst for the single and the double pendulum at h = 0.1 s",
+        f"RK-Gill is worst in {yes} of {decided} pairs of model and step{undecided}",
         together([answer for answer in worst if answer is not Answer.OPEN]),
         f"The misalignment is largest with RK-Gill in {yes} of {decided} pairs of model and step.{but}",
     )
     yes, decided = best.count(Answer.YES), len(best) - best.count(Answer.OPEN)
-    undecided = f" ({len(best) - decided} more are open because runs failed)" if decided < len(best) else ""
+    undecided = f" ({len(best) - decided} more are undecided because runs failed)" if decided < len(best) else ""
     gauss_claim = Claim(
         "gauss3-better",
         "Three-stage Gauss gives a smaller misalignment than two-stage Gauss.",
-        "better for single and double pendulum at h = 0.1 s",
-        f"better in {yes} of {decided} pairs of model and step{undecided}",
+        "three-stage Gauss is better for the single and the double pendulum at h = 0.1 s",
+        f"three-stage Gauss is better in {yes} of {decided} pairs of model and step{undecided}",
         together([answer for answer in best if answer is not Answer.OPEN]),
         f"Three-stage Gauss is better than two-stage Gauss in {yes} of {decided} pairs of model and step.",
     )
@@ -182,8 +182,8 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
         "paths",
         "The path of the double pendulum depends on the method.",
         "visibly different paths at h = 0.1 s",
-        f"methods differ by at most {double:.1e} of the pendulum's length with rods of 20 m, {metre:.1e} with rods "
-        f"of 1 m released from the horizontal (single pendulum of 20 m: {single:.1e})",
+        f"the paths differ by at most {double:.1e} times the length of the pendulum with rods of 20 m, and by at most "
+        f"{metre:.2g} times with rods of 1 m released from the horizontal (single pendulum of 20 m: {single:.1e})",
         together(answers),
         "With the lengths that reproduce the published misalignments, the three paths of the double pendulum cannot be "
         "distinguished in a figure; with rods of 1 m released from the horizontal they diverge within seconds. We "
