@@ -458,18 +458,19 @@ class Event:
 
 @dataclass(frozen=True)
 class Impacts:
-    """Impacts of rigid contacts in order of time.
+    """Impacts of rigid contacts, and impulses of drivers whose velocities jump, in order of time.
 
     Attributes
     ----------
     time
         Times of the impacts, (I,), s. A geometric sequence of impacts that is left out has one entry, at its end.
     contact
-        Name of the contact of each impact, (I,).
+        Name of the contact or driver of each impact, (I,).
     normal_impulse, tangential_impulse
-        Impulses on the second body, (I,), N s; 0 at the end of a sequence.
+        Impulses on the second body, (I,), N s; 0 at the end of a sequence, and for drivers, whose impulses are among
+        those of the joints.
     energy_lost
-        Kinetic energy that all impacts at this time lose, (I,), J.
+        Kinetic energy that all impacts at this time lose, (I,), J; negative if drivers supply it.
     joint
         Names of the joints, drivers included, (J,).
     reaction_impulse
@@ -490,7 +491,7 @@ class Impacts:
 
     @classmethod
     def of(cls, run: Source) -> Impacts:
-        """Return the impacts recorded by a run; none if its contacts are not rigid."""
+        """Return the impacts recorded by a run; none if it has neither rigid contacts nor `impacts: allow`."""
         joints = run.array("joints/joint")
         count = len(run.array("impacts/time")) if run.records("impacts/time") else 0
         absent = {

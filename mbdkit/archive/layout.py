@@ -103,7 +103,7 @@ INVERSE_GROUPS = ("motion", "actuators", "muscles", "loads")
 #: Paths of the arrays of events; all of them are present if the spec has events.
 EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
 
-#: Paths of the arrays of impacts; all of them are present if contacts are rigid.
+#: Paths of the arrays of impacts; all of them are present if contacts are rigid or drivers may have impulses.
 IMPACTS = tuple(array.path for array in LAYOUT if array.group == "impacts")
 
 #: Paths of the arrays of first-order states; all of them are present if the mechanism has such states.

@@ -498,7 +498,7 @@ class Run(HtmlView):
 
     @cached_property
     def impacts(self) -> Impacts:
-        """Impacts of rigid contacts in order of time."""
+        """Impacts of rigid contacts, and impulses of drivers whose velocities jump, in order of time."""
         return Impacts.of(self)
 
     @property

@@ -19,6 +19,7 @@ from mbdkit.spec.named_actuators import RESERVE
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
 
 if TYPE_CHECKING:
+    from mbdkit.archive.history import Impacts
     from mbdkit.archive.run import Run
 
 #: Number of joints listed with their misalignment.
@@ -433,23 +434,40 @@ def _contacts(run: Run) -> str:
 
 
 def _impacts(run: Run) -> str:
-    """Return the number of impacts of each contact, their largest impulse and the energy that they lose.
+    """Return the number of impacts of each contact, their largest impulse and the energy that they lose, and the same
+    for the impulses of drivers.
 
     Time-stepping does not locate impacts; the text then says that contact forces include them.
     """
+    impacts, parts = run.impacts, []
+    of_contacts = np.isin(impacts.contact.astype(str), list(run.contacts))
+    of_drivers = ~of_contacts
     if (run.spec.get("contact") or {}).get("treatment") == "time-stepping":
-        return "not located: the contact force of a step with an impact includes its impulse, divided by the step"
-    impacts = run.impacts
-    if not len(impacts.time):
-        return ""
-    names, counts = np.unique(impacts.contact.astype(str), return_counts=True)
+        parts.append(
+            "not located: the contact force of a step with an impact includes its impulse, divided by the step"
+        )
+    elif np.any(of_contacts):
+        largest = np.max(np.abs(impacts.normal_impulse))
+        who, change = _struck(impacts, of_contacts)
+        parts.append(f"{who}, impulses up to {largest:.4g} N s, {change}; contact forces do not include impulses")
+    if np.any(of_drivers):
+        force = np.max(np.linalg.norm(impacts.reaction_impulse[of_drivers], axis=2))
+        torque = np.max(np.abs(impacts.reaction_torque_impulse[of_drivers]))
+        who, change = _struck(impacts, of_drivers)
+        size = f"{force:.4g} N s and {torque:.4g} N m s"
+        parts.append(f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses")
+    return "; ".join(parts)
+
+
+def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
+    """Return the number of some impacts (I,), with that of each contact or driver, and the energy that they lose."""
+    names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
     shown = [f"{name} {count}" for name, count in zip(names, counts, strict=True)]
     more = f", {len(shown) - JOINTS_NAMED} more" if len(shown) > JOINTS_NAMED else ""
-    lost = impacts.energy_lost[np.unique(impacts.time, return_index=True)[1]].sum()  # the same for all at one time
-    return (
-        f"{len(impacts.time)} ({', '.join(shown[:JOINTS_NAMED])}{more}), impulses up to "
-        f"{np.max(np.abs(impacts.normal_impulse)):.4g} N s, {lost:.4g} J lost; contact forces do not include impulses"
-    )
+    # the energy is the same for all at one time
+    lost = impacts.energy_lost[some][np.unique(impacts.time[some], return_index=True)[1]].sum()
+    change = f"{lost:.4g} J lost" if lost >= 0.0 else f"{-lost:.4g} J supplied"
+    return f"{np.count_nonzero(some)} ({', '.join(shown[:JOINTS_NAMED])}{more})", change
 
 
 def _contact_forces(run: Run) -> str:

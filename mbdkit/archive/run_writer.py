@@ -242,7 +242,7 @@ class RunWriter(ABC):
         self._append("event", {**keyed, "events/event": self._numbers("event", len(rows["name"]))})
 
     def append_impacts(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append impacts of contacts: ``time``, ``contact`` (strings), impulses and energy, each (I,), and impulses of
+        """Append impacts: ``time``, ``contact`` (strings), impulses and energy, each (I,), and impulses of
         joints (I, J, 2) and (I, J).
         """
         keyed = {f"impacts/{name}": values for name, values in rows.items()}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,13 +40,13 @@ range.
 class Stops:
     """Times [s] at which steps end.
 
-    `margins` [s] are the uncertainties of `times`. `impacts` lists the times at which the velocity of a driver is
-    discontinuous, and `samples` the times at which an output of a controller changes.
+    `margins` [s] are the uncertainties of `times`. `impacts` has the names of the drivers whose velocities are
+    discontinuous, by the time at which they are, and `samples` the times at which an output of a controller changes.
     """
 
     times: tuple[float, ...] = ()
     margins: tuple[float, ...] = ()
-    impacts: tuple[float, ...] = ()
+    impacts: Mapping[float, tuple[str, ...]] = field(default_factory=dict)
     samples: tuple[float, ...] = ()
 
 
@@ -57,20 +57,19 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     mechanism without this grid. Raises the errors of `RunSpec.mechanism`.
     """
     start, end = spec.time.start, spec.time.final
-    found: list[tuple[Corner, bool]] = []
+    places = [(time, margin, True, "") for time, margin in _samples(spec)]
+    drivers = _drivers(spec)
     for key, motion in _motions(spec):
         corners = corners_of(motion, start, end)
         for corner in corners:
-            is_impact = _is_driver(key) and corner.jumps[1]
-            if is_impact or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner, motion))):
-                found.append((corner, is_impact))
+            struck = drivers.get(key, "") if corner.jumps[1] else ""
+            if struck or (len(corners) <= MOST_STOPS and (all_knots or _needs_stop(spec, corner, motion))):
+                places.append((corner.time, corner.margin, False, struck))
     times: list[float] = []
     margins: list[float] = []
-    impacts: list[float] = []
+    impacts: dict[float, tuple[str, ...]] = {}
     samples: list[float] = []
-    places = [(corner.time, corner.margin, impacts if is_impact else None) for corner, is_impact in found]
-    places += [(time, margin, samples) for time, margin in _samples(spec)]
-    for time, margin, kind in sorted(places, key=lambda item: item[0]):
+    for time, margin, is_sample, struck in sorted(places, key=lambda item: item[0]):
         if _is_at_end(time, margin, start, end):
             continue
         if times and time - times[-1] <= 2.0 * (margin + margins[-1]):  # both change at the same time
@@ -78,9 +77,11 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
         else:
             times.append(time)
             margins.append(margin)
-        if kind is not None and (not kind or kind[-1] != times[-1]):
-            kind.append(times[-1])
-    return Stops(tuple(times), tuple(margins), tuple(impacts), tuple(samples))
+        if struck and struck not in impacts.get(times[-1], ()):
+            impacts[times[-1]] = (*impacts.get(times[-1], ()), struck)
+        if is_sample and times[-1] not in samples[-1:]:
+            samples.append(times[-1])
+    return Stops(tuple(times), tuple(margins), impacts, tuple(samples))
 
 
 def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
@@ -175,8 +176,10 @@ def _motions(spec: RunSpec) -> Iterator[tuple[str, Motion]]:
     yield from motions_by_key(mechanism.joints, mechanism.forces, mechanism.muscles)
 
 
-def _is_driver(key: str) -> bool:
-    return key.startswith("model.joints.")
+def _drivers(spec: RunSpec) -> dict[str, str]:
+    """Return the name of the driver that follows each motion, by the key path of the motion."""
+    joints = spec.mechanism().joints
+    return {key: name for name, joint in joints.items() for key, _ in motions_by_key({name: joint}, {}, {})}
 
 
 def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:

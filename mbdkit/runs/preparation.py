@@ -180,7 +180,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
         *(FRICTION if mechanism.friction else ()),
         *(CONTACTS if mechanism.contacts else ()),
         *(GROUND_REACTIONS if archive_names(mechanism).feet else ()),
-        *(IMPACTS if mechanism.contact_treatment.is_rigid else ()),
+        *(IMPACTS if mechanism.contact_treatment.is_rigid or spec.impacts == "allow" else ()),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),
@@ -225,7 +225,7 @@ def timetable(
         guards=guards,
         stops=stops.times,
         stop_margins=stops.margins,
-        impacts=stops.impacts,
+        impacts=tuple(stops.impacts),
         samples=stops.samples,
     )
     return replace(table, single=table.single or spec.has_rigid_contacts or not rows_are_ends(table)) if ends else table

@@ -28,6 +28,7 @@ from mbdkit.trust.energy_record import EnergyRecord
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found
     from mbdkit.stepping.contact_state import ContactImpact
+    from mbdkit.stepping.impulse import DriverImpulse
 
 APART = 1e-6
 """Residuals of redundant constraint rows up to this size are attributed to round-off.
@@ -300,16 +301,28 @@ class Recorder:
             }
         )
 
-    def record_impacts(self, impacts: Sequence[ContactImpact]) -> None:
-        """Write impacts of contacts."""
-        if not impacts:
-            return
-        time, contact, normal, tangential, lost, reactions = zip(*impacts, strict=True)
+    def record_impacts(
+        self,
+        impacts: Sequence[ContactImpact],
+        of_drivers: Sequence[DriverImpulse],
+        drivers: Mapping[float, Sequence[str]],
+    ) -> None:
+        """Write impacts of contacts and impulses of drivers, in order of time.
+
+        `drivers` has the names of the drivers whose velocities are discontinuous at a time [s].
+        """
         names = [one.pair.name for one in self.workspace.mechanism.contacts]
+        rows = [
+            (name, one.time, 0.0, 0.0, -one.energy, one.reactions) for one in of_drivers for name in drivers[one.time]
+        ]
+        rows += [(names[one.contact], one.time, *one[2:]) for one in impacts]
+        if not rows:
+            return
+        contact, time, normal, tangential, lost, reactions = zip(*sorted(rows, key=lambda row: row[1]), strict=True)
         self.writer.append_impacts(
             {
                 "time": np.array(time),
-                "contact": np.array([names[number] for number in contact], dtype=object),
+                "contact": np.array(contact, dtype=object),
                 "normal_impulse": np.array(normal),
                 "tangential_impulse": np.array(tangential),
                 "energy_lost": np.array(lost),

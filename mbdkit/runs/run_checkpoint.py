@@ -27,7 +27,6 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder
 from mbdkit.stepping.collocation_stages import new_systems
 from mbdkit.stepping.compiled_stepper import CompiledStepper
-from mbdkit.stepping.interface import Impact
 from mbdkit.stepping.python_stepper import PythonStepper
 
 if TYPE_CHECKING:
@@ -183,7 +182,7 @@ def _stored_stepper(stepper: CompiledStepper) -> dict[str, Any]:
         "renewed": sorted(stepper._renewed),
         "sampler": stepper.sampler.stored(),
         "inserted": stepper.inserted,
-        "impacts": [[impact.time, impact.energy, impact.velocity] for impact in stepper.impacts],
+        **stored_python_steps.stored_impulses(stepper.impacts),
     }
 
 
@@ -207,7 +206,7 @@ def _restore_stepper(stepper: CompiledStepper, state: Mapping[str, Any]) -> None
     stepper._renewed = {(int(done), int(status)) for done, status in state["renewed"]}
     if "sampler" in state:  # checkpoints of earlier versions lack it
         stepper.sampler.restore(state["sampler"])
-    stepper.impacts[:] = [Impact(*map(float, numbers)) for numbers in state["impacts"]]
+    stepper.impacts[:] = stored_python_steps.impulses_of(state, len(workspace.mechanism.joints))
     stepper._count()
 
 

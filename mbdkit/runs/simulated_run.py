@@ -33,6 +33,7 @@ from mbdkit.runs.accuracy.chosen_method import Choice
 from mbdkit.runs.accuracy.compared_measures import Measure, compared_measures
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.corners import stops_of
 from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.integrals import RunIntegrals
 from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
@@ -50,6 +51,7 @@ from mbdkit.runs.warnings import center_warnings, doubts, step_advice
 from mbdkit.spec import RunSpec
 from mbdkit.stepping.compiled_stepper import CompiledStepper
 from mbdkit.stepping.contact_state import ContactState
+from mbdkit.stepping.impulse import DriverImpulse
 from mbdkit.stepping.interface import Advancing, Failure, Stretch
 from mbdkit.stepping.python_stepper import PythonStepper
 from mbdkit.stepping.sampled_control import states_at_start
@@ -409,10 +411,11 @@ class SimulatedRun:
         )
         ending = status, reason
         steps = None if stepper is None else stepper.evidence
-        notes: tuple[str, ...] = ()
-        if (contacts := self.contacts) is not None:
-            self.recorder.record_impacts(contacts.impacts)
-            notes = contacts.remarks()
+        contacts = self.contacts
+        notes = () if contacts is None else contacts.remarks()
+        of_drivers = [] if steps is None else [one for one in steps.impacts if isinstance(one, DriverImpulse)]
+        drivers = stops_of(self.spec).impacts if of_drivers else {}
+        self.recorder.record_impacts(() if contacts is None else contacts.impacts, of_drivers, drivers)
         mechanism = self.spec.mechanism()
         ranges = self.recorder.ranges
         # if the run stops there, the reason of failure says so

@@ -4,7 +4,7 @@ checkpoint.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.engine.stored_arrays import restore, stored
 from mbdkit.methods.kinds import StepState
 from mbdkit.stepping.contact_state import ContactImpact, ContactState
-from mbdkit.stepping.interface import Impact
+from mbdkit.stepping.impulse import DriverImpulse
 from mbdkit.stepping.python_stepper import Interval, PythonStepper, Reached
 
 _INTEGERS = ("modes", "features")
@@ -39,7 +39,7 @@ def stored_stepper(stepper: PythonStepper) -> dict[str, Any]:
         "worst": stepper.worst_pairs,
         "counters": dict(vars(stepper.counters)),
         "pivots": stepper.equations.stored_pivots(),
-        "impacts": [[impact.time, impact.energy, impact.velocity] for impact in stepper.impacts],
+        **stored_impulses(stepper.impacts),
     }
 
 
@@ -68,8 +68,23 @@ def restore_stepper(stepper: PythonStepper, state: Mapping[str, Any]) -> None:
     for name in ("energy", "energy_low"):
         reached[name] = _array(reached[name], (2,))
     interval["correction"] = _array(interval["correction"], (4,))
-    stepper.impacts[:] = [Impact(*map(float, numbers)) for numbers in state["impacts"]]
+    stepper.impacts[:] = impulses_of(state, len(stepper.workspace.mechanism.joints))
     stepper.continue_from(Reached(**reached, state=begin, interval=Interval(**interval)))
+
+
+def stored_impulses(impulses: Sequence[DriverImpulse]) -> dict[str, Any]:
+    """Return the impulses of drivers as two entries of the state of a stepper."""
+    numbers = [[one.time, one.energy, one.velocity] for one in impulses]
+    return {"impacts": numbers, "impulses": [one.reactions for one in impulses]}
+
+
+def impulses_of(state: Mapping[str, Any], joints: int) -> list[DriverImpulse]:
+    """Return the impulses of drivers in the stored state of a stepper; raise ValueError if they are not valid."""
+    reactions = [_array(one, (joints, 3)) for one in state["impulses"]]
+    return [
+        DriverImpulse(float(time), float(energy), float(velocity), own)
+        for (time, energy, velocity), own in zip(state["impacts"], reactions, strict=True)
+    ]
 
 
 def _stored_contacts(memory: ContactState) -> dict[str, Any]:

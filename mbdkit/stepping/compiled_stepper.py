@@ -19,11 +19,10 @@ from mbdkit.engine.singularity import describe_nearness, nearest_singularity
 from mbdkit.engine.torn_paths import torn_path
 from mbdkit.engine.workspace import Workspace
 from mbdkit.stepping import step_loop
-from mbdkit.stepping.impulse import impulse
+from mbdkit.stepping.impulse import DriverImpulse, impulse
 from mbdkit.stepping.interface import (
     SAME_TIME,
     Failure,
-    Impact,
     Moment,
     Nodes,
     Pace,
@@ -138,7 +137,7 @@ class CompiledStepper:
         self.mode = projection_mode(workspace.stabilization, controlled=control is not None)
         iterates = method.carries_stages or self.mode == SYMMETRIC
         self.pace = Pace(max(1, min(16 if iterates else 256, 100_000 // workspace.mechanism.size)))
-        self.impacts: list[Impact] = []
+        self.impacts: list[DriverImpulse] = []
         self.inserted: list[float] = []
         self.sampler = Sampler(workspace)
         self._samples = frozenset(timetable.samples)

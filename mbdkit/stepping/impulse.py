@@ -5,6 +5,7 @@ The velocities afterwards are the nearest ones that satisfy the constraints.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,23 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 
-def impulse(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: float) -> tuple[Impact, np.ndarray]:
+@dataclass(frozen=True)
+class DriverImpulse(Impact):
+    """An impulse of the drivers, with the impulses that it causes in the joints.
+
+    Parameters
+    ----------
+    reactions
+        (J, 3) impulses of the joints, drivers included, on their second bodies [N s, N m s]; see
+        `EquationsOfMotion.reactions`.
+    """
+
+    reactions: np.ndarray
+
+
+def impulse(
+    workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: float
+) -> tuple[DriverImpulse, np.ndarray]:
     """Return the impulse at a stop, and the velocities after it (3 (B + 1),), ground last.
 
     The impulse Lambda of the constraints leads to ``M (v+ - v) + Phi_q^T Lambda = 0`` with ``Phi_q v+ + Phi_t+ = 0``:
@@ -46,4 +63,5 @@ def impulse(workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, stop: 
     new = nearest_velocities(p, t, q[: p.n].copy(), old)
     work = 0.5 * float((new - old) @ (p.mass * (new + old)))
     moved = float(np.sqrt((new - old) @ (p.mass * (new - old)) / np.sum(p.mass[::3])))
-    return Impact(stop, work, moved), with_ground(new)
+    multipliers = p.solve(t, q[: p.n], p.mass * (old - new), np.zeros(p.m))[1]
+    return DriverImpulse(stop, work, moved, p.reactions(t, q[: p.n], multipliers)), with_ground(new)

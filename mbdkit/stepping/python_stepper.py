@@ -19,11 +19,10 @@ from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.stepping import interface
 from mbdkit.stepping.contact_state import ContactState, HeldForces
 from mbdkit.stepping.event_driven import SAME_INSTANT, EventDriven
-from mbdkit.stepping.impulse import impulse
+from mbdkit.stepping.impulse import DriverImpulse, impulse
 from mbdkit.stepping.interface import (
     SAME_TIME,
     Failure,
-    Impact,
     KeptNodes,
     Moment,
     Nodes,
@@ -126,7 +125,7 @@ class PythonStepper:
         self.stabilized = StabilizedSteps(self._own_step, self.equations)
         begin = StepState(self.equations.q0.copy(), self.equations.v0.copy())
         self.now = Reached(0, 0, 0, None, timetable.start, begin, np.zeros(2), np.zeros(2), Interval())
-        self.impacts: list[Impact] = []
+        self.impacts: list[DriverImpulse] = []
         self.time = timetable.start
         self._before = self.now
         self._nodes = KeptNodes(workspace.mechanism.size, workspace.scratch.sides)

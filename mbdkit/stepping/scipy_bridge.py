@@ -26,12 +26,11 @@ from mbdkit.engine.kernels.system import OK
 from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
-from mbdkit.stepping.impulse import impulse
+from mbdkit.stepping.impulse import DriverImpulse, impulse
 from mbdkit.stepping.interface import (
     SAME_TIME,
     STRETCH,
     Failure,
-    Impact,
     KeptNodes,
     Moment,
     Nodes,
@@ -99,7 +98,7 @@ class SciPyStepper:
         self._new_solver, self._options = solver, options
         self._passed = 0  # number of stops passed
         self._stopped = False
-        self.impacts: list[Impact] = []
+        self.impacts: list[DriverImpulse] = []
         self._watch = StepWatch(workspace, timetable.guards, self.worst_pairs, "tighter tolerances may help")
         self.solver: Any = None
         self.y = y0

@@ -17,6 +17,7 @@ from scipy.interpolate import make_interp_spline
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.report.run_tables import run_tables
 from mbdkit.runs.corners import stops_of
 from mbdkit.runs.preparation import caution, make_method, timetable
 from mbdkit.spec import load_spec
@@ -316,9 +317,19 @@ def test_a_driver_whose_acceleration_jumps_keeps_the_order() -> None:
             assert there["a"].position[:, 0] == pytest.approx(exact, abs=1e-13)
 
 
+def check_impulse(there: mbdkit.Run) -> None:
+    """Check that one impulse of the driver brings 1 kg from 1 m/s to rest at 1.0037 s."""
+    impacts = there.impacts
+    assert (impacts.time.tolist(), impacts.contact.tolist()) == ([1.0037], ["d"])
+    assert impacts.energy_lost == pytest.approx(0.5, abs=1e-8)
+    assert impacts.reaction_impulse[0] == pytest.approx(np.array([[0.0, 0.0], [-1.0, 0.0]]), abs=1e-8)
+    assert impacts.reaction_torque_impulse[0] == pytest.approx(0.0, abs=1e-12)
+
+
 IMPACTS = [
     *((one, {}) for one in (*FIXED, *ADAPTIVE)),
     *(({"name": "radau-iia"}, {"formulation": name}) for name in ("index-2", "index-3", "ggl")),
+    ({"name": "rk4"}, {"formulation": "joint-coordinates"}),
     ({"name": "rk4"}, {"stabilization": "projection"}),
     ({"name": "rk4"}, {"stabilization": "baumgarte"}),
     (GAUSS, {"stabilization": {"name": "projection", "symmetric": True}}),
@@ -339,6 +350,7 @@ def test_an_allowed_impact_gives_the_velocities_after_the_corner(
         assert there["a"].position[-1, 0] == pytest.approx(1.0037, abs=1e-9)
         assert there.energy.work[-1] == pytest.approx(-0.5, abs=1e-8)  # of the impulse
         assert there.energy.balance == pytest.approx(0.0, abs=1e-8)
+        check_impulse(there)
 
 
 def test_an_allowed_impact_gives_the_velocities_after_the_corner_to_methods_in_python() -> None:
@@ -348,32 +360,44 @@ def test_an_allowed_impact_gives_the_velocities_after_the_corner_to_methods_in_p
             there.check()
             assert there["a"].position[-1, 0] == pytest.approx(1.0037, abs=1e-12)
             assert there.energy.work[-1] == pytest.approx(-0.5, abs=1e-12)
+            check_impulse(there)
 
 
-def test_an_impulse_keeps_what_no_joint_takes() -> None:
-    # A rod pinned to the tip of a driven crank. The impulse at the pin has no moment about it, so that the angular
-    # momentum of the rod about the pin is kept: I w + m d x v.
+def test_impulses_of_joints_change_the_momenta_of_their_bodies() -> None:
+    # A rod pinned to the tip of a driven crank, which stops. The impulse at the pin has no moment about it, so that it
+    # follows from the change of the velocities of the rod, and those of the bearing and the motor from the crank's.
     model = driven_crank(0.5) | {"gravity": [0, 0]}
     integrator = {**GAUSS, "adaptive": True, "rtol": 1e-12}
     spec = {"mbdkit": 1, "model": model, "integrator": integrator, "time": {"end": 1.0}, "impacts": "allow"}
 
-    def ended(end: float) -> tuple[np.ndarray, np.ndarray, float]:
+    def ended(end: float) -> tuple[np.ndarray, np.ndarray]:
         with mbdkit.run(spec | {"time": {"end": end}}) as there:
             there.check()
+            assert len(there.impacts) == (end > 0.5)
             q, v = (there.array(f"trajectory/{name}")[-1] for name in ("position", "velocity"))
-            return q[1], v[1], float(v[0, 2])
+            return q, v
 
-    def momentum(q: np.ndarray, v: np.ndarray) -> float:
-        d = 0.5 * np.array([math.cos(q[2]), math.sin(q[2])])
-        return float(0.3 * v[2] + 2.0 * (d[0] * v[1] - d[1] * v[0]))
+    def moment(angle: float, force: np.ndarray) -> float:
+        """Return the moment about the center of a body of a force at its second end."""
+        return float(0.5 * (math.cos(angle) * force[1] - math.sin(angle) * force[0]))
 
-    q0, v0, crank0 = ended(0.5)  # a run that ends at the corner has the velocities before it
-    q1, v1, crank1 = ended(0.5 + 1e-9)
-    assert (crank0, crank1) == pytest.approx((2.0, 0.0), abs=1e-9)
-    assert np.abs(v1 - v0).max() > 0.5
-    assert momentum(q1, v1) == pytest.approx(momentum(q0, v0), abs=1e-7)
+    q, v0 = ended(0.5)  # a run that ends at the corner has the velocities before it
+    change = ended(0.5 + 1e-9)[1] - v0
+    assert change[0, 2] == pytest.approx(-2.0, abs=1e-9)
+    pin = 2.0 * change[1, :2]
+    assert np.linalg.norm(pin) > 0.5
+    assert 0.3 * change[1, 2] == pytest.approx(-moment(q[1, 2], pin), abs=1e-7)
+    bearing = change[0, :2] + pin
+    motor = 0.1 * change[0, 2] + moment(q[0, 2], pin) + moment(q[0, 2], bearing)
     with mbdkit.run(spec) as there:
         assert there.check().energy.balance == pytest.approx(0.0, abs=1e-9)
+        impacts = there.impacts
+        assert impacts.joint.tolist() == ["A", "B", "D"]
+        assert impacts.reaction_impulse[0] == pytest.approx(np.array([bearing, pin, [0.0, 0.0]]), abs=1e-7)
+        assert impacts.reaction_torque_impulse[0] == pytest.approx(np.array([0.0, 0.0, motor]), abs=1e-7)
+        assert "1 (D 1), impulses of joints up to" in there.summary()
+        table = next(one for one in run_tables(there) if one.name == "impulses")
+        assert [row[0] for row in table.rows] == ["A", "B", "D"]
 
 
 # ---- tables and specs ----------------------------------------------------------------------------------------------

@@ -89,6 +89,14 @@ RANGES = {
 }
 """The angle of a pendulum leaves the range of a law, in which it swings from 0 to -pi, again and again."""
 
+SLIDE: dict[str, Any] = {"type": "prismatic", "bodies": ["ground", "slide"], "points": [[0, 0], [0, 0]], "axis": [1, 0]}
+ZIGZAG = {"table": [[0.0, 0.09, 0.18], [0.0, 0.09, 0.0]], "interpolation": "linear", "ends": "periodic"}
+DRIVEN: dict[str, Any] = {
+    "name": "mechanism",
+    "bodies": {"slide": {"mass": 1.0, "inertia": 1.0}},
+    "joints": {"S": SLIDE, "D": {"type": "driver", "bodies": ["ground", "slide"], "coordinate": "x", "motion": ZIGZAG}},
+}
+
 SPECS = {
     "rk4": spec_of({"name": "rk4"}, {"steps": 20_000, "step": 1e-4}, output={"every": 20}),
     "rk4 through singular positions": spec_of({"name": "rk4"}, {"end": 6.0, "step": 1e-3}, WINDOWS),
@@ -109,16 +117,19 @@ SPECS = {
     ),
     "rk4, laws out of range": spec_of({"name": "rk4"}, {"steps": 20_000, "step": 2e-4}, RANGES, output={"every": 450}),
     "rattle": spec_of({"name": "rattle"}, {"steps": 5000, "step": 1e-4}, formulation="index-3"),
+    "rk4, impulses of drivers": spec_of(
+        {"name": "rk4"}, {"steps": 20_000, "step": 1e-4}, DRIVEN, output={"every": 20}, impacts="allow"
+    ),
 }
 
 
 CONTACTS = {
     "name": "mechanism",
-    "bodies": {
+    "bodies": DRIVEN["bodies"] | {
         name: {"mass": 1.0, "inertia": 1.0 / 12.0, "position": [x + 0.5, 0.3], "angular_velocity": 0.3}
         for name, x in (("a", 0.0), ("b", 1.0))
     },
-    "joints": {"A": {"type": "revolute", "bodies": ["a", "b"], "at": [1.0, 0.3]}},
+    "joints": DRIVEN["joints"] | {"A": {"type": "revolute", "bodies": ["a", "b"], "at": [1.0, 0.3]}},
     "contacts": {
         name: {
             "bodies": ["ground", name], "shapes": [{"line": {"normal": [0.0, 1.0]}}, {"point": [x, 0.0]}],
@@ -130,11 +141,12 @@ CONTACTS = {
 SPECS |= {
     "rigid contacts, event-driven": spec_of(
         {"name": "rk4"}, {"end": 0.35, "step": 0.01}, CONTACTS, contact={"treatment": "event-driven"},
-        measures={"lowest": "min(a.y)", "peak": "max(contacts.a.normal_force)"},
+        measures={"lowest": "min(a.y)", "peak": "max(contacts.a.normal_force)"}, impacts="allow",
     ),
     "rigid contacts, time-stepping": spec_of(
         {"name": "nonsmooth-generalized-alpha"}, {"end": 0.4, "step": 4e-3}, CONTACTS,
         contact={"treatment": "time-stepping"}, events={"low": {"when": "a.y - 0.2", "direction": "any"}},
+        impacts="allow",
     ),
 }  # fmt: skip
 
