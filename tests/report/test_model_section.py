@@ -28,18 +28,17 @@ def texts(svg):
 
 
 @pytest.mark.parametrize("name", sorted(example_names("run")))
-@pytest.mark.parametrize("width", [WIDE, NARROW])
-def test_every_element_of_an_example_is_named_once(name, width):
+def test_every_element_of_an_example_is_named_once(name):
     mechanism = load_spec(name).mechanism()
     shown = start(mechanism)
     if not names_shown(shown):
         return
-    found = texts(mechanism_svg(shown, width))
     parts = parts_of(mechanism.beams)
     named = [*mechanism.bodies, *mechanism.joints, *mechanism.forces, *mechanism.markers]
     named = [name for name in named if name not in parts] + list(mechanism.beams)
-    assert all(found.count(word) >= 1 for word in named)
-    assert len(found) == len(named) + 1 + bool(any(mechanism.gravity))  # the scale and g
+    for found in (texts(mechanism_svg(shown, width)) for width in (WIDE, NARROW)):
+        assert all(found.count(word) >= 1 for word in named)
+        assert len(found) == len(named) + 1 + bool(any(mechanism.gravity))  # the scale and g
 
 
 def test_names_keep_clear_of_each_other_of_lines_and_of_the_edge():

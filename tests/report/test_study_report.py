@@ -78,7 +78,6 @@ def test_runs_that_are_missing_are_said_on_top(tmp_path):
     assert document.html()
 
 
-@pytest.mark.usefixtures("pictures")
 def test_the_page_and_the_figures_go_into_the_folder_once(study_folder, tmp_path, mbdkit_command):
     folder = tmp_path / "copy"
     shutil.copytree(study_folder, folder)

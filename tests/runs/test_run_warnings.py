@@ -11,7 +11,7 @@ import pytest
 import mbdkit
 from mbdkit.runs.preparation import build
 from mbdkit.runs.warnings import spec_warnings, start_warnings
-from mbdkit.spec import example_names, load_spec
+from mbdkit.spec import load_spec
 from mbdkit.spec.reading import parse_key, put
 
 SPEC: dict[str, Any] = {
@@ -94,14 +94,6 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
 )
 def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
     assert warnings_of(**values) == ()
-
-
-def test_no_packaged_example_is_warned_about() -> None:
-    for name in example_names("run"):
-        spec = load_spec(name)
-        warnings = [one for one in spec_warnings(spec) if not one.startswith("the elements of beam")]
-        assert warnings == []
-        assert start_warnings(spec, build(spec)[1]) == ()
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from mbdkit.archive.info import describe
 from mbdkit.methods.kinds import StepMethod, StepState
 from mbdkit.report.run_report import run_report
 from mbdkit.runs.preparation import guards, size_at_start
-from mbdkit.spec import example_names, load_spec
+from mbdkit.spec import load_spec
 
 from .mechanisms import cranks, guided_tip, spec, two_cranks
 
@@ -26,13 +26,6 @@ DOUBLE = {"name": "double-pendulum"}
 RK4 = {"name": "rk4"}
 LSODA = {"name": "scipy-lsoda", "rtol": 0.1, "atol": 0.1}
 DOPRI5 = {"name": "dopri5", "adaptive": True}
-
-
-@pytest.mark.parametrize("name", example_names("run"))
-def test_no_example_is_flagged(name: str) -> None:
-    with mbdkit.run(name) as run:
-        warnings = [one for one in run.warnings if not (run.beams and one.startswith("the elements of beam"))]
-        assert (run.verdict, run.verdict_reasons, warnings) == ("unknown", [], [])
 
 
 @pytest.mark.parametrize(("integrator", "step"), [(RK4, 0.1), (LSODA, None)], ids=["rk4", "scipy-lsoda"])
