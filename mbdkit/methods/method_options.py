@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from mbdkit.base.strict_model import StrictModel
+from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.items import Claims
@@ -22,8 +23,6 @@ ORDER_DRIFT = "constraints hold at acceleration level only: drift of the method'
 TOLERANCE_DRIFT = "constraints hold at acceleration level only: drift follows the tolerance and grows with time"
 """Drift of methods in adaptive steps on the index-1 equations."""
 
-EXPLICIT_FORMULATIONS = ("index-1", "joint-coordinates")
-"""Formulations whose equations are ordinary differential equations."""
 OF_TREES = "; with joint-coordinates, joints of the spanning tree hold to round-off"
 """Clause on joint coordinates that explicit methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
 
@@ -109,7 +108,7 @@ def explicit_claims(order: int, stages: int) -> Callable[[ExplicitOptions], Clai
         stages=stages,
         drift=ORDER_DRIFT + OF_TREES,
         needs=("accelerations",),
-        formulations=EXPLICIT_FORMULATIONS,
+        formulations=ORDINARY,
     )
 
 
@@ -123,7 +122,7 @@ def embedded_claims(order: int, stages: int) -> Callable[[ControlledOptions], Cl
             adaptive=options.adaptive,
             drift=(TOLERANCE_DRIFT if options.adaptive else ORDER_DRIFT) + OF_TREES,
             needs=("accelerations",),
-            formulations=EXPLICIT_FORMULATIONS,
+            formulations=ORDINARY,
         )
 
     return claims

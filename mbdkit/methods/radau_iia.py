@@ -11,6 +11,7 @@ from typing import Literal
 
 import mpmath
 
+from mbdkit.engine.formulation import ABSOLUTE
 from mbdkit.methods.method_options import HAIRER_WANNER, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
 from mbdkit.methods.tableau import ButcherTableau, collocation
 from mbdkit.registry.items import Claims, IntegratorPlugin, Orders
@@ -76,7 +77,7 @@ def _claims(options: RadauOptions) -> Claims:
         adaptive=options.adaptive,
         drift=_DRIFT_BY_FORMULATION if newton else index_1,
         needs=("tangents",) if newton else ("accelerations",),
-        formulations=("index-1", *orders) if newton else ("index-1",),
+        formulations=ABSOLUTE if newton else ("index-1",),
         orders=orders if newton and fixed else {},
     )
 
