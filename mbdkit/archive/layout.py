@@ -106,24 +106,6 @@ EVENTS = tuple(array.path for array in LAYOUT if array.group == "events")
 #: Paths of the arrays of impacts; all of them are present if contacts are rigid or drivers may have impulses.
 IMPACTS = tuple(array.path for array in LAYOUT if array.group == "impacts")
 
-#: Paths of the arrays of first-order states; all of them are present if the mechanism has such states.
-STATES = tuple(array.path for array in LAYOUT if array.group == "states")
-
-#: Paths of the arrays of muscles that a run records, if its mechanism has muscles.
-MUSCLES = tuple(
-    f"muscles/{name}"
-    for name in (
-        "time", "muscle", "length", "rate", "fiber_length", "fiber_rate", "activation", "excitation", "force", "power",
-        "fiber_power", "metabolic_power",
-    )
-)  # fmt: skip
-
-#: Paths of the arrays of contacts; all of them are present if the mechanism has contacts.
-CONTACTS = tuple(array.path for array in LAYOUT if array.group == "contacts")
-
-#: Paths of the arrays of ground reactions; all of them are present if bodies of the mechanism can touch the ground.
-GROUND_REACTIONS = tuple(array.path for array in LAYOUT if array.group == "ground_reactions")
-
 #: Paths of the arrays of friction in joints; all of them are present if a joint has friction.
 FRICTION = ("joints/value_row_units", "joints/friction")
 
@@ -205,6 +187,16 @@ def recorded_by(
         frozenset(quantity for quantity in quantities if quantity not in ELEMENTS or sizes[BY_GROUP[quantity].axis]),
         extra,
     )
+
+
+def of_elements(names: ArchiveNames) -> list[str]:
+    """Return the paths of the optional arrays of elements that a run records, with the names along their axes."""
+    sizes, paths = sizes_of(names), []
+    for kind in KINDS:
+        if kind.is_optional and sizes[kind.axis]:
+            axes = {dim for array in kind.arrays if array.key in RECORDED for dim in array.dims} - {"time"}
+            paths += [one.path for one in kind.arrays if one.optional and (one.key in RECORDED or one.dims[0] in axes)]
+    return paths
 
 
 def name_texts(names: ArchiveNames) -> Mapping[str, Sequence[str]]:

@@ -101,9 +101,7 @@ class ArchiveWriter(RunWriter):
             else self._target.file
         )
         try:
-            counted = len(names.bodies) + 2 * len(names.joints) + 4 * len(names.constraints)
-            counted += 6 * len(names.forces) + 2 * len(names.markers) + 2 * len(names.elements)
-            text = len(origin.spec_json) + 64 * counted
+            text = len(origin.spec_json) + 64 * sum(len(array.texts(names)) for array in self.arrays if array.texts)
             with self._storing(), self._room(more=False, also=_ATTRIBUTE_BYTES + text):
                 self._write_head(origin)
                 self._write_names()

@@ -250,9 +250,8 @@ class RunCompiler(Compiler):
         kinds = self.kinds(name)
         if not kinds:
             if other := next((kind for kind, names in self.known.items() if name in names), ""):
-                example = (
-                    f"{other}.{name}.{attribute if attribute in self.attributes[other] else _KINDS[other].example}"
-                )
+                fits = attribute in self.attributes.get(other, ())
+                example = f"{other}.{name}.{attribute if fits else _KINDS[other].example}"
                 self.refuse(f"'{name}' is a {_KINDS[other].one}; write {example}", node)
             self.unknown(name, [*self.known["bodies"], *self.known["joints"]], "body or joint", node)
         fitting = [kind for kind in kinds if self.checked(attribute, kinds, name, node) in self.attributes[kind]]
@@ -328,7 +327,7 @@ class RunCompiler(Compiler):
 
     def checked(self, attribute: str, kinds: Sequence[str], name: str, node: ast.expr) -> str:
         """Return `attribute` if one of the kinds has it; raise SpecError otherwise."""
-        known = [word for kind in kinds for word in self.attributes[kind]]
+        known = [word for kind in kinds for word in self.attributes.get(kind, ())]
         if attribute not in known:
             whose = " and ".join(f"{_KINDS[kind].one} '{name}'" for kind in kinds) if name else "energy"
             hint = f"{did_you_mean(attribute, known)}; it has {listed(known, 'and')}"

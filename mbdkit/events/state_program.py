@@ -25,10 +25,7 @@ class StateCompiler(RunCompiler):
         "joints": ("angle",),
         "markers": ("x", "y", "vx", "vy"),
         "forces": ("length", "rate", "value"),
-        "beams": (),
         "muscles": ("length", "rate", "force"),
-        "contacts": (),
-        "ground_reactions": (),
         "states": ("value",),
     }
     wanted = (

@@ -876,17 +876,13 @@ class Mechanism(HtmlView):
         """Return a line of text with the numbers of elements and of constraint rows."""
         drivers = sum(joint.is_driver for joint in self.joints.values())
         rows = sum(len(joint.rows) for joint in self.joints.values())
-        markers = f", {counted(len(self.markers), 'marker')}" if self.markers else ""
-        markers += f", {counted(len(self.muscles), 'muscle')}" if self.muscles else ""
-        markers += f", {counted(len(self.contacts), 'contact')}" if self.contacts else ""
         nodes = sum(beam.node_count for beam in self.beams.values())
-        bodies = [counted(len(self.bodies) - nodes, "body", "bodies")] if nodes < len(self.bodies) else []
-        beams = [counted(len(self.beams), "beam")] if self.beams else []
-        return (
-            f"{', '.join([*bodies, *beams])}, {counted(len(self.joints) - drivers, 'joint')}, "
-            f"{counted(drivers, 'driver')}, {counted(len(self.forces), 'force')}{markers}; "
-            f"{counted(rows, 'constraint row')}"
-        )
+        parts = [counted(len(self.bodies) - nodes, "body", "bodies")] if nodes < len(self.bodies) else []
+        parts += [counted(len(self.beams), "beam")] if self.beams else []
+        parts += [counted(len(self.joints) - drivers, "joint"), counted(drivers, "driver")]
+        named = {kind: len(elements) for kind, elements in self.elements.items() if elements or kind == "forces"}
+        parts += [counted(number, kind[:-1]) for kind, number in named.items() if kind != "joints"]
+        return f"{', '.join(parts)}; {counted(rows, 'constraint row')}"
 
     def validate(self) -> None:
         """Check that names are valid, that references exist, and that each element is compatible with its bodies.

@@ -98,7 +98,9 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
 
 
 ELEMENTS = ("joints", "forces", "markers", "muscles", "contacts")
-"""Kinds of elements on bodies: keys of the model, and attributes of `Mechanism`."""
+"""Kinds of elements on bodies: keys of the model, and attributes of `Mechanism`; all but the first two are omitted if
+there are none.
+"""
 
 NO_BODY = "a mechanism needs at least one body or beam"
 
@@ -115,9 +117,7 @@ class Assembly(StrictModel):
 class MechanismData(StrictModel):
     """Data of the model `mechanism`: gravity, named bodies, beams, joints, forces, markers, muscles, and assembly."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "beams", "markers", "muscles", "contacts", "coordinates", "states", "controllers",
-    )  # fmt: skip
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("beams", *ELEMENTS[2:], "coordinates", "states", "controllers")
 
     gravity: Point = (0.0, -9.81)
     """Gravitational acceleration (x, y) [m/s^2]."""

@@ -8,14 +8,11 @@ from pathlib import Path
 
 from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import (
-    CONTACTS,
     CORRECTIONS,
     EVENTS,
     FRICTION,
-    GROUND_REACTIONS,
     IMPACTS,
-    MUSCLES,
-    STATES,
+    of_elements,
     recorded_by,
 )
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
@@ -172,20 +169,18 @@ def _check_treatment(spec: RunSpec, method: Method) -> None:
 
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:
     """Return the arrays of the layout that a run records."""
+    names = archive_names(mechanism)
     carries_multipliers = method.traits.carries_multipliers(FORMULATIONS[spec.formulation])
     optional = [
         *(["constraints/method_multiplier"] if carries_multipliers else []),
-        *(STATES if mechanism.states else ()),
-        *(MUSCLES if mechanism.muscles else ()),
+        *of_elements(names),
         *(FRICTION if mechanism.friction else ()),
-        *(CONTACTS if mechanism.contacts else ()),
-        *(GROUND_REACTIONS if archive_names(mechanism).feet else ()),
         *(IMPACTS if mechanism.contact_treatment.is_rigid or spec.impacts == "allow" else ()),
         *(["constraints/singularity_distance"] if mechanism.solved_rows else []),
         *CORRECTIONS[spec.stabilized.kind],
         *(EVENTS if spec.events else ()),
     ]
-    return recorded_by(archive_names(mechanism), spec.output.recorded, frozenset(optional))
+    return recorded_by(names, spec.output.recorded, frozenset(optional))
 
 
 def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:

@@ -211,6 +211,15 @@ def test_errors_name_the_key_and_the_place(value: str, sentence: str) -> None:
     assert str(caught.value.key).startswith("model.forces.motor")
 
 
+@pytest.mark.parametrize(
+    ("value", "sentence"), [("contacts.heel.gap", "contact 'heel' has no 'gap'"), ("heel.gap", "'heel' is a contact")]
+)
+def test_kinds_without_quantities_of_the_state_are_refused(value: str, sentence: str) -> None:
+    heel = {"bodies": ["ground", "leg"], "shapes": [{"line": {"normal": [0, 1]}}, {"point": [0, -0.2]}]}
+    with pytest.raises(SpecError, match=sentence):
+        Mechanism.from_spec(leg(value) | {"contacts": {"heel": heel}}, {"lag": LAG})
+
+
 def test_a_value_that_is_not_finite_names_its_load() -> None:
     run = mbdkit.run(spec_of({"name": "rk4"}, model=leg("5 + 0.01*log(0.1 - leg.angle)")))
     assert run.status == "failed"
