@@ -181,7 +181,7 @@ class Workload(HtmlView):
         return found[-1]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all numbers as plain values; cycles as mean and deviation at 0, 1, ... 100 %."""
+        """Return all numbers as plain values; cycles are given as mean and standard deviation at 0, 1, ... 100 %."""
         return {
             "start": self.start,
             "end": self.end,

@@ -182,7 +182,7 @@ class View:
 
 
 VIEWS: dict[str, type[View]] = {}
-"""Classes of histories by group; kinds without a class below get one when they are first read."""
+"""Classes of histories by group. Kinds of elements without a class in this module get one when they are first read."""
 
 
 class BodyHistory(View, of="trajectory"):

@@ -63,7 +63,8 @@ VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
 """Root attributes with the verdict on a run, its reasons and warnings; archives of earlier versions lack them."""
 
 ATTRIBUTES_HASH = "attributes_sha256"
-"""Root attribute with the hash of everything that `data_sha256` leaves out; archives of earlier versions lack it."""
+"""Root attribute with the hash of all contents that `data_sha256` does not cover; archives of earlier versions lack it.
+"""
 
 COUNTERS = (
     "steps",

@@ -24,7 +24,8 @@ _ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"
 _LARGEST = re.compile(
     r"max\(abs\((?P<kind>joints|actuators)(?:\.(?P<name>\w+)|\[\"(?P<quoted>[^\"]+)\"\])\.(?P<attribute>\w+)\)\)"
 )
-"""An expression of the largest magnitude of a joint or actuator, without blanks."""
+"""Pattern of an expression for the largest magnitude of a quantity of a joint or actuator; the expression has no
+blanks."""
 
 
 def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
@@ -104,7 +105,7 @@ def errors_of_frames(run: Run, quantity: str, names: Sequence[str], size: np.nda
 
 
 def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[float] | np.ndarray = ()) -> np.ndarray:
-    """Return by how much the largest values (J,) of curves may exceed those of the rows.
+    """Return by how much the largest values (J,) of continuous curves may exceed the largest values in the rows.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[floa
     size
         (T, J) values of the curves.
     jumps
-        (B,) increasing times at which the curves may be discontinuous [s]. At each, the curves before and after it are
+        (B,) increasing times at which the curves may be discontinuous [s]. The curves on both sides of such a time are
         extrapolated to it by parabolas.
     """
     recorded: np.ndarray = np.max(size, axis=0)

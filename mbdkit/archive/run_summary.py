@@ -460,7 +460,9 @@ def _impacts(run: Run) -> str:
 
 
 def _struck(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
-    """Return the number of some impacts (I,), with that of each contact or driver, and the energy that they lose."""
+    """Return two texts on the impacts selected by `some` (I,): their number, in total and for each contact or driver,
+    and the energy that is lost.
+    """
     names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
     shown = [f"{name} {count}" for name, count in zip(names, counts, strict=True)]
     more = f", {len(shown) - JOINTS_NAMED} more" if len(shown) > JOINTS_NAMED else ""

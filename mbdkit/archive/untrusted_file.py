@@ -31,7 +31,7 @@ ATTRIBUTES = 10_000
 """Largest number of attributes of a group or an array."""
 
 UNPACKED = 50
-"""Largest ratio of the size of compressed arrays to that of the file. Results compress to about 85 %."""
+"""Largest ratio of the size of uncompressed arrays to that of the file. Compression reduces results to about 85 %."""
 
 FREE = 1 << 26
 """Compressed or sparse arrays up to this size are not compared with the size of the file [bytes]."""

@@ -140,7 +140,7 @@ class ArchiveWriter(RunWriter):
 
     @property
     def keeps_checkpoints(self) -> bool:
-        """Whether the archive is a file."""
+        """Whether checkpoints are written, which requires that the archive is a file."""
         return self._target is not None
 
     @property

@@ -43,7 +43,7 @@ run_frame: Callable[[Any, str], Any]
 """Returns a group of a run as a pandas DataFrame."""
 
 html_of: Callable[[Any], str] = repr
-"""Returns the HTML of an object that notebooks show."""
+"""Returns an object as HTML, as notebooks show it."""
 
 built_in_measures: Callable[[], Any]
 """Returns the names of the built-in measures of studies, each with what it needs in addition to the run."""

@@ -18,7 +18,8 @@ STEP = 1e-3
 NEGLIGIBLE = 1e-5
 """A direction is not determined if its singular value, relative to the largest one, is below this."""
 ACTIVE = 1e-5
-"""A bound or limit is active if the distance from it, relative to its size, is below this."""
+"""A bound or limit counts as active at a point if their distance, relative to the size of the bound or limit, is below
+this."""
 MOST = 10
 """Largest number of variables for which the second derivatives are computed."""
 

@@ -44,7 +44,7 @@ VERSION = "mbdkit_points"
 """Name of the format version in the first line of the file."""
 FIRST = json.dumps({VERSION: 1}).encode()
 SUM = "crc32"
-"""Name of the check sum in a line, which is computed from the JSON text of the line without the check sum."""
+"""Name of the check sum of a line. It is computed from the JSON text of the line without the check sum."""
 
 Compute = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
 

@@ -53,12 +53,11 @@ SHARE = 0.01
 DISTANCES = (1e-4, 2e-4)
 """Distances from the best point at which goals and limits are evaluated, as shares of the bounds."""
 LEAST_GROWTH = 3.0
-"""Smallest growth of second differences from the first to the second distance for which a measure counts as smooth.
-
-The factor is 4 for a smooth measure, and 2 at a corner, where the slopes on both sides differ.
+"""A measure counts as smooth if its second differences grow by at least this factor from the first to the second of
+`DISTANCES`. The factor is 4 for a smooth measure, and 2 at a corner, where the slopes on both sides differ.
 """
 LEAST_CORNER = 0.05
-"""Smallest difference of the slopes on both sides of a corner, as a share of the larger one."""
+"""Smallest difference of the slopes on both sides of a corner, as a share of the larger slope."""
 NOISE = 1e-9
 """Second differences below this share of the measure are attributed to errors of the runs."""
 

@@ -24,7 +24,8 @@ MOVED = 0.002
 _ELEMENTS = ("forces", "springs")
 _POINTS = ("points", "point", "at", "from", "to")
 MOST = 12
-"""Largest number of masses that are varied, the largest ones first, and largest number of rows that are printed."""
+"""Largest number of masses that are varied (those of the heaviest bodies), and largest number of rows that are printed.
+"""
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 HEAVY = 10.0
-"""Largest contact force at the start that is accepted as that of bodies at rest, relative to the weight of all
-bodies.
-"""
+"""Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
+shapes overlap too much."""
 
 HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
 """First-order states that store the force and mode of a rigid contact during a step, and their units; they have no
@@ -69,7 +68,7 @@ class Form(NamedTuple):
 
     @property
     def inputs(self) -> list[int]:
-        """Indices of the inputs, the coordinates and velocities that can change, among those of both bodies."""
+        """Indices, among the coordinates and velocities of both bodies, of the inputs: those that can change."""
         return [
             COORDINATES * side + 3 * rate + axis
             for side, count in enumerate(self.moving)
@@ -79,7 +78,7 @@ class Form(NamedTuple):
 
     @property
     def wrenches(self) -> list[int]:
-        """Indices of the components of force and torque that act, among those of both bodies."""
+        """Indices, among the components of force and torque on both bodies, of those that have an effect."""
         return [3 * side + axis for side, count in enumerate(self.moving) for axis in range(count)]
 
 

@@ -146,7 +146,7 @@ class _Terms:
     """Collects the terms of a mechanism with `n3` coordinates.
 
     Three rows and columns are reserved for the coordinates of the ground, before those of the multipliers. `add` leaves
-    terms in them out, and `joined` removes them.
+    out terms in these rows and columns, and `joined` removes the rows and columns.
     """
 
     def __init__(self, n3: int, row_index: np.ndarray, offsets: dict[str, int]):

@@ -5,7 +5,7 @@ its constraints, the same combination of the residuals Phi therefore vanishes to
 residual that would remain in the redundant direction if all other rows were satisfied. If it does not vanish, the rows
 are inconsistent, like those of two drivers whose motions diverge.
 
-Reactions of redundant joints are not unique. Of all equivalent ones, those of least norm are recorded.
+Reactions of redundant joints are not unique. Of all equivalent reactions, those of least norm are recorded.
 """
 
 from __future__ import annotations

@@ -392,8 +392,8 @@ class Watch:
         return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 
     def _cut(self, stretch: Stretch, theta: float) -> Stretch:
-        """End the run at `theta`; return the rows before it, and the final row unless that has been recorded
-        already.
+        """End the run at the share `theta` of the last step; return the rows before this time, and the final row unless
+        it has already been recorded.
         """
         step, end = self._steps.pop(), self.stepper.cut(theta)
         if theta > 0.0:

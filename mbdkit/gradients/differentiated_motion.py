@@ -73,11 +73,11 @@ class DifferentiatedMotion:
         return self._used(run.q), self._used(run.v)
 
     def _used(self, x: np.ndarray) -> np.ndarray:
-        """Return an array without those derivatives that are not used."""
+        """Return an array without the derivatives that no measure needs."""
         return np.array(np.asarray(x)[..., : self._evaluator.width])
 
     def _begin_at(self, time: float, q: np.ndarray, v: np.ndarray, corner: Corner | None = None) -> None:
-        """Begin a new part of the motion; it replaces the last part if that has no step."""
+        """Begin a new part of the motion. If the last part has no step, the new part replaces it."""
         if len(self._parts[-1].time) < 2:
             self._parts.pop()
         law_sides = None if self._sided is None else self._sided.sides if corner is None else corner.sides

@@ -246,7 +246,9 @@ def _stepper(
 
 @dataclass(frozen=True)
 class _AtEvent:
-    """The state at an event with its derivatives, and the sides of force laws at this time."""
+    """The state at an event, with derivatives, and the sides of discontinuities on which force laws are evaluated
+    there.
+    """
 
     state: Moment
     sides: np.ndarray | None

@@ -52,7 +52,9 @@ def needs_of(expression: MeasureExpression) -> Needs:
 
 @dataclass(frozen=True)
 class _Limit:
-    """One-sided limits at a time: of a quantity, and of the scalar that changes sign there, with their rates."""
+    """One-sided limits, at one time, of a quantity and of the scalar (switch) that changes sign there, with their
+    rates.
+    """
 
     value: Value
     rate: np.ndarray

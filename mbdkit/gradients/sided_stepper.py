@@ -32,11 +32,11 @@ from mbdkit.stepping.run_state import MODIFIED
 PLACES = (0.25, 0.5, 0.75, 1.0)
 """Shares of a step at which conditions are evaluated."""
 SAME = 1e-9
-"""A corner counts as being at the start or end of a step if its distance from there, as a share of the step, is below
-this.
+"""A corner counts as being at the start or at the end of a step if its distance from this end, as a share of the step,
+is below this.
 """
 AHEAD = 1e-6
-"""Share of a step after a corner at which the new sides are evaluated."""
+"""Distance behind a corner, as a share of the step, at which the new sides of force laws are determined."""
 MOST_AT_ONCE = 8
 """Largest number of corners at the same time; if there are more, the run fails."""
 

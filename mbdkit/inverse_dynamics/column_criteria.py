@@ -15,21 +15,21 @@ from mbdkit.inverse_dynamics.measured import Measured
 from mbdkit.spec.inverse_sections import Criterion, NoSmoothing, QuinticSpline
 
 STANDARD_GRAVITY = 9.81
-"""Acceleration with which those of a mechanism without gravity are compared [m/s^2]."""
+"""Acceleration [m/s^2] with which the accelerations of a mechanism without gravity are compared."""
 
 MOVED = 0.1
 """The unit of time is examined if a coordinate changes by at least this much, in longest links or radians."""
 
 COARSE, SLOW = 1.0, 1e-3
-"""Times look like milliseconds if the median interval exceeds the first number times sqrt(length / gravity), while no
-acceleration exceeds the second number times gravity.
+"""Times look like milliseconds if the median interval exceeds `COARSE` times sqrt(length / gravity), while no
+acceleration exceeds `SLOW` times gravity.
 
 Samples so far apart do not resolve a motion under gravity, and yet the motion seems to be quasi-static.
 """
 
 FINE, FAST = 1e-4, 1e3
-"""Times look too short if the median interval is below the first number times sqrt(length / gravity), while the root
-mean square of an acceleration exceeds the second number times gravity.
+"""Times look too short if the median interval is below `FINE` times sqrt(length / gravity), while the root mean square
+of an acceleration exceeds `FAST` times gravity.
 """
 
 UNEVEN = 0.01
@@ -39,12 +39,12 @@ EVEN, CERTAIN = 0.5, 6.0
 """Limits for implausible times.
 
 The columns are compared with the given times and with evenly spaced ones. The result is a share: 0 if the given times
-are right, 1 if the evenly spaced ones are. The given times are implausible if the share exceeds both the first limit,
-and the second limit times the standard deviation of the share due to noise.
+are right, 1 if the evenly spaced ones are. The given times are implausible if the share exceeds both `EVEN` and
+`CERTAIN` times the standard deviation of the share due to noise.
 """
 
 CERTAIN_OF_GRID = 3.0
-"""Replaces the second limit if the given times are rounded, evenly spaced times.
+"""Replaces `CERTAIN` if the given times are rounded, evenly spaced times.
 
 This is the case if all times are multiples of an interval of `GRIDS`, and deviate from a straight line by less than 3/4
 of the interval, which happens for uneven samples only by chance.
@@ -56,9 +56,9 @@ GRIDS = tuple(10.0**-digits for digits in range(1, 7))
 SPIKE, LEAST_SPIKE = 8.0, 0.005
 """Limits for outliers.
 
-A sample is an outlier if its deviation from its neighbours exceeds both the first number times the robust standard
-deviation of all such deviations, and the second number times the range of the column. Gaussian noise exceeds 8 standard
-deviations once in 1e15 samples.
+A sample is an outlier if its deviation from its neighbours exceeds both `SPIKE` times the robust standard deviation of
+all such deviations, and `LEAST_SPIKE` times the range of the column. Gaussian noise exceeds 8 standard deviations once
+in 1e15 samples.
 """
 
 FROZEN = 8
@@ -73,22 +73,20 @@ rows.
 """
 
 TURN = 1.2
-"""Change of an angle between two rows [rad] from which the number of turns is uncertain; beyond pi it would be
-wrong.
+"""Change of an angle between two rows [rad] from which the number of turns is uncertain. If the true change exceeds pi,
+the number is wrong.
 """
 
 TURNS, TURNING = 4 * np.pi, 0.8
-"""An angle without a unit looks like degrees if its magnitude exceeds the first number [rad].
-
-The exception are angles that turn in one direction, as of a crank: their net change is at least the second number times
-their total variation.
+"""An angle without a unit looks like degrees if its magnitude exceeds `TURNS` [rad]. The exception are angles that turn
+in one direction, such as that of a crank: their net change is at least `TURNING` times their total variation.
 """
 
 SMALL_RANGES = (0.3, 3.0)
-"""Angles declared in degrees look like radians if their ranges are at most the second number of degrees, the largest is
-at least the first, and all values are within a full turn if they are taken for radians.
+"""Angles declared in degrees look like radians if the largest of their ranges lies between these two numbers of
+degrees, and if all values are within a full turn when taken as radians.
 
-In radians, these ranges are 17 and 172 degrees.
+Taken as radians, the two numbers are 17 and 172 degrees.
 """
 
 ODD_RANGE = 3.0
@@ -104,8 +102,8 @@ For the links of a leg, this is 2 cm, the limit that OpenSim recommends for mark
 """
 
 SUDDEN, LEAST_SUDDEN = 10.0, 0.01
-"""The fit is poor for some time if residuals exceed two limits: the first number times their robust standard deviation,
-and the second number, in the units of `RESIDUAL`.
+"""The fit is poor for some time if residuals exceed both `SUDDEN` times their robust standard deviation, and
+`LEAST_SUDDEN` in the units of `RESIDUAL`.
 """
 
 BEYOND_NOISE = 10.0

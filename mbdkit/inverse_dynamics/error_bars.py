@@ -163,7 +163,8 @@ def _covariances(
 ) -> list[np.ndarray]:
     """Return covariances (T, 3 U, 3 U), due to noise, of the coordinates, their rates and accelerations in each frame.
 
-    The first is that of the result; the others are those of the changes of the coordinates by each of `others`.
+    The first one belongs to the coordinates of the result. The others belong to the changes of these coordinates with
+    each of the smoothings `others`.
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
     for noise in path.samples(deviation, asked.samples, random):

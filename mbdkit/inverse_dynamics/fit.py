@@ -30,8 +30,8 @@ KEYS = 50
 """Smallest number of key frames, which are fitted one after the other; there are more if the pose changes much."""
 
 UNSEEN = 1e-7
-"""A direction counts as not observed if its effect on the data, relative to that of the best observed one, is below
-this.
+"""A direction counts as not observed if its effect on the data, relative to the effect of the best observed direction,
+is below this.
 """
 
 MOVES = 1e-3

@@ -29,9 +29,9 @@ mass.
 UNLOADED, LEAST_OFFSET = 0.1, 0.005
 """Limits for the offset of a plate.
 
-The plate counts as unloaded in rows in which its force is below the first share of its peak, if at least the same share
-of all rows is unloaded. The plate has an offset if the median of the force in these rows exceeds the second share of
-the peak, and five times the scatter of the force.
+The plate counts as unloaded in rows in which its force is below `UNLOADED` times its peak, if this holds for at least
+this share of all rows. The plate has an offset if the median of the force in these rows exceeds both `LEAST_OFFSET`
+times the peak and five times the scatter of the force.
 """
 
 FORCE, MOMENT = 0.05, 0.02

@@ -25,8 +25,8 @@ from mbdkit.inverse_dynamics.smoothing import Smoothed
 from mbdkit.mechanism.mechanism_quantities import Quantities, Quantity
 
 PREFERRED = 0.2
-"""Observed quantities with at least this independence are preferred to more independent other quantities, if the
-observed quantities alone do not suffice.
+"""If the observed quantities alone do not suffice, those of them with at least this independence are preferred to other
+quantities, even if these are more independent.
 """
 
 FOLD = 0.05

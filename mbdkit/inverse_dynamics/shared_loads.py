@@ -39,7 +39,8 @@ REDUCED_COST = 1e-7
 TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """Options of HiGHS."""
 LEAST_SLOPE = 1e-12
-"""Smallest value of the derivatives dx/dg, relative to the largest one, to which smaller ones are raised for p > 2.
+"""Lower bound of the derivatives dx/dg, relative to the largest one; for p > 2, smaller values are raised to this
+bound.
 
 At x = 0, where the derivative is infinite, it is computed as 0.
 """

@@ -22,7 +22,8 @@ import numpy as np
 from mbdkit.inverse_dynamics.shared_loads import Programme, Shared
 
 LEAST_CURVATURE = 1e-12
-"""Smallest second derivative of the cost, relative to the largest one in a frame, to which smaller ones are raised.
+"""Lower bound of the second derivatives of the cost, relative to the largest one in a frame; smaller ones are raised to
+this bound.
 
 For exponents above 2, the second derivative vanishes at x = 0.
 """

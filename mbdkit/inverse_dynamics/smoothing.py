@@ -21,8 +21,7 @@ from mbdkit.spec.inverse_sections import (
 )
 
 UNEVEN = 1e-3
-"""Times count as evenly spaced if the largest deviation of an interval from the mean, relative to it, is at most
-this.
+"""Times count as evenly spaced if no interval deviates from the mean interval by more than this fraction of the mean.
 """
 
 KEY = "motion.smooth"

@@ -26,8 +26,8 @@ class TableOptions(StrictModel):
     """Options of `table`: a spring whose force over its length is given by points, and a linear damper.
 
     The force is the cubic spline through the points, with the not-a-knot condition at both ends (a parabola for three
-    points, a straight line for two). Beyond the ends it is extrapolated linearly with the slope at the end, and a run
-    that gets there is doubtful.
+    points, a straight line for two). Beyond its ends, the table is extrapolated linearly with the slope at the end. A
+    run that leaves the table is judged doubtful.
     """
 
     table: Annotated[

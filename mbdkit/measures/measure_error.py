@@ -13,10 +13,8 @@ from collections.abc import Sequence
 LARGEST_RATIO = 0.6
 """Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
 CONFIRMED = 0.25
-"""Limit for confirmation by the run of another method.
-
-This run confirms the most accurate run if it differs from that by at most this share of its difference from the run
-itself.
+"""Limit for confirmation by the run of another method. That run confirms the most accurate run if the difference of
+these two is at most this share of the difference between that run and the run itself.
 """
 GUARD_RATIO = 3.0
 """If the differences decrease, the run of another method may differ from the most accurate run by up to this multiple

@@ -393,7 +393,7 @@ class _MeasureCompiler(RunCompiler):
         return self.reduced("at", program, node, when)
 
     def reduced(self, name: str, program: Code, node: ast.Call, when: Sequence[tuple[str, float]] = ()) -> _Code:
-        """Return a program that reduces another one over time, or evaluates it at the time `when`."""
+        """Return a program that reduces the values of `program` over time, or gives its value at the time `when`."""
         value = _known(program)
         if not value.is_series:
             self.refuse(

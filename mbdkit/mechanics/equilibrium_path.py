@@ -31,15 +31,16 @@ MOST_POINTS = 5000
 """Largest number of points of a path."""
 
 MOST_CORRECTIONS, EASY = 8, 4
-"""Largest number of Newton corrections of a point; after at most the second number of corrections, the next step is
-longer.
+"""Largest number of Newton corrections of a point, and number of corrections up to which the next step is made longer.
 """
 
 CONVERGED = 1e-7
-"""Newton's method ends after the first correction below this; the next correction would be about its square."""
+"""Newton's method ends after the first correction below this; the next correction would be about the square of this
+one."""
 
 LOAD_STEP = 1e-5
-"""Step of central differences of the loads by time, as a share of the time span."""
+"""Step of the central differences by which loads are differentiated with respect to time, as a share of the time span.
+"""
 
 LOCATED = 1e-12
 """Tolerance of the position of a critical point on the path, relative to a step along it."""

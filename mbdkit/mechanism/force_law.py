@@ -43,10 +43,10 @@ class ExpressionLaw:
         Function from an instance of the law's options to the values of the parameters by name; by default, the
         parameters are the numeric options themselves.
     rates
-        First-order states of an element with this law, by name: for each, its time derivative, as an expression like
-        `force` or a function that returns it, and its unit. A parameter of the same name gives the initial value; all
-        expressions may contain the state by its name. A law with states has no potential, so its power counts as work,
-        or as dissipated if the law is passive.
+        First-order states of an element with this law, by name. Each state has a time derivative, which is an
+        expression like `force` or a function that returns it, and a unit. A parameter of the same name gives the
+        initial value. All expressions may contain the state by its name. A law with states has no potential, so its
+        power counts as work, or as dissipated if the law is passive.
     valid_range
         Range in which the law holds, such as ``{"length": (0.0, 0.3), "rate": (-1.0, 1.0)}`` [SI units, radians], or a
         function from an instance of the law's options to such a range; bounds may be infinite. The law must give finite

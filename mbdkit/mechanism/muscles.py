@@ -23,7 +23,8 @@ from mbdkit.mechanism.state_values import Value, of_state, of_time
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
 
 MOST_CIRCLES = 4
-"""Largest number of circles between two points of a path; all patterns of touched circles are enumerated."""
+"""Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
+enumerated."""
 
 TOO_STEEP = math.radians(80)
 """Pennation angles from this value on are refused, because the force along the tendon would almost vanish."""

@@ -59,7 +59,7 @@ ELEMENTS = {
     "rod": ("bodies", ""),
     "point": ("markers", ""),
 }
-"""For words that users may write as keys, in the singular: the section of a mechanism, and the type of element."""
+"""Sections of a mechanism and types of elements, by words in the singular that users may write as keys."""
 EXPLAINED = 12
 """Largest number of problems that a message explains; further ones are only counted."""
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))

@@ -35,7 +35,7 @@ FAST_OVER_SLOW = 2.5
 The largest velocity of a muscle is that of its fast fibres.
 """
 LENGTHENING = 0.3
-"""Rate of heat during lengthening, relative to that of slow fibres during shortening."""
+"""Ratio of the rate of heat during lengthening to that of slow fibres during shortening."""
 
 
 def fiber_power(muscle: Muscle, tension: np.ndarray, length: np.ndarray, rate: np.ndarray) -> np.ndarray:

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from mbdkit.figures.page_model import Figure, Line
 
 _LINES = 6
-"""Number of lines in a comparison if no elements are named, but at least one line for each run."""
+"""Largest number of lines in a comparison if no elements are named; each run has at least one line even if this number
+is exceeded."""
 _ALL = 1_000_000
 _DIFFERENCES = 3
 """Largest number of differences in a label; if there are more, titles and file names are used instead."""

@@ -260,8 +260,8 @@ class States:
 
     @property
     def method_multiplier(self) -> np.ndarray:
-        """(T, m) multipliers computed by the method; index-1 multipliers at the start, where the method has not
-        computed any.
+        """(T, m) multipliers computed by the method; at the start, where it has not computed any, those of the index-1
+        equations.
         """
         return self.multiplier if self.multipliers is None else self.multipliers
 

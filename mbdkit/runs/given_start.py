@@ -23,7 +23,7 @@ RATES = {"vx": "x", "vy": "y", "angular_velocity": "angle"}
 LONGEST = 0.2
 """Largest change of a given value in one iteration: angles in rad, lengths as a share of the length of the mechanism.
 
-Values change gradually, and small changes keep closed loops in their configuration.
+The given values are approached in small steps, so that closed loops stay in their configuration.
 """
 MOST_ITERATIONS = 30
 MET = 1e-12

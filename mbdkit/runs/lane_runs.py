@@ -228,7 +228,7 @@ class LaneRuns:
         return self._topology[1]
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
-        """Run the members and return their results in order; None for a run that must be repeated alone."""
+        """Carry out runs and return their results in order; None for a run that must be repeated alone."""
         if not members:
             return []
         # Measured once for all runs: for a process with several threads, reading the processor time is slow on some

@@ -33,9 +33,10 @@ ROUNDING = 1e-9
 """An argument may exceed a bound by this share of the larger bound of its range."""
 
 BULGE = 0.02
-"""Smallest excess of an extreme within a step, relative to its distance from the nearer end of the step, that counts.
+"""An extreme within a step counts as outside of a bound only if its distance from the bound exceeds this share of its
+difference from the closer of the values at both ends of the step.
 
-A smaller excess may be an error of the cubic, which is of order 4 in the step.
+A smaller distance may be an error of the cubic interpolation, which is of order 4 in the step.
 """
 
 UNBOUNDED = ((-math.inf, math.inf),) * len(ARGUMENTS)

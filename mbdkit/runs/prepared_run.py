@@ -100,7 +100,7 @@ class PreparedRun:
         return made
 
     def _vectorized(self, spec: RunSpec) -> Run | None:
-        """Return a run that was computed like those of an ensemble; None if it cannot be vectorized."""
+        """Return a run, computed by the vectorized loop as in an ensemble; None if it cannot be vectorized."""
         created = utc_now()
         with one_thread_of_linear_algebra():
             member = self._lanes.members([spec])[0]

@@ -245,8 +245,8 @@ def step_advice(spec: RunSpec, code: str) -> str:
     if code != "newton-failed" or step is None or not spec.mechanism().beams:
         return ""
     return (
-        f" Stiff beams may turn by at most some {LONGEST_TURN:g} rad in an implicit step, here up to "
-        f"{LONGEST_TURN / step:.3g} rad/s (see `mbdkit guide beams`)."
+        f" Stiff beams may turn by at most about {LONGEST_TURN:g} rad in an implicit step; with the step of this run, "
+        f"this is a rate of {LONGEST_TURN / step:.3g} rad/s (see `mbdkit guide beams`)."
     )
 
 

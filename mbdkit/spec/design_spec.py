@@ -258,7 +258,8 @@ class DesignSpec(StrictSpec):
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base of every scenario, such as `time.end: 5.0`."""
     scenarios: Annotated[dict[str, Scenario], AfterValidator(_check_scenarios)] = Field(default_factory=dict)
-    """Situations by name, in each of which goals and limits are evaluated; by default one, the base."""
+    """Situations by name. Goals and limits are evaluated in each of them. By default, the base is the only situation.
+    """
     variables: Annotated[dict[str, Variable], AfterValidator(_check_variables)]
     """The numbers to choose, by the name of a parameter or a dotted key, such as `model.forces.spring.stiffness`."""
     minimize: Annotated[str | dict[str, str], BeforeValidator(_check_goals)]

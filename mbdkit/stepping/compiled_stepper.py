@@ -62,8 +62,8 @@ if TYPE_CHECKING:
     from mbdkit.stepping.run_plan import RunPlan
 
 SINGULAR, REGULAR = 1e-6, 1e-2
-"""Relative distances to the nearest singular matrix: below the first a state counts as singular, above the second as
-regular.
+"""Relative distances to the nearest singular matrix. A state counts as singular below `SINGULAR`, and as regular above
+`REGULAR`.
 """
 
 MAX_ROWS = 4096

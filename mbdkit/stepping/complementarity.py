@@ -204,8 +204,8 @@ def coupled_by_bodies(bodies: np.ndarray, gradients: np.ndarray, lightness: np.n
 SWEEPS = 500
 """Largest number of sweeps over the contacts."""
 PRECISION, ACCEPTED = 1e-8, 1e-2
-"""Relative changes of the velocities in a sweep: sweeps end at the first, and their result is accepted up to the
-second.
+"""Limits of the relative change of velocities in a sweep. Sweeps end at `PRECISION`; if their number is used up before,
+the result is accepted up to `ACCEPTED`.
 
 Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps move
 forces between them ever more slowly.

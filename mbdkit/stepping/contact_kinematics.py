@@ -122,7 +122,7 @@ class ContactKinematics:
         self._first = np.cumsum([0, *(len(some) for some in own)], dtype=int)[:-1]
         kinds = [one.kind for one in features]
         self._alike = [_Alike.of(features, kind) for kind in dict.fromkeys(kinds)]
-        #: Index of each feature among those of its kind, and index of that kind (F,).
+        #: For each of F features, its index among the features of its kind, and the index of its kind.
         self._place, self._kind = np.zeros((2, len(features)), dtype=int)
         for number, alike in enumerate(self._alike):
             self._place[alike.places], self._kind[alike.places] = np.arange(len(alike.places)), number

@@ -374,9 +374,7 @@ class _Step:
             self.modes = self._decided(self.now, touching, stops, begins)
 
     def _hand_over(self, contact: int) -> None:
-        """Release a contact that reaches the end of its edge or corner, and let the contacts that touch there take
-        over.
-        """
+        """Open a contact that reaches the end of its edge or corner, and decide the modes of contacts that touch."""
         stays = self.modes != OPEN
         stays[contact] = False
         self.modes = np.where(stays, self.modes, OPEN)

@@ -30,8 +30,8 @@ from mbdkit.stepping.time_stepping import TimeStepping, answer
 MOST_ITERATIONS = 20
 """Largest number of Newton iterations in a step."""
 CONVERGED, STAGNANT = 1e-14, 1e-9
-"""Changes of the coordinates, relative to the largest coordinate: below the first they count as zero; below the second
-the iteration may stagnate.
+"""Changes of the coordinates, relative to the largest coordinate, that count as zero, and below which the iteration may
+stagnate.
 """
 
 

@@ -79,8 +79,8 @@ class RigidContacts:
     def accelerations(
         self, t: float, q: np.ndarray, v: np.ndarray, modes: np.ndarray, *, only_closed: bool = False
     ) -> Forced:
-        """Return the accelerations with contacts in given modes (C,); with the rows of all of them, or only of those
-        that are closed, which take less time.
+        """Return the accelerations with contacts in given modes (C,). The result has the rows of all contacts or, which
+        takes less time, only of those that are closed.
 
         Raises
         ------

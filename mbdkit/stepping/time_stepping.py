@@ -35,8 +35,8 @@ from mbdkit.stepping.step_impulses import MANY, SMALL, SmoothStep, StepImpulses
 MOST_HALVINGS = 4
 """Largest number of times that a step is halved."""
 ROUGH = 1e-4
-"""Precision of projections with more than `MANY` overlaps, of which there is one in each step; the next steps reduce
-the remaining overlap."""
+"""Precision of the projection in a step if more than `MANY` contacts overlap; the next steps reduce the remaining
+overlap."""
 
 
 class TimeStepping(StepMethod):
@@ -51,7 +51,7 @@ class TimeStepping(StepMethod):
     ) -> SmoothStep:
         """Return the step without impulses of contacts.
 
-        `accelerations` are those that the last step has passed on; () if there are none.
+        `accelerations` are those that the previous step has returned for this one; () if there are none.
         """
 
     def step(self, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> StepState:

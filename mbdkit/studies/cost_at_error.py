@@ -88,8 +88,8 @@ def cost_at_error(study: Study) -> Table | None:
 def error_headlines(study: Study) -> list[tuple[str, str]]:
     """Describe the errors against the reference in words.
 
-    The text gives their range, the number of runs that stay near the reference, and the sequences of runs that cost
-    least at an error.
+    The text gives the range of the errors, the number of runs that stay near the reference, and the series of runs that
+    need the fewest operations for a given error.
     """
     if not study.references:
         return []

@@ -40,7 +40,7 @@ class SampledStudy(Protocol):
     def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
         """Yield runs that join the rows of one or more runs of the study.
 
-        With each of them come the numbers, in the study, of the runs that it joins, and their numbers of rows.
+        Each item is a joined run, the numbers of its runs in the study, and the number of rows of each of its runs.
         """
         ...
 

@@ -22,7 +22,7 @@ from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
 
 SAMPLES = 8
-"""Number of runs of a study in blocks whose specs are validated before the first run.
+"""Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.
 
 The specs of all other runs are validated when the runs are computed.
 """

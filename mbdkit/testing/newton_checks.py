@@ -17,7 +17,7 @@ SAME = 0.01
 
 @check("newton.tolerance")
 def tolerance(integrator: IntegratorUnderTest) -> Result:
-    """Iterating to rounding changes the result by less than a hundredth of its error."""
+    """Iterating to round-off changes the result by less than a hundredth of the error of the result."""
     _require_iterations(integrator)
     steps = 50
     own = integrator.method()

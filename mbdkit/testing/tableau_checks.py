@@ -23,7 +23,9 @@ def row_sums(integrator: IntegratorUnderTest) -> Result:
 
 @check("tableau.trees")
 def trees(integrator: IntegratorUnderTest) -> Result:
-    """The method satisfies the order conditions of all rooted trees up to the claimed order, and not of the next."""
+    """The method satisfies the order conditions of all rooted trees up to the claimed order, but not those of the next
+    order.
+    """
     tableau, order = integrator.tableau, int(integrator.order)
     try:
         tableau.check_trees(order)

@@ -154,7 +154,7 @@ def code_report() -> dict[str, Any]:
 
 
 def code_text() -> str:
-    """Return the report as one line."""
+    """Return a line that names the platform, the level of processors and the number of lanes of the machine code."""
     level = chosen_level()
     where = f"machine code for {this_platform()}, level {level.name}, {level.lanes} lanes"
     return where if manifest() else f"no {where}"

@@ -144,7 +144,7 @@ def _guard(
     progress: Callable[[float, float], None] | None,
     watch: Callable[[Workspace, Stepper], Watch] | None,
 ) -> tuple[Companion, CompanionRows]:
-    """Return the first guard run that reaches the end; if none does, the one that gets farthest."""
+    """Return the first guard (run of another method) that reaches the end, or else the guard that gets farthest."""
     best: tuple[Companion, CompanionRows] | None = None
     for companion in chosen.guards:
         states = run_companion(companion, workspace, times, budget.stopped, progress, watch)

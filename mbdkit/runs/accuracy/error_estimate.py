@@ -68,8 +68,8 @@ errors.
 """
 
 GUARD_RATIO = 3.0
-"""Largest difference from the guard, relative to the estimate. A larger one indicates an error that the runs have in
-common.
+"""Largest difference from the guard, relative to the estimate. A larger difference indicates an error that all other
+runs share.
 """
 
 

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from mbdkit.studies.study import Study
 
 NEAR, APART = 0.2, 0.3
-"""Observed and expected order agree if they differ by at most the first number, and disagree from the second one on."""
+"""Observed and expected order agree if they differ by at most `NEAR`, and disagree if they differ by `APART` or more.
+"""
 TENFOLD = Range.around(10.0, 3.0)
 REVERSIBLE = 1e-11
 """Largest reversibility defect, relative to the size, that round-off over about 20,000 steps can explain."""

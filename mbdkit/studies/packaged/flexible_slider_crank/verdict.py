@@ -25,8 +25,8 @@ REFERENCE = ("Gauss 3", 2e-6)
 HELD = 1e-7
 """Joints count as closed if their misalignment [m] is below this."""
 SMALL, LARGE = 0.1, 0.2
-"""Joint forces are right if their errors, relative to their root mean squares, are below the first value, and wrong if
-they are above the second."""
+"""Joint forces are right if their errors, relative to the root mean squares of the forces, are below `SMALL`, and wrong
+if the errors are above `LARGE`."""
 EXPLICIT = 2e-6
 """Largest stable step of explicit methods, which is limited by the fastest oscillation of the rod [s]."""
 
