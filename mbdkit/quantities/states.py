@@ -238,7 +238,7 @@ class States:
             place = one.activation + 1
             return self.z[:, place] if name == "fiber_length" else self.observed.state_rates[:, place]
         if self.q.ndim > 2:
-            raise SpecError(f"derivatives of muscles.{one.force.name}.{name} by parameters are not known")
+            raise SpecError(f"muscles.{one.force.name}.{name} has no known derivatives with respect to parameters")
         if name == "excitation":
             if one.excitation is None:
                 return one.force.excitation_at(self.time)

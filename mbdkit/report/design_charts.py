@@ -136,7 +136,9 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
     units
         Units of the goals by name.
     """
-    limited = " Limits are not considered: the goal may fall beyond an active one." if design.spec.subject_to else ""
+    limited = (
+        " Where a limit is violated, the goal may be smaller than at the best point." if design.spec.subject_to else ""
+    )
     for index, cut in enumerate(around[""]):
         words, unit = key_words(cut.variable), variable_unit(design, cut.variable)
         lines = []

@@ -95,14 +95,14 @@ class ContactState:
         if self.cut:
             names = listed(sorted(self.cut), "and")
             found.append(
-                f"impacts that follow each other without end were cut, at {names}: the contact stays closed from the "
-                "last one on; `/impacts` has the time at which they would have accumulated"
+                f"an infinite sequence of impacts was cut off at {names}: the contact stays closed after the last one "
+                "that was computed; `/impacts` has the time at which the impacts would have accumulated"
             )
         if self.changed:
             names = listed(sorted(self.changed), "and")
             found.append(
-                f"the law of impact would have created energy at {names}; Stronge's law was used there, for several "
-                "contacts at once that of the run or Poisson's with a smaller restitution"
+                f"the law of impact would have created energy at {names}; Stronge's law was used there or, for several "
+                "contacts at once, the law of the run or Poisson's law with a smaller restitution"
             )
         if self.residual > SOLVED:
             found.append(

@@ -29,7 +29,7 @@ from mbdkit.stepping.run_state import PROJECTIONS
 if TYPE_CHECKING:
     from mbdkit.stepping.step_control import Control
 
-_CAUSES = {DIVERGED: "the iteration for them does not converge", NOT_FINITE: "a number overflows"}
+_CAUSES = {DIVERGED: "the iteration for the derivatives does not converge", NOT_FINITE: "a number overflows"}
 """Reasons why the derivatives of a step are unknown, by status of the kernel."""
 
 NODES = ("node_time", "node_weight", "node_q", "node_v")
@@ -136,7 +136,7 @@ class DifferentiatedSteps:
             why = _CAUSES.get(status, "the system of its equations is singular")
             raise StepError(
                 "newton-failed",
-                f"the derivatives of the step from t = {t:.6g} s by parameters cannot be computed: {why}; "
+                f"the step from t = {t:.6g} s cannot be differentiated with respect to parameters: {why}; "
                 "a smaller time.step may help",
             )
         if row >= 0:
