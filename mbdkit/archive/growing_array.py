@@ -57,7 +57,9 @@ class Series:
         return rows * self.row_bytes + begun + _OVERHEAD_BYTES
 
     def extend(self, values: np.ndarray, start: int) -> None:
-        """Write the rows from row `start` on, except those that an interrupted `write` has written already."""
+        """Write `values`, the rows from row `start` on, except for rows that an interrupted `write` has already
+        written.
+        """
         assert self.dataset is not None
         new = values[self._rows - start :]
         if len(new):

@@ -171,7 +171,7 @@ class _WrittenField(NamedTuple):
         if not self.may_be_absent:
             return True
         is_empty = value is None or (isinstance(value, Sized) and not len(value))
-        return not is_empty and bool(value != self.default)  # 0 is a value where the default is another one
+        return not is_empty and bool(value != self.default)  # 0 is written if the default is another value
 
 
 @lru_cache(maxsize=512)

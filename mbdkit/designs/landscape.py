@@ -74,8 +74,8 @@ class Sensitivity:
         Change of the measure, to first order, if a variable increases by `SHARE` of its bounds; nan where a run fails,
         and at a corner.
     corners
-        Changes if a variable decreases, and if it increases, by `SHARE` of its bounds, for variables in which the
-        measure has different slopes on both sides of the best point.
+        Two changes, for a decrease and for an increase of a variable by `SHARE` of its bounds. Only variables in which
+        the measure has different slopes on both sides of the best point are included.
     """
 
     scenario: str

@@ -196,7 +196,7 @@ class _Terms:
     def add_tangents(
         self, name: str, first: np.ndarray, width: int, bodies: tuple[np.ndarray, np.ndarray], entries: Iterable[int]
     ) -> None:
-        """Add the tangents by positions and velocities of one kind of force.
+        """Add the tangents of one kind of force with respect to positions and velocities.
 
         Parameters
         ----------
@@ -205,8 +205,8 @@ class _Terms:
         first
             Index at which the tangent of each element begins in these arrays; a row of a tangent has `width` numbers.
         bodies
-            For each element, the bodies on which the force acts, and the bodies by whose coordinates it is
-            differentiated.
+            For each element, the bodies on which the force acts, and the bodies with respect to whose coordinates the
+            force is differentiated.
         entries
             Indices of the coordinates that occur.
         """

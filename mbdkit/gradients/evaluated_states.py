@@ -113,6 +113,6 @@ class StateEvaluator:
 def rate_of(around: np.ndarray, here: np.ndarray | float, distance: float) -> np.ndarray:
     """Return the rate of a quantity from its values (8, ...) in the states of `StateEvaluator.around`.
 
-    `here` is the value in the state itself, and `distance` that of the states in time [s].
+    `here` is the value in the state itself, and `distance` the time [s] between neighbouring states.
     """
     return np.asarray(np.tensordot(weights(CENTRAL), around - here, 1) / distance)

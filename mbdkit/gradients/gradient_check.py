@@ -244,7 +244,7 @@ def discretization_doubts(
     correction = _correction(check.extrapolated - check.differences[0])
     limit = np.where(smooth, NOTED[0], NOTED[1]) * terms + _reference_error(correction, sizes)
     return [
-        f"the derivative of '{check.names[m]}' differs by {100 * away[m] / terms[m]:.1g} % from that of the motion by "
-        f"another method: use smaller steps or a smaller tolerance if that is too much"
+        f"the derivative of '{check.names[m]}' differs by {100 * away[m] / terms[m]:.1g} % from that of more accurate "
+        f"runs with another method: use smaller steps or a smaller tolerance if this is too much"
         for m in np.flatnonzero(alike & (away > limit))
     ]

@@ -96,7 +96,7 @@ TRAVELS = 30.0
 """A length without a unit looks like millimetres if its range is at least this multiple of the mechanism's size."""
 
 RESIDUAL = 0.05
-"""Root mean square residual of a column from which the fit is poor, in radians or relative to the longest link.
+"""Root mean square residual of a column above which the fit counts as poor, in radians or relative to the longest link.
 
 For the links of a leg, this is 2 cm, the limit that OpenSim recommends for markers.
 """

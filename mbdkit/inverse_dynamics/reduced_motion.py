@@ -259,7 +259,7 @@ def _greedy(rows: np.ndarray, preferred: int) -> tuple[list[int], np.ndarray]:
 
 
 def _independence(rows: np.ndarray) -> np.ndarray:
-    """Return the independence (T,) of chosen quantities, in the order in which they were chosen."""
+    """Return the independence (T,) of the chosen quantities, whose rows are in the order of the choice."""
     left, independence = rows.copy(), np.full(len(rows), np.inf)
     for index in range(rows.shape[1]):
         left, pivot = _without(left, index)

@@ -63,7 +63,8 @@ MUCH = 1e3
 """A stagnant search is accepted if the imbalance is at most this multiple of its estimated rounding error."""
 
 PLACES = 1e-6
-"""When joints are closed, weight of a translation by the size of the mechanism, relative to a rotation by 1 rad."""
+"""Weight of a translation by the size of the mechanism, relative to that of a rotation by 1 rad, in the corrections
+that close joints."""
 
 MOST_CLOSINGS = 20
 """Largest number of Newton steps for closing the joints."""

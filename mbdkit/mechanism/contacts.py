@@ -125,7 +125,9 @@ def _check_convex(corners: tuple[Pair, ...]) -> None:
     for (ax, ay), (bx, by), (cx, cy) in zip(corners, corners[1:] + corners[:1], corners[2:] + corners[:2], strict=True):
         across = (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
         if across <= 0.0:
-            message = "a polygon should be convex, with its corners in counter-clockwise order and none between others"
+            message = (
+                "a polygon should be convex, with corners in counter-clockwise order, of which no three are on a line"
+            )
             raise SpecError(message, key="polygon")
         turns += math.atan2(across, (bx - ax) * (cx - bx) + (by - ay) * (cy - by))
     if turns > 7.0:  # the edges of a star turn more than once

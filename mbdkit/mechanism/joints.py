@@ -70,7 +70,7 @@ class JointBase(Between):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
         return False
 
     @property
@@ -162,7 +162,7 @@ class Revolute(PointJoint, At):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
         return self.center is not None
 
     def angles(self) -> list[tuple[str, str]]:
@@ -265,7 +265,7 @@ class SlidingJoint(PointJoint, At):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
         return True
 
     @model_validator(mode="after")
@@ -393,7 +393,7 @@ class Driver(JointBase):
 
     @property
     def point_moves_on_first(self) -> bool:
-        """Whether the second body's point moves in the first body's frame; the reaction then acts there."""
+        """Whether the second body's point moves in the first body's frame; the reaction then acts at this point."""
         return True
 
     @model_validator(mode="before")

@@ -30,8 +30,8 @@ class AdaptiveOptions(Options):
     rtol: Annotated[float, Field(ge=2.3e-14, lt=1, allow_inf_nan=False)] = 1e-8
     """Relative error tolerance of a step; SciPy does not accept values below 100 eps, 2.3e-14."""
     atol: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    """Absolute error tolerance of a step [m, rad, m/s, rad/s]; by default 1e-10, multiplied for lengths and velocities
-    by the mechanism's characteristic length if that is below 1 m."""
+    """Absolute error tolerance of a step [m, rad, m/s, rad/s]; by default 1e-10. For lengths and velocities, the
+    default is multiplied by the characteristic length of the mechanism if this is below 1 m."""
     max_step: MaxStep = None
     """Largest step [s]; unlimited by default."""
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mbdkit.designs.design import Design
 
 POINT_WORDS = {"start": "at the start", "best": "at the best point"}
-"""Names in sentences of the points whose runs are stored in archives."""
+"""Phrases for the points of a design whose runs are stored in archives."""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 _JOINT_ERRORS = {"torque": "torque_error"} | dict.fromkeys(("force", "force_x", "force_y"), "reaction_error")

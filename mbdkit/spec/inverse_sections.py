@@ -251,8 +251,7 @@ class Load(Section):
     data: Data | None = None
     """Columns by heading, as an alternative to `file`."""
     time: Times | None = None
-    """Column with the times; by default that of the motion if the table is that of the motion, and otherwise
-    `time`."""
+    """Column with the times. By default, it is that of the motion if both use the same table, and otherwise `time`."""
     force: tuple[Column, Column] | None = None
     """Columns of the force (x, y) on the body, in the global frame; a number is a constant component [N]."""
     point: tuple[Column, Column] | None = None
@@ -358,8 +357,8 @@ class Recruitment(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("deviations",)
 
     exponent: Annotated[int, Field(ge=1, le=20)] | Literal["inf"] = 2
-    """A whole number, or `inf`: the largest share is minimised. Of equally good solutions, as they exist for 1 and
-    `inf`, the one with the smallest sum of squares is chosen."""
+    """A whole number, or `inf`, with which the largest term is minimised. If several solutions are equally good, which
+    is possible with 1 and `inf`, the one with the smallest sum of squares is chosen."""
     minimum: Annotated[float, Field(ge=0, lt=1)] = 0.01
     """Smallest activation."""
     reserves: Positive | dict[str, Positive] = Field(default_factory=dict)

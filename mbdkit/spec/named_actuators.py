@@ -29,7 +29,7 @@ RESERVE = "reserve."
 """Prefix of the names of reserves."""
 
 ROOT = "root"
-"""Prefix of the names of residual actuators, before the name of the coordinate, if there is only one free root."""
+"""Prefix of the names of residual actuators if there is only one free root; the name of the coordinate follows."""
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,7 @@ class Family(Section):
     reference: Reference | None = None
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats | None = None
-    """Number of timings of each run; if more than one, timing is serial, after all runs."""
+    """Number of timings of each run. If there are several, runs are timed one after another when all have been made."""
 
 
 class Members(Section):
@@ -181,7 +181,7 @@ class StudySpec(StrictSpec):
     reference: Reference = "none"
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
-    """Number of timings of each run; if more than one, timing is serial, after all runs."""
+    """Number of timings of each run. If there are several, runs are timed one after another when all have been made."""
     measures: Measures = "all"
     """Measures to compute for each run, in addition to counters and times. `all` selects the built-in measures that are
     computed from the archive, but not the reversibility defects and the velocity misalignment over every step, which

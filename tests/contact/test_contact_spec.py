@@ -59,7 +59,7 @@ REFUSED = {
     "corners that coincide": (
         {"shapes": [FLOOR, {"polygon": [[0, 0], [1, 0], [1, 0], [0, 1]]}]},
         "model.contacts.k.shapes[1].polygon",
-        "none between others",
+        "of which no three are on a line",
     ),
     "overlap": ({"shapes": [FLOOR, {"circle": {"radius": 0.7}}]}, "model.contacts.k.shapes", "overlap by 0.2 m"),
     "no compliance": ({"compliance": None}, "model.contacts.k.compliance", "is missing"),

@@ -21,7 +21,7 @@ HALVINGS = (2, 4)
 """Factors by which the steps of a fixed-step run are divided for its companions."""
 
 OF_TIME_STEPPING = (4, 16)
-"""The same factors for time-stepping methods.
+"""The factors, as in `HALVINGS`, for time-stepping methods.
 
 Their errors are bounded by a constant times the step, but do not decrease steadily with the step, because impacts fall
 between the ends of steps.
@@ -36,7 +36,7 @@ TENTHS = (10.0, 100.0)
 """Factors by which the tolerances of an adaptive run are divided for its companions."""
 
 OTHER_TENTHS = (1e3, 1e5)
-"""The same factors for companions whose method is not that of the run.
+"""The factors, as in `TENTHS`, for companions whose method is not that of the run.
 
 They are larger, because SciPy's Radau is up to 100 times more accurate than its tolerance.
 """
