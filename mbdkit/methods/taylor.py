@@ -40,7 +40,7 @@ class TaylorOptions(ControlledOptions):
     """Order of the series of velocities; by default 8 with fixed steps, and 4 - 0.75 ln(rtol) with adaptive ones."""
 
     def chosen_order(self) -> int:
-        """Return the order."""
+        """Return `order`, or its default for these tolerances."""
         tolerances = self.tolerances()
         if self.order is not None:
             return self.order

@@ -87,8 +87,8 @@ class MuscleForce:
         return np.array([float(excitation_of(form, t, numbers)) for t in time.tolist()])
 
     def excitation_outside(self, start: float, end: float) -> tuple[float, float] | None:
-        """Return a time between start and end at which the excitation is far outside the range 0 to 1, and the
-        excitation then.
+        """Return a time between start and end at which the excitation is far outside the range 0 to 1, and the value of
+        the excitation at this time.
 
         None if there is no such time, or if the excitation is not a function of time.
         """

@@ -237,6 +237,6 @@ def _note(
     beside: tuple[float, float],
     **look: Any,
 ) -> None:
-    """Write a text below a place and some points beside it; the text is not interpreted as mathematics."""
+    """Write a text below a place, at the offset `beside` (x, y) [points]; it is not interpreted as mathematics."""
     note = axes.annotate(text, place, xycoords=coordinates, xytext=beside, textcoords="offset points", va="top", **look)
     note.set_parse_math(False)

@@ -347,7 +347,7 @@ class _Group:
         self._known_digests: dict[str, str] = {}
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
-        """Run at most `WIDTH` members."""
+        """Carry out at most `WIDTH` runs of the group together."""
         starts, tables = [one.start for one in members], [one.table for one in members]
         results = self.stepper.advance(starts, tables, [one.pivots for one in members])
         states = self._states(results)

@@ -32,7 +32,7 @@ NEVER = 2**53
 
 @dataclass(frozen=True)
 class Companion:
-    """A companion run.
+    """A comparison run of a main run: its method, times and settings.
 
     Parameters
     ----------
