@@ -326,8 +326,10 @@ class RunCompiler(Compiler):
         return [("get", float(self.quantities.index(quantity)))]
 
     def checked(self, attribute: str, kinds: Sequence[str], name: str, node: ast.expr) -> str:
-        """Return `attribute` if one of the kinds has it; raise SpecError otherwise."""
+        """Return `attribute` if it is a quantity of one of the kinds; raise SpecError otherwise."""
         known = [word for kind in kinds for word in self.attributes.get(kind, ())]
+        if not known:
+            self.refuse(f"'{self.segment(node)}' cannot be part of an expression of the state", node)
         if attribute not in known:
             whose = " and ".join(f"{_KINDS[kind].one} '{name}'" for kind in kinds) if name else "energy"
             hint = f"{did_you_mean(attribute, known)}; it has {listed(known, 'and')}"

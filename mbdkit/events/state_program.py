@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from mbdkit.events.event_expression import RunCompiler
-from mbdkit.expressions.parser import Code
 from mbdkit.expressions.program import Program, value_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.names import archive_names
@@ -32,13 +30,6 @@ class StateCompiler(RunCompiler):
         "an expression of the state, which has numbers, t, pi, NAME.angle and other kinematic quantities of bodies, "
         "joints and markers, forces.NAME.length, states.NAME"
     )
-
-    def operand(self, node: ast.expr) -> Code:
-        """Return the program of a quantity."""
-        match node:
-            case ast.Attribute(ast.Name(id="energy")):
-                self.refuse("an energy cannot be part of an expression of the state", node)
-        return super().operand(node)
 
 
 def state_program(text: str, mechanism: Mechanism) -> tuple[Program, list[tuple[str, str, str]]]:

@@ -87,6 +87,10 @@ class Element(StrictModel):
         """Return (key, value) of each prescribed function of time."""
         return []
 
+    def expressions(self) -> list[tuple[str, str]]:
+        """Return (key, text) of each expression of the state."""
+        return []
+
     @classmethod
     def unit_along(cls, data: Mapping[str, Any]) -> str:
         """Return the unit, m or rad, that applies where the description of a key lists two, as in ``[N/m or N m/rad]``.

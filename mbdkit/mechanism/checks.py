@@ -14,7 +14,6 @@ from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import NO_BODY, Assembly
-from mbdkit.mechanism.muscles import Muscle
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table
 
@@ -67,26 +66,11 @@ def check_names(bodies: Iterable[str], beams: Collection[str], elements: Mapping
                 raise SpecError(f"'{name}' would be a node of the beam '{beam}'; choose another name", key=key)
 
 
-def motions_by_key(
-    joints: Mapping[str, Joint], forces: Mapping[str, Force], muscles: Mapping[str, Muscle]
-) -> list[tuple[str, Motion]]:
-    """Return (key path, motion) of every driver, load and excitation of a muscle."""
-    groups: dict[str, Mapping[str, Joint | Force | Muscle]] = {"joints": joints, "forces": forces, "muscles": muscles}
-    return [
-        (f"model.{kind}.{quoted(name)}.{key}", value)
-        for kind, elements in groups.items()
-        for name, element in elements.items()
-        for key, value in element.motions()
-    ]
-
-
-def check_tables(
-    joints: Mapping[str, Joint], forces: Mapping[str, Force], muscles: Mapping[str, Muscle], start: float, end: float
-) -> None:
+def check_tables(motions: Iterable[tuple[str, Motion]], start: float, end: float) -> None:
     """Raise SpecError for the first table that is not periodic and does not cover the times from `start` to `end`
     [s].
     """
-    for key, motion in motions_by_key(joints, forces, muscles):
+    for key, motion in motions:
         if not isinstance(motion, Table) or motion.period:
             continue
         first, last = motion.span

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -27,7 +27,7 @@ from mbdkit.mechanism.muscles import Muscle, check_moving_points
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.state_values import Controller, FirstOrderState
 from mbdkit.mechanism.validation_errors import spec_error
-from mbdkit.mechanism.values import Point, Table
+from mbdkit.mechanism.values import Motion, Point, Table
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.symbolic_system import SymbolicSystem
@@ -37,6 +37,7 @@ Value = float | str | Table | Mapping[str, Any]
 """A number, an expression of t, or ``{"table": [[t, ...], [value, ...]]}``."""
 AnyElement = TypeVar("AnyElement", bound=StrictModel)
 AnyPlaced = TypeVar("AnyPlaced", bound=Element)
+AnyValue = TypeVar("AnyValue")
 
 _POINT: TypeAdapter[tuple[float, float]] = TypeAdapter(Point)
 
@@ -926,22 +927,18 @@ class Mechanism(HtmlView):
 
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key path, text) of every expression of the state."""
-        loads = [(name, force) for name, force in self.forces.items() if isinstance(force, Torque | PointForce)]
-        of_loads = [
-            (f"model.forces.{quoted(name)}.{key}", text) for name, force in loads for key, text in force.expressions()
-        ]
+        of_elements = self._of_elements(lambda one: one.expressions())
         of_states = [(f"model.states.{quoted(name)}.rate", one.rate) for name, one in self.states.items()]
         sampled = [
             (f"model.controllers.{quoted(name)}.{key}", text)
             for name, one in self.controllers.items()
             for key, text in one.expressions()
         ]
-        of_muscles = [
-            (f"model.muscles.{quoted(name)}.{key}", text)
-            for name, one in self.muscles.items()
-            for key, text in one.expressions()
-        ]
-        return of_loads + of_muscles + of_states + sampled
+        return of_elements + of_states + sampled
+
+    def motions(self) -> list[tuple[str, Motion]]:
+        """Return (key path, motion) of every driver, load and excitation of a muscle."""
+        return self._of_elements(lambda one: one.motions())
 
     def check_span(self, start: float, end: float) -> None:
         """Check that every table covers the times from `start` to `end` [s].
@@ -951,7 +948,7 @@ class Mechanism(HtmlView):
         SpecError
             For the first table that does not cover these times; it contains the key path.
         """
-        check_tables(self.joints, self.forces, self.muscles, start, end)
+        check_tables(self.motions(), start, end)
 
     # ---- to and from a spec --------------------------------------------------------------------------------------
 
@@ -1067,6 +1064,15 @@ class Mechanism(HtmlView):
         return system
 
     # ---- private -------------------------------------------------------------------------------------------------
+
+    def _of_elements(self, values: Callable[[Element], list[tuple[str, AnyValue]]]) -> list[tuple[str, AnyValue]]:
+        """Return (key path, value) of all `values` of elements, which are given as (key, value)."""
+        return [
+            (f"model.{kind}.{quoted(name)}.{key}", value)
+            for kind, elements in self.elements.items()
+            for name, one in elements.items()
+            for key, value in values(one)
+        ]
 
     def _new(self, name: str, taken: Mapping[str, Any], kind: str) -> str:
         key = f"model.{kind}.{quoted(name)}"

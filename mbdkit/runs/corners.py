@@ -10,7 +10,6 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.mechanism.checks import motions_by_key
 from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.stepping.interface import SAME_TIME
@@ -59,7 +58,7 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
     start, end = spec.time.start, spec.time.final
     places = [(time, margin, True, "") for time, margin in _samples(spec)]
     drivers = _drivers(spec)
-    for key, motion in _motions(spec):
+    for key, motion in spec.mechanism().motions():
         corners = corners_of(motion, start, end)
         for corner in corners:
             struck = drivers.get(key, "") if corner.jumps[1] else ""
@@ -106,7 +105,9 @@ def knots_of(spec: RunSpec) -> tuple[float, ...]:
     the run [s].
     """
     start, end = spec.time.start, spec.time.final
-    return tuple(sorted(corner.time for _, motion in _motions(spec) for corner in corners_of(motion, start, end)))
+    return tuple(
+        sorted(corner.time for _, motion in spec.mechanism().motions() for corner in corners_of(motion, start, end))
+    )
 
 
 def check_jumps(spec: RunSpec) -> None:
@@ -149,7 +150,7 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
 def corner_warnings(spec: RunSpec) -> tuple[str, ...]:
     """Return warnings about tables that overshoot, and motions with too many discontinuities."""
     warnings = []
-    for key, motion in _motions(spec):
+    for key, motion in spec.mechanism().motions():
         if isinstance(motion, Table) and (share := overshoot(motion)) > OVERSHOOT:
             warnings.append(
                 f"the {motion.interpolation} spline of the table at {key} leaves the range of its values by "
@@ -171,15 +172,10 @@ def _is_at_end(time: float, margin: float, start: float, end: float) -> bool:
     return min(time - start, end - time) <= SAME_TIME * margin
 
 
-def _motions(spec: RunSpec) -> Iterator[tuple[str, Motion]]:
-    mechanism = spec.mechanism()
-    yield from motions_by_key(mechanism.joints, mechanism.forces, mechanism.muscles)
-
-
 def _drivers(spec: RunSpec) -> dict[str, str]:
     """Return the name of the driver that follows each motion, by the key path of the motion."""
     joints = spec.mechanism().joints
-    return {key: name for name, joint in joints.items() for key, _ in motions_by_key({name: joint}, {}, {})}
+    return {f"model.joints.{quoted(name)}.{key}": name for name, one in joints.items() for key, _ in one.motions()}
 
 
 def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:

@@ -200,7 +200,7 @@ def test_a_mechanism_keeps_its_expressions_in_a_spec() -> None:
         ("states.j*2", "there is no state 'j'"),
         ("forces.motor.value + 1", "quantity of a load"),
         ("joints.hip.force_x", "joint 'hip' has no 'force_x'"),
-        ("energy.kinetic", "an energy cannot be part"),
+        ("energy.kinetic", "'energy.kinetic' cannot be part"),
         ("leg.angle +", "cannot be parsed"),
         ("1/sqrt(leg.angle - 2)", "no finite number at the start"),
     ],
@@ -212,7 +212,8 @@ def test_errors_name_the_key_and_the_place(value: str, sentence: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "sentence"), [("contacts.heel.gap", "contact 'heel' has no 'gap'"), ("heel.gap", "'heel' is a contact")]
+    ("value", "sentence"),
+    [("contacts.heel.gap", "'contacts.heel.gap' cannot be part"), ("heel.gap", "'heel' is a contact")],
 )
 def test_kinds_without_quantities_of_the_state_are_refused(value: str, sentence: str) -> None:
     heel = {"bodies": ["ground", "leg"], "shapes": [{"line": {"normal": [0, 1]}}, {"point": [0, -0.2]}]}

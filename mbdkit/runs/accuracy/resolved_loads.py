@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from mbdkit.expressions.jets import EPS
-from mbdkit.mechanism.checks import motions_by_key
 from mbdkit.mechanism.motion_corners import jet_of
 from mbdkit.mechanism.values import Motion
 from mbdkit.runs.corners import stops_of
@@ -40,10 +39,7 @@ def resolved_until(spec: RunSpec, time: np.ndarray) -> float:
     time
         (N,) ends of all steps, with the start [s].
     """
-    mechanism = spec.mechanism()
-    varying = [
-        motion for _, motion in motions_by_key(mechanism.joints, mechanism.forces, mechanism.muscles) if _varies(motion)
-    ]
+    varying = [motion for _, motion in spec.mechanism().motions() if _varies(motion)]
     if not varying or len(time) < 2:
         return math.inf
     margin = 4.0 * max(stops_of(spec).margins, default=4.0 * EPS * float(np.max(np.abs(time))))
