@@ -287,24 +287,6 @@ class CompiledMechanism:
         """Length of a state vector, 3 (B + 1)."""
         return 3 * (len(self.bodies) + 1)
 
-    @property
-    def names(self) -> tuple[object, ...]:
-        """All names and numbers of the elements that appear in an archive."""
-        return (
-            self.bodies,
-            self.joints,
-            self.joint_bodies,
-            self.rows,
-            self.joint_units,
-            self.forces,
-            self.beams,
-            self.markers,
-            self.states,
-            tuple(one.force.name for one in self.muscles),
-            self.friction,
-            *self.members.items(),
-        )
-
     @cached_property
     def has_power(self) -> bool:
         """Whether there are loads, drivers, dampers or force laws, so that work or dissipated energy can change."""

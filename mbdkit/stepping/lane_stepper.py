@@ -23,6 +23,7 @@ from mbdkit.engine.native.machine_code import IN_PYTHON
 from mbdkit.engine.native.number_arrays import Lanes, new_lanes
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.kinds import ExplicitRungeKutta, Method
+from mbdkit.quantities.names import archive_names
 from mbdkit.stepping.interface import StepEvidence, Timetable
 from mbdkit.stepping.lane_collocation import (
     StagePivoting,
@@ -103,7 +104,7 @@ def topology_of(mechanism: CompiledMechanism) -> tuple[object, ...]:
     Runs of mechanisms with equal keys can be advanced together in lanes.
     """
     shapes = tuple((x.shape, x.tobytes() if x.dtype.kind == "i" else b"") for x in mechanism.topology)
-    return shapes, mechanism.order, mechanism.names, mechanism.has_power
+    return shapes, mechanism.order, archive_names(mechanism), mechanism.friction, mechanism.has_power
 
 
 def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) -> bool:
