@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -146,6 +146,7 @@ def _together(
     arrays: dict[str, Any] = {name: join([getattr(part, name) for part in parts]) for name in known}
     if first.muscles is not None:
         every = [part.muscles for part in parts if part.muscles is not None]
-        of_muscles: dict[str, Any] = {name: join([getattr(one, name) for one in every]) for name in Muscles.ARRAYS}
+        own = [item.name for item in fields(Muscles) if item.name != "muscles"]
+        of_muscles: dict[str, Any] = {name: join([getattr(one, name) for one in every]) for name in own}
         arrays["muscles"] = replace(first.muscles, **of_muscles)
     return replace(first, observe=lambda: observed, **arrays)

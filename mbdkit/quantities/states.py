@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
@@ -57,8 +56,6 @@ class Muscles:
     force: np.ndarray
     power: np.ndarray
     muscles: tuple[Muscle, ...]
-
-    ARRAYS: ClassVar[tuple[str, ...]] = ("length", "rate", "fiber_length", "fiber_rate", "activation", "force", "power")
 
 
 @dataclass(frozen=True)

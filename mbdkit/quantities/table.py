@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -215,7 +215,7 @@ KINDS = (
             lambda s: s.friction, row_units="value_row_units", since="1.1", optional=True,
             charts=(Chart("friction-torques", "Friction torques in joints", _RELATIVE, "torque", "N m"),
                 Chart("friction-forces", "Friction forces in slides", _RELATIVE, "force", "N"))),
-        word="joints", one="joint", example="force", axis="joint", is_bare=True, is_chosen=True,
+        word="joints", one="joint", example="force", axis="joint", is_bare=True,
         unit_of=lambda mechanism, name: mechanism.joints[name].coordinate_unit,
     ),
     _kind(
@@ -241,8 +241,8 @@ KINDS = (
             lambda s: s.forces[:, :, 3]),
         _taken("potential", _TF, "J", "potential energy of the force element; 0 for loads and laws without a potential",
             lambda s: s.forces[:, :, 4]),
-        since="1.1", word="forces", one="force element", example="value", axis="force", is_chosen=True,
-        is_optional=True, unit_of=_length_unit,
+        since="1.1", word="forces", one="force element", example="value", axis="force", is_optional=True,
+        unit_of=_length_unit,
     ),
     _kind(
         "markers",
@@ -254,7 +254,7 @@ KINDS = (
             vector="position", components=("x", "y")),
         _taken("velocity", _TKA, "m/s", "velocity of the marker, global frame", lambda s: s.observed.markers[:, :, 2:],
             vector="velocity", components=("vx", "vy")),
-        since="1.1", word="markers", one="marker", example="x", axis="marker", is_chosen=True, is_optional=True,
+        since="1.1", word="markers", one="marker", example="x", axis="marker", is_optional=True,
     ),
     _kind(
         "beams",
@@ -268,8 +268,7 @@ KINDS = (
             lambda s: s.observed.beams[:, :, 2]),
         _taken("strain_energy", _TE, "J", "strain energy of the element", lambda s: s.observed.beams[:, :, 3],
             of_whole=True),
-        since="1.1", word="beams", one="beam", example="strain_energy", axis="element", owner="beam", is_chosen=True,
-        is_optional=True,
+        since="1.1", word="beams", one="beam", example="strain_energy", axis="element", owner="beam", is_optional=True,
     ),
     _kind(
         "states",
@@ -302,7 +301,7 @@ KINDS = (
         _of_contacts("slip", "m/s", "velocity of the second body relative to the first, in that direction"),
         _of_contacts("mode", "1", "0: open, 1: sticks, 2: slips"),
         since="1.1", optional=True, word="contacts", one="contact", example="normal_force", axis="contact",
-        is_optional=True, unit_of=lambda mechanism, name: "m",
+        is_optional=True,
     ),
     _kind(
         "ground_reactions",
@@ -342,7 +341,7 @@ KINDS = (
             "smallest singular value of the independent constraints' Jacobian in the mass metric, the rows of each "
             "point orthonormal: 1 where no joint feels another, 0 in a singular position",
             lambda s: s.observed.singularity_distance, optional=True),
-        word="constraints", one="constraint", axis="constraint", is_chosen=True,
+        word="constraints", one="constraint", axis="constraint",
     ),
     _kind(
         "energy",
@@ -355,7 +354,7 @@ KINDS = (
             lambda s: s.work, accumulates=True),
         _taken("balance", _T, "J", "total + dissipated - work - total at the start: zero but for numerical error",
             lambda s: s.balance, accumulates=True),
-        word="energy", example="total", is_chosen=True,
+        word="energy", example="total",
     ),
     _kind(
         "steps",
@@ -503,9 +502,6 @@ KINDS = (
 )
 # fmt: on
 """All kinds, in the order of the groups of the archive."""
-
-ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "markers"]
-"""Groups of quantities that can be selected by `output.quantities`."""
 
 BY_WORD: Mapping[str, Kind] = {kind.word: kind for kind in KINDS if kind.word}
 BY_GROUP: Mapping[str, Kind] = {kind.group: kind for kind in KINDS}

@@ -16,7 +16,7 @@ from mbdkit.archive.layout import (
     later,
     recorded,
 )
-from mbdkit.quantities.table import ChosenGroup
+from mbdkit.quantities.array import ChosenGroup
 
 DOCUMENT = Path(__file__).parents[2] / "schemas" / "archive.md"
 
@@ -140,7 +140,7 @@ def test_every_array_with_mixed_units_names_them_on_one_of_its_axes() -> None:
             assert dim in array.dims
 
 
-def test_specs_choose_the_groups_that_the_table_lets_them_choose() -> None:
+def test_specs_choose_groups_of_the_table() -> None:
     assert frozenset(get_args(ChosenGroup)) == QUANTITIES
 
 
