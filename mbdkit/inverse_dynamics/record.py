@@ -21,7 +21,7 @@ from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.fit import raw_misalignment
 from mbdkit.measures.take import take_all
 from mbdkit.quantities.names import ArchiveNames, archive_names
-from mbdkit.quantities.table import RECORDED
+from mbdkit.quantities.table import BY_GROUP, RECORDED, sizes_of
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.runs.recorder import shared_forces
 
@@ -66,11 +66,12 @@ def archive_of(
         If the archive cannot be written.
     """
     spec, mechanism = result.problem.spec, result.problem.prepared.workspace.mechanism
-    groups = _groups(result)
+    states, names = recorded_states(result), _names(result)
+    sizes = sizes_of(names)
+    groups = [group for group in layout.INVERSE_GROUPS if sizes[BY_GROUP[group].axis]]
     extra = [one.path for one in layout.LAYOUT if one.group in groups and one.path not in layout.MUSCLES_OF_RUNS]
     if mechanism.solved_rows:
         extra.append("constraints/singularity_distance")
-    states, names = recorded_states(result), _names(result)
     writer = ArchiveWriter(
         path,
         names,
@@ -80,7 +81,7 @@ def archive_of(
         shared=shared_forces(mechanism),
     )
     try:
-        rows = _rows(result, bars)
+        rows = {key: values for key, values in _rows(result, bars).items() if key in writer.row_keys}
         writer.append(rows | {key: RECORDED[key].take(states) for key in writer.row_keys if key not in rows})
         writer.append_steps(_intervals(result.motion.time))
         counters = dict.fromkeys(layout.COUNTERS, 0)
@@ -109,13 +110,6 @@ def _intervals(time: np.ndarray) -> dict[str, np.ndarray]:
 def _measured(result: Inverse, errors: Mapping[str, float], file: h5py.File) -> str:
     values = take_all(Run(file), result.problem.spec)
     return MeasuredValues(values, values.units, values.reasons, errors, values.remarks).to_json()
-
-
-def _groups(result: Inverse) -> list[str]:
-    """Return the groups of inverse dynamics that are not empty."""
-    there = {"motion": True, "actuators": result.problem.actuators, "loads": result.loads.names}
-    there["muscles"] = result.recruited is not None
-    return [group for group in layout.INVERSE_GROUPS if there[group]]
 
 
 def _names(result: Inverse) -> ArchiveNames:
@@ -156,5 +150,4 @@ def _rows(result: Inverse, bars: ErrorBars | None) -> dict[str, np.ndarray]:
             "muscles/certificate": result.recruited.shared.certificate,
             "muscles/reaction_force_without": reaction_forces_without_muscles(result),
         }
-    groups = _groups(result)
-    return {path: values for path, values in rows.items() if path.partition("/")[0] in groups}
+    return rows
