@@ -16,11 +16,12 @@ from mbdkit.engine.compiled_mechanism import (
     Row,
 )
 from mbdkit.engine.contact_forces import ActingContact
-from mbdkit.engine.elimination_order import minimum_degree, neighbours
+from mbdkit.engine.elimination_order import neighbours
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.system import Topology
+from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.contacts import COMPLIANT
@@ -56,7 +57,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
     forces.add_expressions(mechanism)
     beams = _Beams(mechanism, number)
     centered = _add_centers(pairs, motions)
-    order, below = minimum_degree(neighbours([pair.bodies for pair in pairs], ground))
+    order, below = sparse_order(neighbours([pair.bodies for pair in pairs], ground))
     place = {pair: k for k, pair in enumerate(order)}
 
     joint_pairs: list[list[int]] = [[] for _ in mechanism.joints]

@@ -177,7 +177,7 @@ class CompiledMechanism:
         Name and compiled law of each force element with a force law, followed by the laws of the rates of its states,
         in the order of ``topology.laws``. Linear springs have no law.
     order, below
-        Order of elimination of the pairs, and the resulting fill, as returned by `minimum_degree`.
+        Order of elimination of the pairs, and the resulting fill, as returned by `sparse_order`.
     well_scaled
         Whether the Schur complement is accurate enough; otherwise the pivoted solver is used.
     redundancy

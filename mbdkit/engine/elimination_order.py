@@ -22,6 +22,9 @@ ACCURATE = 1e-11
 LITTLE_FILL = 4
 """If the factors have at most this many times the entries of the matrix, no further strategy is tried."""
 
+MANY_UNKNOWNS, MUCH_FILL = 5000, 40
+"""In a matrix with so many unknowns, further strategies are tried only above this fill. In nets, they take minutes."""
+
 GOOD_CONDITION = 1e8
 """1-norm condition number of the equilibrated matrix below which no further scaling is tried."""
 
@@ -52,8 +55,15 @@ def neighbours(pairs: Sequence[tuple[int, int]], ground: int) -> list[set[int]]:
     return adjacent
 
 
-def minimum_degree(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[int]]]:
+def minimum_degree(adjacent: Sequence[set[int]], rank: Sequence[int] | None = None) -> tuple[list[int], list[set[int]]]:
     """Order the nodes of a graph by minimum degree.
+
+    Parameters
+    ----------
+    adjacent
+        For each node, the adjacent nodes.
+    rank
+        Nodes of lower rank are eliminated before all nodes of higher rank; by default, all have the same rank.
 
     Returns
     -------
@@ -63,12 +73,13 @@ def minimum_degree(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[in
         For each node, the adjacent nodes at the time of its elimination: the rows of its column in the factor.
     """
     graph = [set(others) for others in adjacent]
-    heap = [(len(others), node) for node, others in enumerate(graph)]
+    rank = rank or [0] * len(graph)
+    heap = [(rank[node], len(others), node) for node, others in enumerate(graph)]
     heapq.heapify(heap)
     done = [False] * len(graph)
     order: list[int] = []
     while heap:
-        degree, node = heapq.heappop(heap)
+        _, degree, node = heapq.heappop(heap)
         if done[node] or degree != len(graph[node]):
             continue
         done[node] = True
@@ -79,7 +90,7 @@ def minimum_degree(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[in
                 graph[other] |= rest
                 graph[other].discard(other)
             graph[other].discard(node)
-            heapq.heappush(heap, (len(graph[other]), other))
+            heapq.heappush(heap, (rank[other], len(graph[other]), other))
     return order, graph
 
 
@@ -95,7 +106,7 @@ def schur_schedule(
     ground
         Number of the ground body.
     order, below
-        Result of `minimum_degree`, in the numbering before reordering.
+        Result of `sparse_order`, in the numbering before reordering.
     """
     place = {node: k for k, node in enumerate(order)}
     columns = [sorted(place[other] for other in below[node]) for node in order]
@@ -200,6 +211,7 @@ def _sparsest(matrix: Any) -> tuple[Any, float]:
     from scipy.sparse.linalg import LinearOperator, onenormest, splu
 
     probe = matrix @ np.ones(matrix.shape[0])
+    enough = LITTLE_FILL if matrix.shape[0] < MANY_UNKNOWNS else MUCH_FILL
     best = None
     for ordering, threshold in PIVOT_STRATEGIES:
         try:
@@ -210,7 +222,7 @@ def _sparsest(matrix: Any) -> tuple[Any, float]:
         error = np.max(np.abs(matrix @ lu.solve(probe) - probe), initial=0.0)
         if error <= ACCURATE * np.max(np.abs(probe), initial=1.0) and (best is None or lu.nnz < 0.9 * best.nnz):
             best = lu
-        if best is not None and best.nnz <= LITTLE_FILL * matrix.nnz:
+        if best is not None and best.nnz <= enough * matrix.nnz:
             break
     if best is None:
         return None, np.inf

@@ -27,6 +27,11 @@ Each iteration suppresses components whose singular values are far above the squ
 """
 
 
+MOST_PRODUCTS = 100
+"""Largest number of products per row of a Jacobian, in its product with its transpose, for which this product is sparse
+enough to be factorized. Bodies with hundreds of joints exceed it."""
+
+
 def looped_rows(compiled: CompiledMechanism) -> np.ndarray:
     """Return the indices (m',) of the constraint rows of all joints that can be part of closed loops."""
     ground = len(compiled.bodies)
@@ -114,11 +119,18 @@ def _smallest(jacobian: Any, some: int) -> tuple[np.ndarray, np.ndarray]:
     from scipy.sparse.linalg import splu
 
     m, n = jacobian.shape
-    matrix = block_array([[eye_array(n), jacobian.T], [jacobian, -TRACE * eye_array(m)]], format="csc")
-    lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True})
+    on_column = np.bincount(jacobian.indices, minlength=n)
+    # Without coordinates, the matrix is positive definite and needs no pivoting, which would cause much fill.
+    without_coordinates = np.sum(on_column**2) <= MOST_PRODUCTS * m
+    if without_coordinates:
+        matrix, threshold = (jacobian @ jacobian.T + TRACE * eye_array(m)).tocsc(), 0.0
+    else:
+        matrix = block_array([[eye_array(n), jacobian.T], [jacobian, -TRACE * eye_array(m)]], format="csc")
+        threshold = 0.01
+    lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=threshold, options={"SymmetricMode": True})
     x = np.random.default_rng(0).normal(size=(m, some))
     for iteration in range(4):
-        x = lu.solve(np.concatenate([np.zeros((n, some)), x]))[n:]
+        x = lu.solve(x) if without_coordinates else lu.solve(np.concatenate([np.zeros((n, some)), x]))[n:]
         if iteration % 2:
             x = np.linalg.qr(x)[0]
     _, values, turned = np.linalg.svd(jacobian.T @ x, full_matrices=False)

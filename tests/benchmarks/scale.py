@@ -2,7 +2,7 @@
 
 Times are those of the processor, so that other work on the machine counts little; everything runs in one thread. The
 factors of chains, trees and ladders have as many blocks per body at any size. Those of nets fill up: a grid of n nodes
-takes n^1.5 products at best (A. George, SIAM J. Numer. Anal. 10 (1973) 345-363), in order of minimum degree some more.
+takes n^1.5 products at best (A. George, SIAM J. Numer. Anal. 10 (1973) 345-363). So does nested dissection.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ EVALUATIONS = {10: 8000, 30: 2400, 100: 800, 300: 280, 1000: 120, 3000: 80}
 LADDER_STEPS = {10: 2000, 30: 700, 100: 300, 300: 150, 1000: 100, 3000: 100}
 """Number of bodies that is aimed at, and how many steps a timing on ladders has."""
 
+METHODS: dict[str, dict[str, Any]] = {"rk-gill": {"name": "rk-gill"}, "gauss-2": {"name": "gauss", "stages": 2}}
 STAGES = 4
 REPEATS = 9
 STEP = 0.001  # s
@@ -50,7 +51,8 @@ Points = dict[int, float]
 
 
 def scale(console: Console, output: Path | None = None) -> None:
-    """Print how the time of an evaluation grows in every family, and that of a step on ladders beside Exudyn's.
+    """Print how the times of preparing a run and of an evaluation grow in every family, and that of a step on ladders
+    beside Exudyn's.
 
     Parameters
     ----------
@@ -60,6 +62,9 @@ def scale(console: Console, output: Path | None = None) -> None:
         Picture of all curves to write, if any.
     """
     _show(console, "Products of 2 x 2 blocks in a factorization, per body, as counted", _products(), unit=1.0)
+    for name, integrator in METHODS.items():
+        title = f"Time of a run of {name} before its first step and after its last, per body [us]"
+        _show(console, title, _preparations(integrator), unit=1e-6)
     evaluations = _evaluations()
     title = f"One evaluation of RK-Gill per body [ns], least of {REPEATS}, families taking turns"
     _show(console, title, evaluations, unit=1e-9)
@@ -104,6 +109,23 @@ def _products() -> dict[str, Points]:
     return found
 
 
+def _preparations(integrator: dict[str, Any]) -> dict[str, Points]:
+    """Return the processor's seconds of a whole run without its steps in every family, least of three."""
+
+    def once(spec: RunSpec) -> float:
+        begin = time.process_time()
+        return -stepping(spec) + time.process_time() - begin
+
+    found: dict[str, Points] = {name: {} for name in FAMILIES}
+    for name, family in FAMILIES.items():
+        once(timed_spec(family(10), integrator, 1))
+        for aim in EVALUATIONS:
+            mechanism = family(aim)
+            spec = timed_spec(mechanism, integrator, 1)
+            found[name][len(mechanism.bodies)] = min(once(spec) for _ in range(3))
+    return found
+
+
 def _evaluations() -> dict[str, Points]:
     """Return the seconds of one evaluation of RK-Gill in every family: the least of several, families taking turns."""
     found: dict[str, Points] = {name: {} for name in FAMILIES}
@@ -121,16 +143,15 @@ def _evaluations() -> dict[str, Points]:
 
 def _ladder_steps() -> tuple[dict[str, Points], dict[int, float]]:
     """Return the seconds of one step on ladders by each method, and how far Exudyn's motion is from ours."""
-    names = {"rk-gill": {"name": "rk-gill"}, "gauss-2": {"name": "gauss", "stages": 2}}
     exudyn = importlib.util.find_spec("exudyn") is not None
-    found: dict[str, Points] = {name: {} for name in [*names, *(["Exudyn"] if exudyn else [])]}
+    found: dict[str, Points] = {name: {} for name in [*METHODS, *(["Exudyn"] if exudyn else [])]}
     apart: dict[int, float] = {}
     for aim, steps in LADDER_STEPS.items():
         mechanism = frames.ladder(aim)
         bodies = len(mechanism.bodies)
         tasks: dict[str, Callable[[], float]] = {
             name: functools.partial(stepping, timed_spec(mechanism, integrator, steps))
-            for name, integrator in names.items()
+            for name, integrator in METHODS.items()
         }
         if exudyn:
             apart[bodies] = _same_motion(mechanism)
