@@ -470,7 +470,8 @@ class Impacts:
         Impulses on the second body, (I,), N s; 0 at the end of a sequence, and for drivers, whose impulses are among
         those of the joints.
     energy_lost
-        Kinetic energy that all impacts at this time lose, (I,), J; negative if drivers supply it.
+        Energy that all contacts dissipate at this time, or for a driver that drivers take from the bodies, (I,), J;
+        negative if they add it.
     joint
         Names of the joints, drivers included, (J,).
     reaction_impulse

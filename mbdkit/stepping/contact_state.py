@@ -19,8 +19,8 @@ SOLVED = 1e-6
 class ContactImpact(NamedTuple):
     """An impact of a contact.
 
-    Time [s], index of the contact, its impulses [N s], energy lost at all contacts together [J], and impulses (J, 3) of
-    the joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
+    Time [s], index of the contact, its impulses [N s], energy dissipated at all contacts together [J], and impulses
+    (J, 3) of the joints caused by all contacts [N s, N m s]; see `EquationsOfMotion.reactions`.
     """
 
     time: float
@@ -62,6 +62,9 @@ class ContactState:
         Largest error of the velocities of contacts, relative to the largest velocity in the same step.
     accelerations
         Accelerations that a time-stepping method passes to its next step.
+    owed
+        Energy that a time-stepping method has added by moving overlapping shapes apart, and that contacts have not
+        dissipated yet [J].
     features
         (C,) see `mbdkit.stepping.contact_kinematics.ContactKinematics.held`.
     """
@@ -81,6 +84,7 @@ class ContactState:
     undecided: float = math.inf
     residual: float = 0.0
     accelerations: tuple[np.ndarray, ...] = ()
+    owed: float = 0.0
     features: np.ndarray | None = None
 
     def after_stop(self) -> ContactState:

@@ -430,8 +430,9 @@ class _Step:
         self.now = replace(now, v=result.v)
         self.modes = self._decided(self.now, touching)
         tails = self._cut(touching, approach)
-        lost = 0.5 * float((now.v - self.now.v) @ (self.p.mass * (now.v + self.now.v)))
-        self.now = replace(self.now, dissipated=now.dissipated + lost)
+        work = float(result.multipliers @ self.p.constraint_rates(now.t, now.q, 0.0 * now.v))  # of drivers that move
+        lost = work + 0.5 * float((now.v - self.now.v) @ (self.p.mass * (now.v + self.now.v)))
+        self.now = replace(self.now, work=now.work + work, dissipated=now.dissipated + lost)
         reactions = self.p.reactions(now.t, now.q, result.multipliers)
         new = [
             ContactImpact(now.t, i, float(result.normal[i]), float(result.tangent[i]), lost, reactions)

@@ -16,8 +16,6 @@ Q.-z. Chen, V. Acary, G. Virlez and O. Bruls, International Journal for Numerica
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from mbdkit.base.errors import StepError
@@ -25,7 +23,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import nearest_velocities
 from mbdkit.methods.kinds import StepState
 from mbdkit.stepping.step_impulses import SmoothStep
-from mbdkit.stepping.time_stepping import TimeStepping, answer
+from mbdkit.stepping.time_stepping import TimeStepping
 
 MOST_ITERATIONS = 20
 """Largest number of Newton iterations in a step."""
@@ -91,7 +89,7 @@ class GeneralizedAlphaSteps(TimeStepping):
             free,
             multipliers,
             q0 + 0.5 * h * v0,
-            partial(answer, p, t + h, q),
+            lambda impulse: p.solve(t + h, q, impulse, np.zeros(p.m)),
             lambda end: q + 0.5 * h * (end - free),
             (a, w),
         )

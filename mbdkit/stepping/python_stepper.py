@@ -180,7 +180,7 @@ class PythonStepper:
         now = self.now
         state = method.after_event(self.equations, now.time if now.restart is None else now.restart, now.state)
         self._watch.forget_energy()
-        self.now = replace(now, state=state, energy=now.energy + np.array([0.0, state.dissipated]))
+        self.now = replace(now, state=state, energy=now.energy + np.array([state.work, state.dissipated]))
 
     def advance(self) -> Stretch:
         """See `Stepper.advance`. An exception of the method is raised by the next call, so that the rows before it are

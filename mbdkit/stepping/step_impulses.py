@@ -37,8 +37,8 @@ class SmoothStep:
         (m,) multipliers of the joints.
     middle
         (n,) positions at which the gradients of the gaps are evaluated.
-    solve
-        Function that returns the change of the velocities (n,) by an impulse (n,).
+    answer
+        Function that returns the change of the velocities (n,) by an impulse (n,), and the impulses (m,) of the joints.
     positions
         Function that returns the positions (n,) at the end, before projection, from the velocities (n,) at the end.
     accelerations
@@ -48,9 +48,13 @@ class SmoothStep:
     v: np.ndarray
     multipliers: np.ndarray
     middle: np.ndarray
-    solve: Callable[[np.ndarray], np.ndarray]
+    answer: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     positions: Callable[[np.ndarray], np.ndarray]
     accelerations: tuple[np.ndarray, ...] = ()
+
+    def solve(self, impulse: np.ndarray) -> np.ndarray:
+        """Return the change of the velocities (n,) by an impulse (n,)."""
+        return self.answer(impulse)[0]
 
 
 @dataclass(frozen=True)

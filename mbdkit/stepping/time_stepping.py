@@ -3,8 +3,8 @@
 With positions q_m = q_0 + h/2 v_0, at which gaps, their gradients and joints are evaluated, a step of the method of
 Moreau and Jean from (q_0, v_0) is
 
-    M (v_1 - v_0) = h (theta Q(t_1, q_1, v_1) + (1 - theta) Q(t_0, q_0, v_0)) + joints + contacts q_1 = q_0 + h (theta
-    v_1 + (1 - theta) v_0)
+    M (v_1 - v_0) = h (theta Q(t_1, q_1, v_1) + (1 - theta) Q(t_0, q_0, v_0)) + joints + contacts
+    q_1 = q_0 + h (theta v_1 + (1 - theta) v_0)
 
 where "joints" are impulses that make the velocities consistent, and "contacts" are impulses, by the laws of Newton and
 Coulomb, at the contacts that would overlap at the end. One iteration of Newton's method makes the forces implicit. Then
@@ -80,7 +80,43 @@ class TimeStepping(StepMethod):
         after, memory, lost = StepImpulses(contacts, held, smooth, v, h).applied()
         reached = self._closed(contacts, t + h, smooth.positions(after))
         work, dissipated = p.powers(t + 0.5 * h, smooth.middle, 0.5 * (v + after), smooth.multipliers)
-        return StepState(reached, after, None, memory, h * work, h * dissipated + lost)
+        more, lifted = self._moved(p, (t, h), smooth, (after, reached), memory.force)
+        lost -= held.owed + lifted
+        memory = replace(memory, owed=max(-lost, 0.0))
+        return StepState(reached, after, None, memory, h * work + more, h * dissipated + max(lost, 0.0))
+
+    @staticmethod
+    def _moved(
+        p: EquationsOfMotion,
+        time: tuple[float, float],
+        smooth: SmoothStep,
+        end: tuple[np.ndarray, np.ndarray],
+        force: np.ndarray,
+    ) -> tuple[float, float]:
+        """Return the work of drivers and loads due to the contacts of a step, and the energy that the contacts add [J].
+
+        The contacts take energy from the mean velocities of the step, but move the bodies farther than these do, mainly
+        where overlapping shapes are moved apart. They thereby add energy, for example by lifting a body.
+
+        Parameters
+        ----------
+        time
+            Start of the step and its size [s].
+        end
+            (n,) velocities and positions at the end of the step.
+        force
+            (n,) generalized forces of all contacts, as a mean over the step.
+        """
+        if not np.any(force):
+            return 0.0, 0.0
+        (t, h), (after, reached) = time, end
+        moved = reached - smooth.positions(smooth.v) - 0.5 * h * (after - smooth.v)
+        way, none = reached - 0.5 * moved, np.zeros(p.n)
+        work = p.powers(t + h, way, moved, np.zeros(p.m))[0]
+        lifted = -float(p.forces(t + h, way, none) @ moved)
+        if p.m:
+            work += float(smooth.answer(h * force)[1] @ p.constraint_rates(t + 0.5 * h, smooth.middle, none))
+        return work, lifted
 
     @staticmethod
     def _closed(contacts: RigidContacts, t: float, q: np.ndarray) -> np.ndarray:
@@ -145,7 +181,7 @@ class MoreauJeanSteps(TimeStepping):
             after,
             multipliers,
             middle,
-            lambda impulse: matrix.solve(impulse, none)[0],
+            lambda impulse: matrix.solve(impulse, none),
             lambda end: q + h * (theta * end + (1.0 - theta) * v),
         )
 
