@@ -163,8 +163,8 @@ class Design:
             return ""
         return (
             "This point may not be an optimum: a goal or limit is not smooth there, and searches along gradients stop "
-            "at such points. Try several `starts`, the optimizer differential-evolution or cma-es, or a smooth goal, "
-            "such as rms(...) instead of a maximum."
+            "at such points. Try the optimizer bundle, several `starts`, or a smooth goal, such as rms(...) instead of "
+            "a maximum."
         )
 
     @property
@@ -231,7 +231,7 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
         searches=(near, len(found)),
         message=best.message,
         derivatives=derivatives_sentence(evaluator),
-        unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients else (),
+        unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients and not best.is_least else (),
         undetermined=alone,
     )
 

@@ -14,6 +14,7 @@ from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evo
 from scipy.stats import qmc
 
 from mbdkit.base.errors import SpecError
+from mbdkit.designs.bundle_search import beyond_kink, bundle_search
 from mbdkit.designs.problem import Problem
 from mbdkit.spec import DesignSpec
 from mbdkit.spec.design_spec import EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
@@ -33,6 +34,9 @@ class Search:
         Goal at the end, relative to that at the start of the design.
     message
         Reason why the search ended, as reported by the optimiser.
+    is_least
+        Whether the derivatives at several points near the end show that it is a local minimum, even if the goal or a
+        limit has a kink there.
     """
 
     start: np.ndarray
@@ -40,6 +44,7 @@ class Search:
     violation: float
     cost: float
     message: str
+    is_least: bool = False
 
     @property
     def feasible(self) -> bool:
@@ -88,19 +93,21 @@ def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeRe
     """
     before = len(problem.evaluator.evaluated)
     result = method()
-    end, message = np.clip(result.x, 0.0, 1.0), str(result.message)
+    end, message, is_least = np.clip(result.x, 0.0, 1.0), str(result.message), result.get("is_least", False)
     worth, at_start = problem.worth(np.array([end, start]))
     if worth > at_start:
         points = np.array([start, *problem.evaluator.evaluated[before:]])
         found = problem.worth(points)
         worth = min(found)
         end = points[found.index(worth)]
-        message = f"{message.rstrip('.')}; its last point is worse than this one"
-    return Search(start, end, *worth, message)
+        message, is_least = f"{message.rstrip('.')}; its last point is worse than this one", False
+    return Search(start, end, *worth, message, is_least)
 
 
 def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:
-    """Return the result of a search along gradients."""
+    """Return the result of a search along gradients, continued beyond a kink at which it stops."""
+    if optimizer.name == "bundle":
+        return bundle_search(problem, start, tolerance=optimizer.tolerance, most=optimizer.max_iterations)
     n, is_slsqp = len(start), optimizer.name == "slsqp"
     options: dict[str, float] = {"maxiter": optimizer.max_iterations}
     if is_slsqp:
@@ -111,7 +118,7 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
         options |= {"xtol": optimizer.tolerance, "gtol": optimizer.tolerance}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # trust-constr issues warnings if a goal or limit is linear
-        return minimize(
+        ended = minimize(
             problem.cost,
             start,
             jac=problem.slope,
@@ -120,6 +127,7 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
             constraints=limits if problem.bounds else (),
             options=options,
         )
+    return beyond_kink(problem, ended, optimizer.tolerance, optimizer.max_iterations)
 
 
 def _squares(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:

@@ -156,9 +156,12 @@ class Scenario(Section):
 
 
 class LocalOptimizer(Section):
-    """A method that follows gradients to a local minimum, from one or several starts."""
+    """A method that follows gradients to a local minimum, from one or several starts.
 
-    name: Literal["slsqp", "trust-constr", "least-squares"]
+    `bundle` is for goals and limits with kinks, such as maxima over time: it combines the gradients of nearby points.
+    """
+
+    name: Literal["slsqp", "trust-constr", "bundle", "least-squares"]
     starts: Count = 1
     """Number of starts: the first at the `start` of the variables, the others in a Sobol sequence within the bounds."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -267,8 +270,8 @@ class DesignSpec(StrictSpec):
     subject_to: dict[str, Limit] = Field(default_factory=dict)
     """Measures that are kept within limits, by name."""
     optimizer: Annotated[Optimizer, Field(discriminator="name")] = LocalOptimizer(name="slsqp")
-    """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, or `cma-es`, and its
-    options; `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
+    """The method: `slsqp`, `trust-constr`, `least-squares` or `differential-evolution` of SciPy, `cma-es` or `bundle`,
+    and its options; `least-squares` minimises the sum of the squares of all expressions of `minimize`."""
     front: Annotated[int, Field(ge=3, le=1000)] = 9
     """Number of points of a Pareto front of two goals, both ends included. With three goals: number of limits of the
     second goal and of the third one; the first goal is minimised for all combinations of these limits."""
@@ -292,7 +295,9 @@ class DesignSpec(StrictSpec):
                     key=path_text(("scenarios", name, "base")),
                 )
         if self.sums_squares and self.subject_to:
-            raise SpecError("does not support limits (`subject_to`); use slsqp or trust-constr", key="optimizer.name")
+            raise SpecError(
+                "does not support limits (`subject_to`); use slsqp, bundle or trust-constr", key="optimizer.name"
+            )
         if len(self.totals) > 3:
             raise SpecError(
                 f"has {len(self.goals)} goals; a Pareto front has two or three. Combine some of them in one expression",
