@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache
 from types import MappingProxyType
 
@@ -81,35 +81,53 @@ def data_sha256(file: h5py.File) -> str:
     return digest_lines(dataset_line(item) for item in datasets(file) if is_hashed(item.name))
 
 
-def attributes_sha256(file: h5py.File, known: Mapping[str, str] = MappingProxyType({})) -> str:
+def attributes_sha256(
+    file: h5py.File,
+    known: Mapping[str, str] = MappingProxyType({}),
+    arrays: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> str:
     """Return the hash of everything that `data_sha256` does not cover: attributes, timings and estimated errors.
 
     Parameters
     ----------
     known
         Known lines of attributes, by ``PATH@NAME``; these attributes are not read from the file.
+    arrays
+        Known lines of all attributes of arrays, by path; these arrays are not opened.
     """
-    lines = []
-    for path, item in _identifiers(h5o.open(file.id, b"/"), ""):
+    lines = [one for known_lines in arrays.values() for one in known_lines]
+    for path, item in _identifiers(h5o.open(file.id, b"/"), "", arrays):
         if isinstance(item, h5d.DatasetID) and not is_hashed(path):
             lines.append(dataset_line(h5py.Dataset(item)))
-        names: list[bytes] = []
-        h5a.iterate(item, names.append)  # the high-level interface takes three times as long
-        lines += [
-            known.get(f"{path}@{name}") or _attribute_line(f"{path}@{name}", h5a.open(item, name.encode()))
-            for name in map(bytes.decode, names)
-            if name not in OF_SCALES and f"{path}/{name}" not in _NOT_COVERED
-        ]
+        lines += attribute_lines(item, path, known)
     return digest_lines(lines)
 
 
-def _identifiers(group: h5g.GroupID, path: str) -> Iterator[tuple[str, h5g.GroupID | h5d.DatasetID]]:
-    """Yield the path and the identifier of a group, and of every group and dataset in it and its subgroups."""
+def attribute_lines(item: h5g.GroupID | h5d.DatasetID, path: str, known: Mapping[str, str]) -> list[str]:
+    """Return the lines of the attributes of a group or an array that `attributes_sha256` covers."""
+    names: list[bytes] = []
+    h5a.iterate(item, names.append)  # the high-level interface takes three times as long
+    return [
+        known.get(f"{path}@{name}") or _attribute_line(f"{path}@{name}", h5a.open(item, name.encode()))
+        for name in map(bytes.decode, names)
+        if name not in OF_SCALES and f"{path}/{name}" not in _NOT_COVERED
+    ]
+
+
+def _identifiers(
+    group: h5g.GroupID, path: str, without: Collection[str]
+) -> Iterator[tuple[str, h5g.GroupID | h5d.DatasetID]]:
+    """Yield the path and the identifier of a group, and of every group and dataset in it and its subgroups, without
+    some datasets.
+    """
     yield path, group
     for name in group:
-        item, below = h5o.open(group, name), f"{path}/{name.decode()}".lstrip("/")
+        below = f"{path}/{name.decode()}".lstrip("/")
+        if below in without:
+            continue
+        item = h5o.open(group, name)
         if isinstance(item, h5g.GroupID):
-            yield from _identifiers(item, below)
+            yield from _identifiers(item, below, without)
         else:
             yield below, item
 
@@ -135,6 +153,13 @@ def _attribute_line(path: str, attribute: h5a.AttrID) -> str:
     return line(path, numbers.dtype.str, attribute.shape, hashlib.sha256(numbers.tobytes()).hexdigest())
 
 
+def attribute_line(path: str, value: str | np.generic) -> str:
+    """Return the line of an attribute, a string or a number, that has the path ``PATH@NAME``."""
+    if isinstance(value, str):
+        return line(path, TEXT, (), hashlib.sha256(text_bytes([value])).hexdigest())
+    return line(path, value.dtype.str, (), hashlib.sha256(value.tobytes()).hexdigest())
+
+
 @cache
 def layout_lines() -> Mapping[str, str]:
     """Return the hash lines of the attributes with which arrays of the layout are created, by ``PATH@NAME``."""
@@ -143,7 +168,7 @@ def layout_lines() -> Mapping[str, str]:
         for array in LAYOUT
         for name, text in (("units", array.units), ("long_name", array.long_name))
     }
-    return {path: line(path, TEXT, (), hashlib.sha256(text_bytes([text])).hexdigest()) for path, text in texts.items()}
+    return {path: attribute_line(path, text) for path, text in texts.items()}
 
 
 def spec_sha256(spec_json: str) -> str:

@@ -15,9 +15,8 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
-from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals
-from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_line
+from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_lines
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.quantities.array import FLOAT, GROWING, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
@@ -210,8 +209,7 @@ class ArrayHash:
     """
 
     def __init__(self, names: ArchiveNames, recorded: Sequence[Array]):
-        texts = name_texts(names)
-        self._names = [name_line(one.path, tuple(texts[one.path])) for one in recorded if not one.grows]
+        self._names = list(name_lines(names, tuple(recorded)))
         hashed = [one for one in recorded if one.grows and layout.is_hashed(one.path)]
         self._arrays = [(one.path, one.key, one.dtype) for one in hashed]
 

@@ -44,7 +44,7 @@ class Series:
         """
         chunks = (self._chunk_rows(len(values)), *(max(1, size) for size in self.row_shape)) if more else None
         self.dataset = create(file, self.array, values, chunks=chunks)
-        self._took(values)
+        self.take(values)
 
     def _chunk_rows(self, first: int) -> int:
         low, high = CHUNK_BYTES
@@ -65,9 +65,10 @@ class Series:
         if len(new):
             self.dataset.resize(self._rows + len(new), axis=0)
             self.dataset[self._rows :] = new
-            self._took(new)
+            self.take(new)
 
-    def _took(self, values: np.ndarray) -> None:
+    def take(self, values: np.ndarray) -> None:
+        """Add rows to the hash."""
         if self._sha is not None:
             self._sha.update(text_bytes(values) if self.array.dtype == TEXT else values.data)
         self._rows += len(values)
@@ -150,6 +151,14 @@ class Table:
     def size_on_disk(self, *, more: bool) -> int:
         """Estimate the bytes that the buffered rows take in the file."""
         return sum(series.size_on_disk(self.waiting, more=more) for series in self.series)
+
+    def taken(self) -> dict[str, np.ndarray]:
+        """Return all rows by path, if none has been written yet, for an archive that is written as a whole."""
+        values = {series.array.path: self._buffers[series.array.key][: self.waiting] for series in self.series}
+        for series in self.series:
+            series.take(values[series.array.path])
+        self.written, self.waiting = self.waiting, 0
+        return values
 
     def write(self, file: h5py.File, *, more: bool) -> None:
         """Move the buffered rows into the file."""

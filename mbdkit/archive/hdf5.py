@@ -25,8 +25,20 @@ def set_text(target: h5py.Group | h5py.Dataset, name: str, value: str) -> None:
 
 
 def set_texts(target: h5py.Group, name: str, values: Sequence[str]) -> None:
-    """Set an attribute of a group to a one-dimensional array of variable-length UTF-8 strings, which may be empty."""
-    target.attrs.create(name, np.array(values, dtype=object), shape=(len(values),), dtype=h5py.string_dtype())
+    """Add an attribute to a group: a one-dimensional array of variable-length UTF-8 strings, which may be empty."""
+    attribute = h5a.create(target.id, name.encode(), _STRING, h5s.create_simple((len(values),)))
+    if values:
+        attribute.write(np.array(values, dtype=object), mtype=_STR)
+
+
+def set_number(target: h5py.Group, name: str, value: np.int64 | np.float64) -> None:
+    """Add a number as an attribute to a group."""
+    h5a.create(target.id, name.encode(), h5t.py_create(value.dtype), _SCALAR).write(np.asarray(value))
+
+
+def replace_number(target: h5py.Group, name: str, value: np.int64 | np.float64) -> None:
+    """Replace the value of an attribute of a group by a number of the same type, at the same place in the file."""
+    h5a.open(target.id, name.encode()).write(np.asarray(value))
 
 
 def create(
@@ -78,6 +90,12 @@ def create(
     if array.row_units:
         set_text(dataset, "row_units", array.row_units)
     return dataset
+
+
+def fill_text(file: h5py.File, array: Array, values: np.ndarray) -> None:
+    """Write the values of an array of strings that exists already."""
+    if values.size:
+        h5d.open(file.id, array.path.encode()).write(h5s.ALL, h5s.ALL, values, mtype=_STR)
 
 
 def dims(dataset: h5py.Dataset) -> tuple[str, ...]:

@@ -12,12 +12,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
+import numpy as np
 
 from mbdkit.archive.hdf5_errors import cause, error_number
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.base.files import check_not_input, check_output, rename_new
 
 SUFFIX = ".h5"
+
+#: Suffix that is appended to the name of an archive while it is being written.
+PART = ".part"
 
 #: HDF5 1.8 (2008) is the oldest library that can read an archive. Older object headers limit attributes to 64 KiB,
 #: which `misalignment_max` exceeds from about 8,000 joints on.
@@ -28,7 +32,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 def part_path(path: Path) -> Path:
     """Return the name of an archive while it is being written."""
-    return path.with_name(path.name + ".part")
+    return path.with_name(path.name + PART)
 
 
 def checkpoint_path(part: Path) -> Path:
@@ -104,9 +108,9 @@ class Target:
         self.overwrite = overwrite
         self.is_kept = False  # whether `drop` leaves the .part in place
         self._torn = False  # whether a write is in progress or has failed halfway
-        self.file = self._create()
-        self._handle: int | None = os.open(self.part, os.O_RDWR)
-        self._lock()
+        self._handle: int | None = self._create()
+        self.file: h5py.File | None = None
+        self._image = b""
         remove_checkpoint(self.part)  # a checkpoint of an earlier file of this name
 
     @property
@@ -133,22 +137,46 @@ class Target:
         if os.getpid() != self._process:
             os._exit(1)
 
-    def _create(self) -> h5py.File:
+    def _create(self) -> int:
+        """Create an empty .part, and return its locked file descriptor."""
         # Exclusive creation: if two runs start at the same time, only one of them can create the .part.
-        for attempt in range(3):
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+        for _ in range(3):
             try:
-                return h5py.File(self.part, "x", libver=LIBVER, locking="best-effort")
-            except BlockingIOError:
-                raise self._in_use() from None
-            except (OSError, ValueError) as error:
-                # If this process has the file open, HDF5 sets no errno.
-                if not isinstance(error, FileExistsError) and "file exists" not in str(error):
-                    message = f"the archive cannot be created: {cause(error)}"
-                    raise file_error(error_number(error), message, file=self.path) from error
-                if attempt == 2:
-                    raise self._in_use() from None
+                handle = os.open(self.part, flags, 0o666)
+            except FileExistsError:
                 self._remove_stale()
-        raise AssertionError("unreachable")
+                continue
+            except OSError as error:
+                message = f"the archive cannot be created: {cause(error)}"
+                raise file_error(error_number(error), message, file=self.path) from error
+            if self._is_locked(handle):
+                return handle
+            os.close(handle)
+        raise self._in_use()
+
+    def _is_locked(self, handle: int) -> bool:
+        """Lock a new .part; return False if another run, which has seen it before it was locked, removes it."""
+        if sys.platform == "win32":
+            return True
+        import fcntl
+
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # the file system does not support locks
+            return True
+        return os.fstat(handle).st_nlink > 0
+
+    def open(self) -> h5py.File:
+        """Return the .part as an HDF5 file, for a run whose rows do not stay in memory until its end."""
+        try:
+            self.file = h5py.File(self.part, "w", libver=LIBVER, locking=False)
+        except BlockingIOError:  # HDF5_USE_FILE_LOCKING=TRUE: HDF5 locks the file itself
+            self._unlock(self._open_handle())
+            self.file = h5py.File(self.part, "w", libver=LIBVER)
+        return self.file
 
     def _in_use(self) -> ResourceError:
         message = f"{self.part} is in use by another run; wait for it, or choose another name"
@@ -179,14 +207,6 @@ class Target:
             message = f"the unfinished {self.part} cannot be replaced: {cause(error)}"
             raise ResourceError(message, file=self.path) from error
 
-    def _lock(self) -> None:
-        """Lock the new .part if HDF5 has not done so, as with HDF5_USE_FILE_LOCKING=FALSE."""
-        if sys.platform != "win32":
-            import fcntl
-
-            with contextlib.suppress(OSError):  # already locked by HDF5
-                fcntl.flock(self._open_handle(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-
     def _open_handle(self) -> int:
         assert self._handle is not None
         return self._handle
@@ -200,6 +220,7 @@ class Target:
         before would be lost, because HDF5 cannot undo a partial write.
         """
         self._end_if_forked()
+        assert self.file is not None
         handle = self._open_handle()
         end = os.fstat(handle).st_size
         if hasattr(os, "posix_fallocate"):
@@ -221,14 +242,22 @@ class Target:
         """Wait until the flushed data are on the disk."""
         os.fsync(self._open_handle())
 
-    def replace_content(self, image: bytes) -> None:
-        """Close `file` and replace the content of the .part with the bytes of another archive."""
-        self.file.close()
-        self._lock()
+    def write(self, image: bytes) -> None:
+        """Write the bytes of an HDF5 file that was created in memory, and wait until they are on the disk."""
+        self._end_if_forked()
         with open(self._open_handle(), "wb", closefd=False) as out:
-            out.truncate(0)
             out.write(image)
         self.sync()
+        self._image = image
+
+    def amend(self, image: bytes) -> None:
+        """Replace the few bytes in which another image differs from the one that was written, if both have one size."""
+        if len(image) != len(self._image):
+            return
+        differing = np.flatnonzero(np.frombuffer(self._image, np.uint8) != np.frombuffer(image, np.uint8))
+        first, last = int(differing[0]), int(differing[-1])
+        os.lseek(self._open_handle(), first, os.SEEK_SET)
+        os.write(self._open_handle(), image[first : last + 1])
 
     def publish(self) -> None:
         """Remove the checkpoint, which is no longer needed, and rename the flushed .part to its final name.
@@ -242,7 +271,7 @@ class Target:
             If the .part cannot be renamed; it keeps its name.
         """
         self._end_if_forked()
-        if sys.platform == "win32":  # Windows cannot rename an open file
+        if sys.platform == "win32" and self.file is not None:  # Windows cannot rename an open file
             self.file.close()
         remove_checkpoint(self.part)
         try:
@@ -262,20 +291,24 @@ class Target:
         halfway.
         """
         self._end_if_forked()
-        if self._torn and self.file and hasattr(os, "memfd_create"):
-            # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
-            # memory lets the write succeed.
-            nowhere = os.memfd_create("mbdkit")
-            os.dup2(nowhere, self.file.id.get_vfd_handle())
-            os.close(nowhere)
-        with contextlib.suppress(OSError, RuntimeError, ValueError):
-            self._unlock(self.file.id.get_vfd_handle())
-        with contextlib.suppress(OSError, RuntimeError):
-            self.file.close()
+        if self.file is not None:
+            self._close_file(self.file)
         if self._handle is not None:
             self._unlock(self._handle)
             os.close(self._handle)
             self._handle = None
+
+    def _close_file(self, file: h5py.File) -> None:
+        if self._torn and file and hasattr(os, "memfd_create"):
+            # HDF5 keeps retrying a failed write and crashes the interpreter at exit. Redirecting its file descriptor to
+            # memory lets the write succeed.
+            nowhere = os.memfd_create("mbdkit")
+            os.dup2(nowhere, file.id.get_vfd_handle())
+            os.close(nowhere)
+        with contextlib.suppress(OSError, RuntimeError, ValueError):
+            self._unlock(file.id.get_vfd_handle())
+        with contextlib.suppress(OSError, RuntimeError):
+            file.close()
 
     def _unlock(self, handle: int) -> None:
         """Unlock an open file. Closing is not enough if a forked process, such as one started by a plugin, has the file
@@ -321,7 +354,7 @@ def write_image(path: Path, image: bytes, *, overwrite: bool = False) -> None:
     """
     target = Target(path, overwrite=overwrite)
     try:
-        target.replace_content(image)
+        target.write(image)
     except OSError as error:
         target.drop()
         raise ResourceError(f"{path} cannot be written: {cause(error)}") from error

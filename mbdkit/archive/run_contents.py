@@ -28,7 +28,7 @@ from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Origin
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.quantities.array import GROWING, Array
+from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.table import KINDS
 from mbdkit.spec import RunSpec
 
@@ -133,6 +133,8 @@ class ArchiveContents(RunContents):
         The open archive. It is closed if its header is damaged.
     path
         Path of the archive; None if it is in memory.
+    header
+        Its header, if this is known already.
 
     Raises
     ------
@@ -140,8 +142,11 @@ class ArchiveContents(RunContents):
         If the header is damaged.
     """
 
-    def __init__(self, file: h5py.File, path: Path | None = None):
+    def __init__(self, file: h5py.File, path: Path | None = None, header: Header | None = None):
         self._file, self.path = file, path
+        if header is not None:
+            self.header = header
+            return
         try:
             with reading("its header", path):
                 self.header = self._read_header()
@@ -174,11 +179,24 @@ class ArchiveContents(RunContents):
         return contents
 
     @classmethod
-    def just_written(cls, path: Path) -> ArchiveContents:
-        """Open an archive that this process has just written, without repeating checks that the writer guarantees."""
+    def just_written(cls, writer: ArchiveWriter) -> ArchiveContents:
+        """Open an archive that this process has just written; what the writer knows is not read from the file."""
+        path, ending, origin = writer.path, writer.ending, writer.origin
+        assert path is not None
+        assert ending is not None
+        header = Header(
+            writer.root_attributes(),
+            ReadOnlyDict(origin.provenance),
+            ending.judgement.level,
+            tuple(ending.judgement.reasons),
+            tuple(ending.warnings),
+            ReadOnlyDict(ending.stats),
+            np.asarray(ending.misalignment_max, FLOAT),
+            "" if writer.shared is None else writer.shared.redundancy,
+        )
         with reading("its header", path):
             file = h5py.File(path, "r", locking="best-effort")
-        return cls(file, path)
+        return cls(file, path, header)
 
     def _read_header(self) -> Header:
         file = self._file

@@ -16,7 +16,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
-from mbdkit.archive.part_file import part_path
+from mbdkit.archive.part_file import PART, part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
@@ -43,7 +43,8 @@ def open_archive(path: Path) -> h5py.File:
         left = part_path(path)
         hint = f"; {left} holds the data of an unfinished run" if left.exists() else ""
         raise SpecError(f"there is no such file{hint}", file=path)
-    file = open_hdf5(path, "run archive")
+    is_empty = path.suffix == PART and not os.path.getsize(path)
+    file = open_hdf5(path, "run archive", hint="the run was killed before it wrote any rows" if is_empty else "")
     try:
         _check_format(file, path)
     except BaseException:

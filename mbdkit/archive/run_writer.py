@@ -263,3 +263,10 @@ class RunWriter(ABC):
 def name_line(path: str, text: tuple[str, ...]) -> str:
     """Return the line of an array of names for `data_sha256`; runs of one mechanism have the same."""
     return line(path, TEXT, (len(text),), sha256(text_bytes(text)).hexdigest())
+
+
+@lru_cache(maxsize=64)
+def name_lines(names: ArchiveNames, arrays: tuple[Array, ...]) -> tuple[str, ...]:
+    """Return the lines of the arrays of names for `data_sha256`."""
+    texts = layout.name_texts(names)
+    return tuple(name_line(one.path, tuple(texts[one.path])) for one in arrays if not one.grows)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,14 +15,14 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.checkpoint import Checkpoint, StoredRows
-from mbdkit.archive.fingerprint import attributes_sha256, digest_lines, layout_lines
+from mbdkit.archive.fingerprint import attribute_line, attributes_sha256, digest_lines, layout_lines
 from mbdkit.archive.growing_array import Table
-from mbdkit.archive.hdf5 import create, set_text, set_texts
+from mbdkit.archive.hdf5 import replace_number, set_number, set_text, set_texts
 from mbdkit.archive.hdf5_errors import cause
-from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import integrals_json
-from mbdkit.archive.part_file import LIBVER, Target
-from mbdkit.archive.run_writer import Ending, Origin, RunWriter, SharedForces, name_line, utc_now
+from mbdkit.archive.part_file import Target
+from mbdkit.archive.run_writer import Ending, Origin, RunWriter, SharedForces, name_lines, utc_now
+from mbdkit.archive.skeleton import begin_file, memory_file, skeleton_of
 from mbdkit.base.errors import MbdkitError, ResourceError
 from mbdkit.quantities.array import FLOAT, GROWING, Array
 from mbdkit.quantities.names import ArchiveNames
@@ -31,9 +31,6 @@ from mbdkit.trust.criteria import Judgement
 
 #: Time between flushes [s]. A crash loses only rows recorded after the last flush.
 FLUSH_INTERVAL = 1.0
-
-#: HDF5 distinguishes files in memory by name.
-_MEMORY = itertools.count(1)
 
 #: Number of rows that are copied at a time when a run continues.
 _ROWS_COPIED = 1024
@@ -62,6 +59,11 @@ class ArchiveWriter(RunWriter):
     shared
         Attributes for a mechanism with redundant joints; None without them.
 
+    Attributes
+    ----------
+    ending
+        How the run has ended; None while it is in progress.
+
     Raises
     ------
     SpecError
@@ -88,26 +90,17 @@ class ArchiveWriter(RunWriter):
             for dim in GROWING
             if (growing := [array for array in self.arrays if array.dims[0] == dim])
         }
-        self._shared = shared
-        self._provenance = dict(origin.provenance)
-        self._lines: list[str] = []
+        self.shared = shared
+        self.origin = replace(origin, created_utc=origin.created_utc or utc_now())
         self._flushed: float | None = None
         self._kept = False
         self._ended = False
         self._target = None if path is None else Target(Path(path), overwrite=overwrite, part=part)
-        self._file: h5py.File = (
-            h5py.File(f"memory-{next(_MEMORY)}", "w", driver="core", backing_store=False, libver=LIBVER)
-            if self._target is None
-            else self._target.file
-        )
-        try:
-            text = len(origin.spec_json) + 64 * sum(len(array.texts(names)) for array in self.arrays if array.texts)
-            with self._storing(), self._room(more=False, also=_ATTRIBUTE_BYTES + text):
-                self._write_head(origin)
-                self._write_names()
-        except BaseException:
-            self.abandon()
-            raise
+        #: None as long as all rows are in the buffers. A run that ends before the first flush is written as a whole,
+        #: from an image in memory; until then, its ``.part`` is empty.
+        self._file: h5py.File | None = None
+        self.ending: Ending | None = None
+        self._known: dict[str, str] = {}  # lines of attributes
 
     @property
     def row_keys(self) -> frozenset[str]:
@@ -155,11 +148,15 @@ class ArchiveWriter(RunWriter):
         with self._storing():
             self._write_more()
             self._target.sync()  # before the checkpoint is written, which counts these rows
-            attributes = self._file.attrs
+            origin = self.origin
             series = [one for table in self._tables.values() for one in table.series]
             checkpoint = Checkpoint(
-                head={name: str(attributes[name]) for name in ("spec", "run_id", "created_utc")}
-                | {"provenance": self._provenance},
+                head={
+                    "spec": origin.spec_json,
+                    "run_id": origin.run_id,
+                    "created_utc": origin.created_utc,
+                    "provenance": dict(origin.provenance),
+                },
                 file=os.stat(self._target.part).st_ino,
                 rows={dim: table.written for dim, table in self._tables.items()},
                 lines=self.lines,
@@ -170,7 +167,7 @@ class ArchiveWriter(RunWriter):
 
     def copy_rows(self, checkpoint: Checkpoint, part: BinaryIO) -> None:
         """Append the rows of a checkpoint from its ``.part``, and adopt the creation time of that file."""
-        self._file.attrs.modify("created_utc", checkpoint.head["created_utc"])
+        self.origin = replace(self.origin, created_utc=checkpoint.head["created_utc"])
         for dim, table in self._tables.items():
             rows = checkpoint.rows[dim]
             for start in range(0, rows, _ROWS_COPIED):
@@ -193,124 +190,184 @@ class ArchiveWriter(RunWriter):
     def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name."""
         started = time.perf_counter()
-        file, accuracy = self._file, ending.accuracy
+        accuracy = ending.accuracy
         misalignment_max = np.asarray(ending.misalignment_max, FLOAT)
         with self._storing():
             errors = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
             with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(misalignment_max) + errors):
-                self._write_tables(more=False)
-                file.flush()
-                del file["trajectory"].attrs[layout.ROWS_FLUSHED]  # all rows have been written
+                file, before = self._with_all_rows()
                 if accuracy is not None:
                     accuracy.write(file, self.names.bodies, self.names.joints)
-                self._write_end(ending.reason, {**ending.stats, "finish_s": 0.0}, misalignment_max)
-                self._write_verdict(ending.judgement, ending.warnings)
+                self._write_end(file, ending.reason, {**ending.stats, "finish_s": 0.0}, misalignment_max)
+                self._write_verdict(file, ending.judgement, ending.warnings)
                 if ending.integrals:
                     set_text(file, layout.INTEGRALS, integrals_json(ending.integrals))
-                file.flush()
+                if self._is_on_disk:
+                    file.flush()
                 file.attrs.modify("status", ending.status)  # written last, because it marks all other contents as valid
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
                 # Computed from the file, so that the hash covers all of its contents. Attributes prescribed by the
                 # layout are not read.
-                set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, layout_lines()))
-            if self._target is None:
-                self._end(started)
+                set_text(
+                    file, layout.ATTRIBUTES_HASH, attributes_sha256(file, {**layout_lines(), **self._known}, before)
+                )
+            if self._target is not None:
+                self._publish(self._target, file, started, ending)
+                return None
+            self._ended = True
+            self._write_duration(file, started, ending)
+            file.flush()
+            return file
+
+    def _with_all_rows(self) -> tuple[h5py.File, Mapping[str, Sequence[str]]]:
+        """Return the file with the remaining rows, and the lines of the attributes of those arrays for which they are
+        known.
+        """
+        if self._file is not None:
+            self._write_tables(self._file, more=False)
+            self._file.flush()
+            del self._file["trajectory"].attrs[layout.ROWS_FLUSHED]  # all rows have been written
+            return self._file, {}
+        rows = tuple((dim, table.rows) for dim, table in self._tables.items())
+        skeleton = skeleton_of(self.names, self.arrays, rows)
+        values = {path: rows for table in self._tables.values() for path, rows in table.taken().items()}
+        self._file = skeleton.file(values)
+        self._write_head(self._file)
+        return self._file, skeleton.attributes
+
+    def _publish(self, target: Target, file: h5py.File, started: float, ending: Ending) -> None:
+        """Rename the finished file; a file in memory is written first."""
+        self._write_duration(file, started, ending)
+        file.flush()
+        is_in_memory = target.file is None
+        if is_in_memory:
+            file.flush()  # HDF5 releases space at the end of the file that the first flush has left unused
+            target.write(file.id.get_file_image())
+        else:
+            target.sync()
+        self._ended = True
+        try:
+            target.publish()
+        finally:
+            self._write_duration(file, started, ending)
+            if is_in_memory:
                 file.flush()
-                return file
-            self._target.sync()
-            try:
-                self._target.publish()
-            finally:
-                self._end(started)
-                self._target.close()
-            return None
+                target.amend(file.id.get_file_image())
+                file.close()
+            target.close()
 
     def abandon(self) -> None:
         """Remove the archive; no effect once it is finished or a write has failed."""
         if self._ended:
             return
         self._ended = True
-        if self._target is None:
+        if self._file is not None and not self._is_on_disk:
             self._file.close()
-        else:
+        if self._target is not None:
             self._target.drop()
 
-    def _write_head(self, origin: Origin) -> None:
-        created = origin.created_utc or utc_now()
-        values = (
-            layout.FORMAT, layout.FORMAT_VERSION, "running", "", origin.run_id, created, origin.spec_json,
-            origin.spec_sha256, "",
-        )  # fmt: skip
-        for name, value in zip(layout.ROOT_ATTRIBUTES, values, strict=True):
-            set_text(self._file, name, value)
-        present = {array.group for array in self.arrays}
-        for group in (*(group for group in layout.GROUPS if group in present), "stats", "provenance"):
-            self._file.create_group(group)
-        self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
-        target = self._file["provenance"]
-        for name, entry in origin.provenance.items():
-            if isinstance(entry, str):
-                set_text(target, name, entry)
+    @property
+    def _is_on_disk(self) -> bool:
+        return self._target is not None and self._target.file is not None
+
+    def _begin(self) -> h5py.File:
+        """Return the file, which is begun if all rows have been in the buffers so far."""
+        if self._file is None:
+            self._file = memory_file() if self._target is None else self._target.open()
+            names = self.names
+            text = len(self.origin.spec_json) + 64 * sum(len(one.texts(names)) for one in self.arrays if one.texts)
+            with self._room(more=False, also=_ATTRIBUTE_BYTES + text):
+                begin_file(self._file, names, self.arrays)
+                self._write_head(self._file)
+                self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
+        return self._file
+
+    def _write_head(self, file: h5py.File) -> None:
+        origin = self.origin
+        for name, value in self.root_attributes().items():
+            set_text(file, name, value)
+        self._set(file, "provenance", origin.provenance)
+        if self.shared is not None:
+            length = float(self.shared.length)
+            self._set(file, "joints", {"redundancy": self.shared.redundancy, "characteristic_length": length})
+
+    def _set(self, file: h5py.File, path: str, values: Mapping[str, str | int | float]) -> None:
+        """Add strings and numbers as attributes to a group, and note their lines in `attributes_sha256`."""
+        group = file[path]
+        for name, value in values.items():
+            known: str | np.int64 | np.float64
+            if isinstance(value, str):
+                known = value
+                set_text(group, name, known)
             else:
-                target.attrs[name] = _number(entry)
-        if self._shared is not None:
-            set_text(self._file["joints"], "redundancy", self._shared.redundancy)
-            self._file["joints"].attrs["characteristic_length"] = np.float64(self._shared.length)
+                known = np.int64(value) if isinstance(value, int | np.integer) else np.float64(value)
+                set_number(group, name, known)
+            self._known[f"{path}@{name}"] = attribute_line(f"{path}@{name}", known)
 
-    def _write_names(self) -> None:
-        texts = name_texts(self.names)
-        arrays = [array for array in self.arrays if not array.grows]
-        for array in sorted(arrays, key=lambda array: not array.is_scale):
-            text = tuple(texts[array.path])
-            create(self._file, array, np.array(text, dtype=object))
-            self._lines.append(name_line(array.path, text))
+    def root_attributes(self) -> dict[str, str]:
+        """Return `layout.ROOT_ATTRIBUTES` with their values, which depend on whether the run has ended."""
+        origin, ending = self.origin, self.ending
+        status, reason, digest = "running", "", ""
+        if ending is not None:
+            status, reason, digest = ending.status, ending.reason, self._data_sha256()
+        values = (
+            layout.FORMAT, layout.FORMAT_VERSION, status, reason, origin.run_id, origin.created_utc, origin.spec_json,
+            origin.spec_sha256, digest,
+        )  # fmt: skip
+        return dict(zip(layout.ROOT_ATTRIBUTES, values, strict=True))
 
-    def _write_end(self, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray) -> None:
-        attributes, joints = self._file["stats"].attrs, self._file["joints"]
-        for name, value in stats.items():
-            attributes[name] = _number(value)
+    def _data_sha256(self) -> str:
+        return digest_lines([*name_lines(self.names, self.arrays), *self.lines])
+
+    def _write_end(
+        self, file: h5py.File, reason: str, stats: Mapping[str, int | float], misalignment_max: np.ndarray
+    ) -> None:
+        self._set(file, "stats", stats)
+        joints = file["joints"]
         joints.attrs["misalignment_max"] = misalignment_max
         if "misalignment" in joints:
             joints["misalignment"].attrs["misalignment_max"] = misalignment_max
-        if self._shared is not None:
+        if self.shared is not None:
             for path in layout.SHARED:
-                names = self._shared.drivers if path == "joints/driver_power" else self._shared.joints
-                if path in self._file and names:
-                    set_text(self._file[path], "not_unique", ", ".join(names))
-        self._file.attrs.modify("data_sha256", digest_lines([*self._lines, *self.lines]))
-        self._file.attrs.modify("status_reason", reason)
+                names = self.shared.drivers if path == "joints/driver_power" else self.shared.joints
+                if path in file and names:
+                    set_text(file[path], "not_unique", ", ".join(names))
+        file.attrs.modify("data_sha256", self._data_sha256())
+        file.attrs.modify("status_reason", reason)
 
-    def _write_verdict(self, judgement: Judgement, warnings: Sequence[str]) -> None:
-        set_text(self._file, "verdict", judgement.level)
-        set_texts(self._file, "verdict_reasons", judgement.reasons)
-        set_texts(self._file, "warnings", warnings)
+    def _write_verdict(self, file: h5py.File, judgement: Judgement, warnings: Sequence[str]) -> None:
+        set_text(file, "verdict", judgement.level)
+        set_texts(file, "verdict_reasons", judgement.reasons)
+        set_texts(file, "warnings", warnings)
 
-    def _end(self, started: float) -> None:
-        self._ended = True
-        if self._file:
-            self._file["stats"].attrs.modify("finish_s", time.perf_counter() - started)
+    def _write_duration(self, file: h5py.File, started: float, ending: Ending) -> None:
+        """Store the duration of `finish` so far."""
+        seconds = time.perf_counter() - started
+        replace_number(file["stats"], "finish_s", np.float64(seconds))
+        self.ending = replace(ending, stats={**ending.stats, "finish_s": seconds})
 
-    def _write_tables(self, *, more: bool) -> None:
+    def _write_tables(self, file: h5py.File, *, more: bool) -> None:
         for table in self._tables.values():
-            table.write(self._file, more=more)
+            table.write(file, more=more)
 
     def _write_more(self) -> None:
+        file = self._begin()
         with self._room(more=True):
-            self._write_tables(more=True)
-            self._mark_rows()
+            self._write_tables(file, more=True)
+            self._mark_rows(file)
         self._flushed = time.monotonic()
         self._kept = True
 
-    def _mark_rows(self) -> None:
+    def _mark_rows(self, file: h5py.File) -> None:
         """Flush the tables, then store the numbers of their rows in an attribute.
 
         HDF5 writes its metadata in many pieces. If the process is killed in between, arrays may seem to have rows that
         were never written. The attribute is written in one piece, so that the rows it counts are always complete.
         """
         if self._target is not None:
-            self._file.flush()
-            self._file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, self._row_counts())
+            file.flush()
+            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, self._row_counts())
 
     def _row_counts(self) -> np.ndarray:
         counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
@@ -318,7 +375,7 @@ class ArchiveWriter(RunWriter):
 
     def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:
         """Return a context that reserves disk space for the buffered rows and flushes the file on exit."""
-        if self._target is None:
+        if self._target is None or self._target.file is None:
             return contextlib.nullcontext()
         return self._target.reserved(also + sum(table.size_on_disk(more=more) for table in self._tables.values()))
 
@@ -342,7 +399,3 @@ class ArchiveWriter(RunWriter):
                 self._target.drop()
                 rest = ""
             raise ResourceError(f"the archive {self._target.path} cannot be written: {cause(error)}{rest}") from error
-
-
-def _number(value: int | float) -> np.int64 | np.float64:
-    return np.int64(value) if isinstance(value, int | np.integer) else np.float64(value)

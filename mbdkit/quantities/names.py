@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mbdkit.mechanism.contacts import feet
 
@@ -80,6 +80,10 @@ class ArchiveNames:
     load_bodies: Sequence[str] = ()
     members: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]] = ()
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, _tuples(value))
+
     def names_of(self, kind: str) -> list[str]:
         """Return the names of the `members` of a kind."""
         return [name for name, _ in dict(self.members).get(kind, ())]
@@ -92,6 +96,11 @@ class ArchiveNames:
     def bodies_of(self, kind: str, place: int) -> list[str]:
         """Return the first body (`place` 0) or another body of each of the `members` of a kind."""
         return [bodies[place] for _, bodies in dict(self.members).get(kind, ())]
+
+
+def _tuples(value: Any) -> Any:
+    """Return nested sequences as tuples, which can be compared and hashed."""
+    return value if isinstance(value, str) else tuple(map(_tuples, value))
 
 
 @lru_cache(maxsize=16)

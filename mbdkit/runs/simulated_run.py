@@ -455,7 +455,7 @@ class SimulatedRun:
         """Return the run, once it is finished."""
         if self.in_memory is not None:
             return self.in_memory
-        assert self.writer.path is not None
-        run = Run(ArchiveContents.just_written(self.writer.path))
+        assert isinstance(self.writer, ArchiveWriter)
+        run = Run(ArchiveContents.just_written(self.writer))
         run.cause = self.cause
         return run

@@ -10,7 +10,7 @@ import pytest
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 
-from .making import writer
+from .making import fill, writer
 
 
 def refusal(path: Path) -> str:
@@ -77,10 +77,19 @@ def test_later_minor_version_is_read(archive: Path) -> None:
         assert run.to_xarray()["trajectory/more"].dims == ("more_0",)
 
 
-def test_part_without_a_row_is_read_as_empty(tmp_path: Path) -> None:
+def test_part_that_was_not_begun_says_so(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5")
+    fill(into, 11)
     assert into._target is not None
     into._target.close()  # as a crash before the first flush
+    assert "the run was killed before it wrote any rows" in refusal(tmp_path / "run.h5.part")
+
+
+def test_part_without_a_row_is_read_as_empty(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    into._begin()
+    assert into._target is not None
+    into._target.close()  # as a crash during the first flush
     with load(tmp_path / "run.h5.part") as run:
         assert run.status == "running"
         assert run.time.shape == (0,)

@@ -14,9 +14,12 @@ from mbdkit.archive import run as run_module
 from mbdkit.archive.history import Column, NotRecordedError, UnknownNameError
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArchiveContents
+from mbdkit.archive.run_writer import Ending
 from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.trust.criteria import Judgement
 
-from .making import PROVENANCE, SPEC, make, names, rows, steps
+from .making import PROVENANCE, SPEC, STATS, fill, largest, make, names, rows, steps, writer
 
 
 @pytest.fixture(params=["file", "memory", "file larger than memory"])
@@ -201,3 +204,14 @@ def test_histories_say_what_they_are() -> None:
     for name, member in vars(Run).items():
         if not name.startswith("_") and (callable(member) or isinstance(member, property)):
             assert inspect.getdoc(member), name
+
+
+def test_what_the_writer_knows_is_what_its_archive_says(tmp_path: Path) -> None:
+    into = writer(tmp_path / "run.h5")
+    fill(into, 11)
+    judgement = Judgement("doubtful", ("a reason",))
+    into.finish(Ending("failed", "singular: somewhere", STATS, largest(11, names()), judgement, ("a warning",)))
+    known = vars(ArchiveContents.just_written(into).header)
+    read = vars(ArchiveContents.open(tmp_path / "run.h5").header)
+    np.testing.assert_array_equal(known.pop("misalignment_max"), read.pop("misalignment_max"))
+    assert known == read
