@@ -294,7 +294,7 @@ class _Checker:
         time = self.file["trajectory/time"][:]
         if np.any(np.diff(time) <= 0):
             self.say("trajectory/time does not increase from row to row")
-        for group in (*sorted(layout.QUANTITIES), "accuracy", *layout.INVERSE_GROUPS):
+        for group in sorted({array.group for array in layout.LAYOUT if array.key == "time"}):
             if f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
                 self.say(f"{group}/time differs from trajectory/time")
         elapsed = self.file.get("trajectory/elapsed_s")

@@ -14,7 +14,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import ActingMuscle, CompiledMechanism
 from mbdkit.engine.contact_forces import contact_values
 from mbdkit.engine.ground_reactions import ground_reactions
-from mbdkit.engine.joint_sums import joint_sums
+from mbdkit.engine.joint_sums import JointSums, joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.mechanism.muscles import Muscle
 from mbdkit.muscles.energetics import fiber_power, metabolic_power
@@ -120,26 +120,21 @@ class States:
         """(T, J) angle or travel of each joint [rad or m]."""
         return self.observed.joints[:, :, 0]
 
+    @property
+    def sums(self) -> JointSums:
+        """Sums over the pairs of constraint rows of each joint."""
+        return joint_sums(self.mechanism)
+
     @cached_property
     def misalignment(self) -> np.ndarray:
         """(T, J) misalignment [m]."""
-        return joint_sums(self.mechanism).misalignment(self.observed.phi)
-
-    @property
-    def velocity_misalignment(self) -> np.ndarray:
-        """(T, J) misalignment of velocities [m/s]."""
-        return joint_sums(self.mechanism).misalignment(self.observed.phi_rate)
-
-    @property
-    def angle_misalignment(self) -> np.ndarray:
-        """(T, J) misalignment of angles [rad]."""
-        return joint_sums(self.mechanism).angle_misalignment(self.observed.phi)
+        return self.sums.misalignment(self.observed.phi)
 
     @cached_property
     def reactions(self) -> np.ndarray:
         """(T, J, 3) reaction force (x, y) [N] and torque [N m] of each joint."""
         x = self.observed.reactions
-        summed = joint_sums(self.mechanism).sum(x.reshape(*x.shape[:2], math.prod(x.shape[2:])))
+        summed = self.sums.sum(x.reshape(*x.shape[:2], math.prod(x.shape[2:])))
         return summed.reshape(*summed.shape[:2], *x.shape[2:])
 
     @property
@@ -244,23 +239,10 @@ class States:
         fiber = np.hypot(along, muscle.thickness)
         return np.asarray(fiber if name == "fiber_length" else self.of_muscles("rate")[:, number] * along / fiber)
 
-    def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Return the values (T, m) of the constraint rows, in the order of the archive, given those of the pairs of
-        rows.
-        """
-        return joint_sums(self.mechanism).by_row(values)
-
     @cached_property
     def multiplier(self) -> np.ndarray:
         """(T, m) index-1 multipliers."""
-        return self.by_row(self.observed.lam)
-
-    @property
-    def method_multiplier(self) -> np.ndarray:
-        """(T, m) multipliers computed by the method; at the start, where it has not computed any, those of the index-1
-        equations.
-        """
-        return self.multiplier if self.multipliers is None else self.multipliers
+        return self.sums.by_row(self.observed.lam)
 
     @cached_property
     def total_energy(self) -> np.ndarray:

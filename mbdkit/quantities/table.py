@@ -58,6 +58,7 @@ _TLA = ("time", "load", "axis")
 _POSITION = ("x", "y", "angle")
 _VELOCITY = ("vx", "vy", "angular_velocity")
 _ACCELERATION = ("ax", "ay", "angular_acceleration")
+_CONTACTS = {"no_derivative": "the derivatives of quantities of contacts with respect to parameters are not known"}
 _MISALIGNMENT: Mapping[str, Any] = {
     "is_not_negative": True,
     "is_of_steps": True,
@@ -66,29 +67,16 @@ _MISALIGNMENT: Mapping[str, Any] = {
 
 
 def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
-    return Recorded(
-        name,
-        _TU,
-        units,
-        what,
-        take=lambda s: s.of_muscles(name),
-        **more,
-    )
+    return _taken(name, _TU, units, what, lambda s: s.of_muscles(name), **more)
 
 
 def _of_contacts(name: str, units: str, what: str, **more: Any) -> Recorded:
-    return Recorded(
-        name, ("time", "contact"), units, what, take=lambda s: s.of_contacts(name),
-        no_derivative="the derivatives of quantities of contacts with respect to parameters are not known", **more,
-    )  # fmt: skip
+    return _taken(name, ("time", "contact"), units, what, lambda s: s.of_contacts(name), **_CONTACTS, **more)
 
 
 def _of_ground(name: str, units: str, what: str, **more: Any) -> Recorded:
     dims = ("time", "foot", "axis") if "components" in more else ("time", "foot")
-    return Recorded(
-        name, dims, units, what, take=lambda s: s.of_contacts(name, of_ground=True),
-        no_derivative="the derivatives of quantities of contacts with respect to parameters are not known", **more,
-    )  # fmt: skip
+    return _taken(name, dims, units, what, lambda s: s.of_contacts(name, of_ground=True), **_CONTACTS, **more)
 
 
 def _kind(group: str, *arrays: Array, since: str = "1.0", optional: bool = False, **more: Any) -> Kind:
@@ -181,9 +169,9 @@ KINDS = (
         _taken("misalignment", _TJ, "m", "distance by which the joint fails to meet", lambda s: s.misalignment,
             **_MISALIGNMENT, is_history=True),
         _taken("velocity_misalignment", _TJ, "m/s", "relative point velocity in the constrained directions",
-            lambda s: s.velocity_misalignment, **_MISALIGNMENT),
+            lambda s: s.sums.misalignment(s.observed.phi_rate), **_MISALIGNMENT),
         _taken("angle_misalignment", _TJ, "rad", "angle by which the joint fails to meet",
-            lambda s: s.angle_misalignment, **_MISALIGNMENT),
+            lambda s: s.sums.angle_misalignment(s.observed.phi), **_MISALIGNMENT),
         _taken("reaction_force", _TJA, "N", "force of the first body on the second, global frame",
             lambda s: s.reactions[:, :, :2],
             vector="force", components=("force_x", "force_y"), has_norm=True, is_shared=True, is_history=True),
@@ -328,15 +316,16 @@ KINDS = (
         _units("velocity_row_units", "constraint", "velocity_residual", lambda names: names.constraint_units),
         _units("multiplier_row_units", "constraint", "multiplier and method_multiplier",
             lambda names: names.constraint_units),
-        _taken("position_residual", _TM, MIXED, "constraint function Phi(q, t)", lambda s: s.by_row(s.observed.phi),
-            row_units="row_units"),
+        _taken("position_residual", _TM, MIXED, "constraint function Phi(q, t)",
+            lambda s: s.sums.by_row(s.observed.phi), row_units="row_units"),
         _taken("velocity_residual", _TM, MIXED, "time derivative of the constraint function, Phi_q v + Phi_t",
-            lambda s: s.by_row(s.observed.phi_rate), row_units="velocity_row_units"),
+            lambda s: s.sums.by_row(s.observed.phi_rate), row_units="velocity_row_units"),
         _taken("multiplier", _TM, MIXED, "Lagrange multiplier, index-1, at the recorded state", lambda s: s.multiplier,
             row_units="multiplier_row_units", is_shared=True),
         _taken("method_multiplier", _TM, MIXED,
             "Lagrange multiplier as the integrator carries it; index-1 at the start",
-            lambda s: s.method_multiplier, row_units="multiplier_row_units", optional=True),
+            lambda s: s.multiplier if s.multipliers is None else s.multipliers, row_units="multiplier_row_units",
+            optional=True),
         _taken("singularity_distance", _T, "1",
             "smallest singular value of the independent constraints' Jacobian in the mass metric, the rows of each "
             "point orthonormal: 1 where no joint feels another, 0 in a singular position",
