@@ -94,13 +94,23 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: RunSpec | In
     """
     accuracy = run.accuracy
     compared = () if accuracy is None else accuracy.compared_measures.get(measure.expression, ())
-    if measure.item is not None or not compared or not is_taken(measure, spec):
+    if measure.item is not None or not compared or not is_taken(measure, spec) or _contacts_are_undecided(run, spec):
         return math.nan
     unit = MeasureExpression.parse(measure.expression, spec, measure.unit).unit
     mechanism, duration = spec.mechanism(), float(run.time[-1] - run.time[0])
     mass = max((body.mass for body in mechanism.bodies.values()), default=0.0)
     scales = natural_scales(characteristic_length(mechanism), mass, mechanism.gravity, duration)
     return measure_error(value, [one / unit.factor for one in compared], natural_size(unit, *scales))
+
+
+def _contacts_are_undecided(run: Run, spec: RunSpec | InverseSpec) -> bool:
+    """Return whether the errors of a run with rigid contacts are unknown at its end.
+
+    The order of impacts may then be undecided, and the comparison runs may share the choice of the run, so that their
+    measures differ by less than the errors.
+    """
+    accuracy = run.accuracy
+    return isinstance(spec, RunSpec) and spec.has_rigid_contacts and accuracy is not None and not accuracy.is_complete
 
 
 def has_error(measure: DefinedMeasure, spec: RunSpec | InverseSpec) -> bool:
@@ -146,4 +156,6 @@ def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: RunSpec 
         return ["its error is unknown: errors of measures of plugins are not estimated"]
     if run.status != "complete":
         return ["its error is unknown: the run is not complete"]
+    if _contacts_are_undecided(run, spec):
+        return ["its error is unknown: impacts of rigid contacts make the errors of the motion unknown before its end"]
     return ["its error is unknown: its values in runs with smaller errors do not converge, or such a run failed"]

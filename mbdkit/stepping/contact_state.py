@@ -48,6 +48,8 @@ class ContactState:
     cut, changed
         Names of contacts whose infinite sequence of impacts was cut short, and of those at which a law of impact other
         than the chosen one was used.
+    cut_time
+        Time at which the first of these sequences was cut short [s].
     time
         Time at which the step ended [s]; before its planned end if there was an event.
     event
@@ -77,6 +79,7 @@ class ContactState:
     energy: float = 0.0
     cut: frozenset[str] = frozenset()
     changed: frozenset[str] = frozenset()
+    cut_time: float = math.inf
     time: float = math.inf
     event: tuple[int, int] | None = None
     streak: int = 0

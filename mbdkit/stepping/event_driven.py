@@ -443,6 +443,7 @@ class _Step:
             self.state,
             impacts=(*self.state.impacts, *new, *(one for one in tails if one.time < np.inf)),
             cut=self.state.cut.union(self.contacts.names[one.contact] for one in tails),
+            cut_time=min(self.state.cut_time, now.t) if tails else self.state.cut_time,
             changed=self.state.changed.union(changed),
             undecided=undecided,
         )
@@ -464,11 +465,34 @@ class _Step:
         rests = touching & (self.modes == OPEN) & (after > 0) & (curve < 0) & is_small
         if not np.any(rests):
             return []
-        system = ClosedSystem(contacts, np.where(rests, SLIP, self.modes))
-        self.now = replace(now, v=nearest_velocities(system, now.t, now.q, now.v))
+        self.now = replace(now, v=now.v + self._tail_change(rests, np.where(rests, np.sign(rows.slip), self.modes)))
         self.modes = self._decided(self.now, touching)
         e = np.where((approach < 0) & (contacts.restitution > 0), contacts.restitution, 1.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = now.t - 2.0 * np.where(rests, after / curve, 0.0) / (1.0 - e)
         none = 0.0 * self.p.reactions(now.t, now.q, forced.multipliers)
         return [ContactImpact(float(ends[i]), i, 0.0, 0.0, 0.0, none) for i in np.flatnonzero(rests).tolist()]
+
+    def _tail_change(self, rests: np.ndarray, slips: np.ndarray) -> np.ndarray:
+        """Return the change of the velocities (n,) by which contacts at rest replace a sequence of impacts.
+
+        Until the sequence ends, a contact at rest exerts the normal impulse of the sequence and in addition that which
+        stops the separation. The change removes the latter, with its friction: without this, the slip after the
+        sequence would have an error of the first order in the velocity of separation.
+
+        Parameters
+        ----------
+        rests
+            (C,) whether a contact comes to rest.
+        slips
+            (C,) modes of the contacts, with the direction of slip, 1, -1 or 0, for those that come to rest.
+        """
+        now, contacts = self.now, self.contacts
+        closed = np.flatnonzero(rests | (self.modes != OPEN))
+        rows = contacts.kinematics.rows(now.q, now.v, closed)
+        is_stuck = self.modes[closed] == STICK
+        direction = np.where(is_stuck, 0.0, np.sign(slips[closed]) * (np.abs(rows.slip) > SAME * self.speed))
+        pushes = rows.normal - (direction * contacts.kinetic[closed])[:, None] * rows.tangent
+        moved, _ = contacts.answers(now.t, now.q, np.vstack([pushes, rows.tangent[is_stuck]]))
+        held = np.vstack([rows.normal, rows.tangent[is_stuck]])
+        return np.asarray(moved @ np.linalg.lstsq(held @ moved, -held @ now.v, rcond=1e-11)[0])

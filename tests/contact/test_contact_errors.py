@@ -55,3 +55,37 @@ def test_errors_are_unknown_after_contacts_that_close_at_once() -> None:
     assert run.accuracy is not None
     assert run.accuracy.known_until == pytest.approx(np.sqrt(2 * 0.25 / 9.81), abs=0.01)
     assert "contacts that affect each other close at once, in an unknown order" in run.accuracy.method
+    assert np.isnan(run.measure_errors["height"])
+
+
+def thrown(end: float, *, speed: float = 3.0, height: float = 0.2, e: float = 0.4, mu: float = 0.3) -> float:
+    """Return how far a point mass gets that is thrown onto a floor: parabolas between infinitely many impacts."""
+    g, time, x, rate, fall = 9.81, 0.0, 0.0, speed, np.sqrt(2 * 9.81 * height)
+    flight = fall / g
+    while flight > 1e-17:
+        x, time = x + rate * flight, time + flight
+        rate, fall, flight = rate - mu * (1 + e) * fall, e * fall, 2 * e * fall / g
+    slides = min(end - time, rate / (mu * g))
+    return float(x + rate * slides - mu * g * slides**2 / 2)
+
+
+@pytest.mark.parametrize("rest_energy", [1e-12, 1e-4])
+def test_the_friction_of_an_infinite_sequence_of_impacts_does_not_depend_on_where_it_is_cut(rest_energy: float) -> None:
+    floor = {"bodies": ["ground", "puck"], "shapes": [FLOOR, {"point": [0, 0]}], "friction": 0.3, "restitution": 0.4}
+    puck = {"mass": 4.0, "position": [0.0, 0.2], "velocity": [3.0, 0.0]}
+    run = mbdkit.run(
+        {"mbdkit": 1, "model": {"name": "mechanism", "bodies": {"puck": puck}, "contacts": {"floor": floor}}},
+        integrator={"name": "dop853"},
+        time={"end": 1.2, "step": 0.02},
+        contact={"treatment": "event-driven", "rest_energy": rest_energy},
+        measures={"x": "final(puck.x)"},
+        check=True,
+    )
+    assert run.measures["x"] == pytest.approx(thrown(1.2), rel=1e-12)
+    assert run.accuracy is not None
+    if rest_energy == 1e-12:
+        assert run.accuracy.is_complete
+    else:
+        assert run.accuracy.known_until < 0.6
+        assert np.isnan(run.measure_errors["x"])
+        assert "bounces below contact.rest_energy are left out" in run.accuracy.method

@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
 
+NEGLIGIBLE_BOUNCES = 1e-9
+"""Largest `contact.rest_energy` for which the bounces that are left out count as negligible."""
+
+
 def check_run(
     spec: RunSpec,
     method: Method,
@@ -80,6 +84,11 @@ def check_run(
     description = _sentence(chosen, pairs)
     if contacts is not None:
         until, why = _same_impacts([contacts, *(one.contacts for _, one in pairs if one.contacts is not None)])
+        if contacts.cut and spec.contact.rest_energy > NEGLIGIBLE_BOUNCES and contacts.cut_time < until:
+            until = contacts.cut_time
+            why = (
+                f" After {until:.6g} s, bounces below contact.rest_energy are left out, in the comparison runs as well."
+            )
         errors = _cut(errors, rows.time, until)
         description += why
     return as_accuracy(rows, errors, description, begin)
