@@ -263,7 +263,7 @@ class _Beams:
         self.parameters: list[Numbers] = []
         elements = 0
         for name, beam in mechanism.beams.items():
-            stiffness = beam.section_stiffness
+            stiffness = beam.element_stiffness
             damping = tuple(beam.damping * one for one in stiffness)
             for section in beam.sections(name):
                 nodes = [number[node] for node in section.nodes]

@@ -58,6 +58,13 @@ NODE_SHARES = {2: (0.5, 0.5), 3: (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)}
 They are those of the trapezoidal rule and of Simpson's rule.
 """
 
+END_CORRECTIONS = (-1.0 / 8.0, 1.0 / 6.0, -1.0 / 24.0)
+"""Corrections of the trapezoidal rule at the first and last three nodes, as shares of an element.
+
+They are those of Gregory's rule with second differences, which integrates cubic functions exactly. With two and three
+elements, it is Simpson's rule and the 3/8 rule.
+"""
+
 
 def straight(a: Sequence[float], b: Sequence[float], count: int) -> list[Place]:
     """Return `count` equidistant points of the line from `a` to `b`, both (x, y) [m]."""

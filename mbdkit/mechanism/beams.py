@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
-from mbdkit.mechanism.beam_shape import INTEGRATION, NODE_SHARES, Place, curved, straight
+from mbdkit.mechanism.beam_shape import END_CORRECTIONS, INTEGRATION, NODE_SHARES, Place, curved, straight
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce
 from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point, Positive, Table, sequence
@@ -87,7 +87,7 @@ class Beam(StrictModel):
     # `nu` is not in the list because it may be 0; an empty value counts as absent.
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         "type", "a", "b", "points", "E", "G", "A", "I", "density", "stiffness", "mass_per_length", "rotary_inertia",
-        "load", "load_frame", "start",
+        "load", "load_frame", "start", "corrected",
     )  # fmt: skip
 
     type: Literal["beam"] = "beam"
@@ -103,6 +103,10 @@ class Beam(StrictModel):
     nodes: Literal[2, 3] = 2
     """Nodes of an element: 2 (n + 1 nodes, errors of order 2 in the length of an element), or 3 (2 n + 1 nodes, order
     4)."""
+    corrected: bool = False
+    """Whether two-node elements are corrected, at no cost: masses and loads at the nodes by Gregory's rule, and bending
+    inside elements by their shear flexibility. Errors in bending are then about as small as with three nodes; forces in
+    the two elements at each end are less accurate."""
     E: Positive | None = None
     """Young's modulus [Pa]."""
     G: Positive | None = None
@@ -142,6 +146,8 @@ class Beam(StrictModel):
     def _consistent(self) -> Beam:
         self._check_shape()
         self._check_material()
+        if self.corrected and self.nodes != 2:
+            raise SpecError("is for elements with two nodes; those with three are accurate without it", key="corrected")
         with np.errstate(all="ignore"):
             if not np.all(np.isfinite(self.places)):
                 raise SpecError("the curve through them turns back sharply; add points between", key="points")
@@ -208,6 +214,21 @@ class Beam(StrictModel):
         return SectionStiffness(axial, given.shear or self.shear_factor * modulus * (self.A or 0.0), bending)
 
     @property
+    def element_stiffness(self) -> SectionStiffness:
+        """Stiffness with which elements are computed; if they are corrected, the shear stiffness is smaller.
+
+        One cross-section per element leaves out that a linear bending moment bends the element. The residual bending
+        flexibility ``h^2 / (12 bending)`` adds this deflection to that of shear, so that a straight beam with forces at
+        its nodes has the exact small deflections. R. H. MacNeal, A simple quadrilateral shell element, Computers &
+        Structures 8 (1978).
+        """
+        section = self.section_stiffness
+        if not self.corrected:
+            return section
+        residual = self.element_length**2 / (12.0 * section.bending)
+        return section._replace(shear=1.0 / (1.0 / section.shear + residual))
+
+    @property
     def inertia_per_length(self) -> tuple[float, float]:
         """Mass per length [kg/m] and moment of inertia per length [kg m]."""
         mass = self.mass_per_length or (self.density or 0.0) * (self.A or 0.0)
@@ -230,10 +251,11 @@ class Beam(StrictModel):
         for point in INTEGRATION[self.nodes]:
             shape, slope, none = np.array(point.shape), np.array(point.slope) / length, np.zeros(self.nodes)
             strains = (slope, none, none), (none, slope, -shape), (none, none, slope)  # by x, y and angle of the nodes
-            for modulus, strain in zip(self.section_stiffness, strains, strict=True):
+            for modulus, strain in zip(self.element_stiffness, strains, strict=True):
                 row = np.column_stack(strain).ravel()
                 stiffness += point.weight * length * modulus * np.outer(row, row)
-        root = np.sqrt(np.outer(NODE_SHARES[self.nodes], (mass, mass, inertia)).ravel() * length)
+        least = [min(self.node_lengths) / length] * 2 if self.corrected else NODE_SHARES[self.nodes]
+        root = np.sqrt(np.outer(least, (mass, mass, inertia)).ravel() * length)
         scaled = stiffness / np.outer(root, root)
         return float(np.sqrt(np.linalg.eigvalsh(scaled)[-1])) if np.all(np.isfinite(scaled)) else math.inf
 
@@ -278,6 +300,10 @@ class Beam(StrictModel):
         for element in range(self.elements):
             for i, share in enumerate(NODE_SHARES[self.nodes]):
                 lengths[element * (self.nodes - 1) + i] += share * self.element_length
+        if self.corrected and self.elements > 1:
+            for i, share in enumerate(END_CORRECTIONS):
+                lengths[i] += share * self.element_length
+                lengths[-1 - i] += share * self.element_length
         return lengths
 
     # ---- parts ---------------------------------------------------------------------------------------------------

@@ -203,7 +203,7 @@ class Mechanism(HtmlView):
         **properties
             ``E`` and ``G`` [Pa] or ``nu``, ``A`` [m^2], ``I`` [m^4], ``shear_factor``, ``density`` [kg/m^3];
             ``mass_per_length`` [kg/m], ``rotary_inertia`` [kg m], ``damping`` [s]; ``velocity`` (x, y) [m/s],
-            ``angular_velocity`` [rad/s]; ``load`` (x, y) [N/m], ``load_frame``; ``start``. See ``Beam``.
+            ``angular_velocity`` [rad/s]; ``load`` (x, y) [N/m], ``load_frame``; ``start``; ``corrected``. See ``Beam``.
 
         Examples
         --------

@@ -327,7 +327,7 @@ class _Builder:
         """Add the forces of a beam on its nodes. Each cross-section contributes the force conjugate to its state,
         distributed to the nodes by the shape functions.
         """
-        held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.section_stiffness), strict=True))
+        held = dict(zip(d.SECTION_STIFFNESS, self.section_parameters(name, beam.element_stiffness), strict=True))
         retardation = self.parameter(beam.damping, "tau", name, tex=r"\tau")
         held |= {c: retardation * held[k] for c, k in zip(d.SECTION_DAMPING, d.SECTION_STIFFNESS, strict=True)}
         force = _section_terms()

@@ -45,7 +45,12 @@ METHODS: dict[str, dict[str, Any]] = {
     "radau-iia-3": {"name": "radau-iia", "stages": 3},
     "rk4": {"name": "rk4"},
 }
-MESHES: dict[Literal[2, 3], tuple[int, ...]] = {2: (4, 8, 16, 32, 64, 128), 3: (2, 3, 4, 6, 8, 12, 16)}
+Kind = Literal["two-node", "corrected", "three-node"]
+MESHES: dict[Kind, tuple[int, ...]] = {
+    "two-node": (4, 8, 16, 32, 64, 128),
+    "corrected": (2, 3, 4, 6, 8, 12, 16, 24, 32),
+    "three-node": (2, 3, 4, 6, 8, 12, 16),
+}
 EXUDYN_RODS = {"beams": exudyn_rod, "cables": exudyn_cable}
 EXUDYN_SETTINGS: dict[str, dict[str, Any]] = {
     "sparse": {"sparse": True, "loose": 1e2},
@@ -74,8 +79,8 @@ class Choice:
 
 def beside_exudyn(console: Console) -> None:
     """Print how long both codes take for given errors."""
-    exact = limit([_ours(n, 3, METHODS["gauss-3"], 4000, TIMES)[1] for n in (8, 16, 32)], 4)
-    groups = {f"mbdkit, {nodes}-node": list(_tried(_our_choices(nodes), exact)) for nodes in MESHES}
+    exact = limit([_ours("three-node", n, METHODS["gauss-3"], 4000, TIMES)[1] for n in (8, 16, 32)], 4)
+    groups = {f"mbdkit, {kind}": list(_tried(_our_choices(kind), exact)) for kind in MESHES}
     if importlib.util.find_spec("exudyn"):
         groups["Exudyn, beams"] = list(_tried(_their_choices("beams"), exact))
         without_shear = limit([_theirs("cables", 32, steps, "sparse", TIMES)[1] for steps in (2560, 5120, 10240)], 2)
@@ -105,9 +110,10 @@ def beside_exudyn(console: Console) -> None:
     console.print(table)
 
 
-def _ours(elements: int, nodes: Literal[2, 3], integrator: dict[str, Any], steps: int, parts: int) -> Outcome:
+def _ours(kind: Kind, elements: int, integrator: dict[str, Any], steps: int, parts: int) -> Outcome:
+    nodes: Literal[2, 3] = 3 if kind == "three-node" else 2
     run = mbdkit.run(
-        rod(elements, nodes),
+        rod(elements, nodes, corrected=kind == "corrected"),
         integrator=integrator,
         time={"steps": steps, "step": END / steps},
         output={"every": steps // parts, "quantities": []},
@@ -128,11 +134,11 @@ def _theirs(kind: str, elements: int, steps: int, how: str, parts: int) -> Outco
 Named = tuple[str, Callable[[int], Outcome]]
 
 
-def _our_choices(nodes: Literal[2, 3]) -> Iterator[Named]:
-    for elements in MESHES[nodes]:
+def _our_choices(kind: Kind) -> Iterator[Named]:
+    for elements in MESHES[kind]:
         for name, integrator in METHODS.items():
             for steps in STEPS:
-                yield f"{elements}, {name}, {steps}", functools.partial(_ours, elements, nodes, integrator, steps)
+                yield f"{elements}, {name}, {steps}", functools.partial(_ours, kind, elements, integrator, steps)
 
 
 def _their_choices(kind: str) -> Iterator[Named]:

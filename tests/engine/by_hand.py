@@ -265,7 +265,7 @@ class ByHand:
                 change = (c * vx + s * vy + strain[1] * spin, c * vy - s * vx - strain[0] * spin, bending)
                 normal, shear, moment = (
                     k * (e - free + beam.damping * e_t)
-                    for k, e, free, e_t in zip(beam.section_stiffness, strain, unbent, change, strict=True)
+                    for k, e, free, e_t in zip(beam.element_stiffness, strain, unbent, change, strict=True)
                 )
                 for i, node in enumerate(nodes):
                     shape, slope, place = rest.value(i, x), rest.slope(i, x), 3 * self.number[node]

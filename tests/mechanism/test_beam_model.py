@@ -38,6 +38,21 @@ def test_nodes_have_the_mass_of_the_beam_by_the_trapezoidal_rule_and_by_simpsons
     np.testing.assert_allclose(positions(m, names), expected, rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("elements", [2, 3, 4, 5, 9])
+def test_nodes_of_corrected_elements_have_the_inertia_of_a_rigid_rod(elements: int) -> None:
+    # expected: mass, first and second moment of a uniform rod about its end, m, m L/2 and m L^2/3
+    m = Mechanism()
+    names = m.beam("rod", a=(0.0, 0.0), b=(2.0, 0.0), elements=elements, corrected=True, **DIRECT)
+    mass, x = np.array([(m.bodies[name].mass, m.bodies[name].position[0]) for name in names]).T
+    assert np.all(mass > 0)
+    np.testing.assert_allclose([np.sum(mass * x**k) for k in range(3)], [6.0, 6.0, 8.0], rtol=1e-14)
+
+
+def test_only_two_node_elements_are_corrected() -> None:
+    with pytest.raises(SpecError, match=r"beams\.rod\.corrected: is for elements with two nodes"):
+        Mechanism().beam("rod", a=(0.0, 0.0), b=(2.0, 0.0), nodes=3, corrected=True, **DIRECT)
+
+
 def test_stiffnesses_follow_from_the_material_unless_they_are_given() -> None:
     # expected: EA, k G A with G = E / (2 (1 + nu)), EI
     ends = {"a": (0.0, 0.0), "b": (2.0, 0.0)}
@@ -180,14 +195,14 @@ def test_numbers_of_a_beam_may_be_expressions_of_parameters() -> None:
     assert (m.beams["bar"].b, m.beams["bar"].damping) == ((1.0, 0.0), 0.05)
 
 
-@pytest.mark.parametrize("nodes", [2, 3])
-def test_no_mode_is_faster_than_an_element_alone(nodes: int) -> None:
+@pytest.mark.parametrize(("nodes", "corrected", "nearly"), [(2, False, 0.9), (2, True, 0.8), (3, False, 0.9)])
+def test_no_mode_is_faster_than_an_element_alone(nodes: int, corrected: bool, nearly: float) -> None:
     # expected: Irons' bound, which the fastest mode of many elements nearly reaches
     m = Mechanism(gravity=(0.0, 0.0))
-    m.beam("link", a=(0.0, 0.0), b=(2.0, 1.0), elements=12, nodes=nodes, **STEEL, **STRIP)
+    m.beam("link", a=(0.0, 0.0), b=(2.0, 1.0), elements=12, nodes=nodes, corrected=corrected, **STEEL, **STRIP)
     bound = m.beams["link"].highest_frequency
     found = mbdkit.modes(m, at="start", time={"end": 1.0, "step": 0.1}).natural_frequency[-1]
-    assert 0.9 * bound < found <= bound * (1 + 1e-12)
+    assert nearly * bound < found <= bound * (1 + 1e-12)
 
 
 def test_internal_forces_at_the_clamp_of_an_elastica_converge_with_order_three() -> None:

@@ -32,13 +32,13 @@ def stretch(s: np.ndarray) -> np.ndarray:
     return np.asarray((1 + k * fall * np.sin(k)) / np.cos(k) * np.cos(k * s) - k * fall * np.sin(k * s))
 
 
-def rod(elements: int, nodes: Literal[2, 3]) -> mbdkit.Mechanism:
+def rod(elements: int, nodes: Literal[2, 3], *, corrected: bool = False) -> mbdkit.Mechanism:
     """Return the rod."""
     m = mbdkit.Mechanism(gravity=(0.0, -GRAVITY))
     below = depth(np.linspace(0.0, 1.0, elements * (nodes - 1) + 1))
     m.beam(
-        "rod", a=(0, 0), b=(0, -1), elements=elements, nodes=nodes, mass_per_length=MASS, rotary_inertia=INERTIA,
-        stiffness={"axial": AXIAL, "shear": SHEAR, "bending": BENDING}, angular_velocity=OMEGA,
+        "rod", a=(0, 0), b=(0, -1), elements=elements, nodes=nodes, corrected=corrected, mass_per_length=MASS,
+        rotary_inertia=INERTIA, stiffness={"axial": AXIAL, "shear": SHEAR, "bending": BENDING}, angular_velocity=OMEGA,
         start=[(0.0, -y, -np.pi / 2) for y in below.tolist()],
     )  # fmt: skip
     m.revolute("pin", m.ground, "rod.0", at=(0, 0))

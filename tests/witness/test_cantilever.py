@@ -74,6 +74,22 @@ MESHES = [(2, (8, 16, 32, 64)), (3, (4, 8, 16, 32))]
 """Nodes of an element, and numbers of elements."""
 
 
+@pytest.mark.parametrize("elements", [2, 3, 5])
+def test_small_deflections_of_corrected_elements_are_exact(elements: int) -> None:
+    # expected: P L^3/3 EI + P L/GA and P L^2/2 EI under a load at the tip; w L^4/8 EI + w L^2/2 GA and w L^3/6 EI under
+    # a distributed one; both so small that squares of angles are 1e-12
+    shear, length, bending = 1e5, LENGTH, BENDING
+    m = cantilever(elements, 2, shear=shear, corrected=True)
+    point = 1e-6 * bending / length**2
+    m.force("load", f"link.{elements}", value=(0.0, point))
+    expected = point * length**3 / (3 * bending) + point * length / shear, point * length**2 / (2 * bending)
+    np.testing.assert_allclose(tip(m)[1:], expected, rtol=1e-9)
+    spread = point / length
+    m = cantilever(elements, 2, shear=shear, corrected=True, load=(0.0, spread))
+    expected = spread * length**4 / (8 * bending) + spread * length**2 / (2 * shear), spread * length**3 / (6 * bending)
+    np.testing.assert_allclose(tip(m)[1:], expected, rtol=1e-9)
+
+
 @pytest.mark.parametrize(("nodes", "sizes"), MESHES)
 def test_the_deflection_converges_to_reissners_beam_with_the_order_of_the_element(
     nodes: int, sizes: tuple[int, ...]

@@ -17,15 +17,21 @@ from .timoshenko import TimoshenkoBeam
 BAR = TimoshenkoBeam(1.0, 5.0e7, 2.2e4, 6.3, 8.4e-4)
 
 
-def bar(elements: int, nodes: Literal[2, 3], ends: tuple[str, str]) -> mbdkit.Mechanism:
-    """Return the bar on its supports."""
+#: A slender strip, of which shear and rotary inertia hardly matter.
+STRIP = TimoshenkoBeam(1.0, 1e6, 1.0, 1.0, 1e-8)
+
+
+def bar(
+    elements: int, nodes: Literal[2, 3], ends: tuple[str, str], beam: TimoshenkoBeam = BAR, **more: Any
+) -> mbdkit.Mechanism:
+    """Return a bar on its supports."""
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
-    stiffness = {"axial": 1.7e8, "shear": BAR.shear, "bending": BAR.bending}
+    stiffness = {"axial": 3.4 * beam.shear, "shear": beam.shear, "bending": beam.bending}
     names = m.beam(
-        "bar", a=(0, 0), b=(BAR.length, 0), elements=elements, nodes=nodes, stiffness=stiffness,
-        mass_per_length=BAR.mass, rotary_inertia=BAR.inertia,
+        "bar", a=(0, 0), b=(beam.length, 0), elements=elements, nodes=nodes, stiffness=stiffness,
+        mass_per_length=beam.mass, rotary_inertia=beam.inertia, **more,
     )  # fmt: skip
-    for side, node, x, end in zip("ab", (names[0], names[-1]), (0.0, BAR.length), ends, strict=True):
+    for side, node, x, end in zip("ab", (names[0], names[-1]), (0.0, beam.length), ends, strict=True):
         if end == "clamped":
             m.weld(f"end {side}", m.ground, node, at=(x, 0))
         elif end == "pinned":
@@ -35,15 +41,18 @@ def bar(elements: int, nodes: Literal[2, 3], ends: tuple[str, str]) -> mbdkit.Me
     return m
 
 
-def bending(elements: int, nodes: Literal[2, 3], ends: tuple[str, str], count: int) -> np.ndarray:
+def bending(elements: int, nodes: Literal[2, 3], ends: tuple[str, str], count: int, **more: Any) -> np.ndarray:
     """Return the lowest frequencies of bending [rad/s], without motions of the bar as a whole."""
-    found = mbdkit.modes(bar(elements, nodes, ends), at="start", time={"end": 1.0, "step": 0.1})
+    found = mbdkit.modes(bar(elements, nodes, ends, **more), at="start", time={"end": 1.0, "step": 0.1})
     is_across = np.max(np.abs(found.shapes[:, :, 1]), axis=1) > 1e-3 * np.max(np.abs(found.shapes[:, :, 0]), axis=1)
     frequencies = found.natural_frequency[is_across]
     return np.asarray(frequencies[frequencies > 1.0][:count])
 
 
-@pytest.mark.parametrize("ends", [("clamped", "free"), ("free", "free"), ("pinned", "pinned"), ("clamped", "clamped")])
+SUPPORTS = [("clamped", "free"), ("free", "free"), ("pinned", "pinned"), ("clamped", "clamped")]
+
+
+@pytest.mark.parametrize("ends", SUPPORTS)
 @pytest.mark.parametrize(("nodes", "sizes", "order", "most"), [(2, (16, 32), 2, 5e-3), (3, (8, 16), 4, 1e-4)])
 def test_frequencies_converge_to_those_of_timoshenkos_beam(
     ends: tuple[str, str], nodes: Literal[2, 3], sizes: tuple[int, int], order: int, most: float
@@ -53,6 +62,17 @@ def test_frequencies_converge_to_those_of_timoshenkos_beam(
     coarse, fine = (bending(n, nodes, ends, 2) / exact - 1 for n in sizes)
     np.testing.assert_allclose(np.log2(coarse / fine), order, rtol=0, atol=0.1)
     assert np.max(np.abs(fine)) < most
+
+
+@pytest.mark.parametrize("ends", SUPPORTS)
+def test_frequencies_of_corrected_elements_converge_with_order_four(ends: tuple[str, str]) -> None:
+    # expected: roots of the determinant of the boundary value problem; without correction, the order is 2
+    strip, plain = (beam.frequencies(ends, 2) for beam in (STRIP, BAR))
+    coarse, fine = (bending(n, 2, ends, 2, beam=STRIP, corrected=True) / strip - 1 for n in (16, 32))
+    assert np.max(np.abs(coarse)) > 12 * np.max(np.abs(fine))
+    assert np.max(np.abs(fine)) < 5e-5
+    thick = bending(16, 2, ends, 2, corrected=True) / plain - 1
+    assert np.max(np.abs(thick)) < 0.1 * np.max(np.abs(bending(16, 2, ends, 2) / plain - 1))
 
 
 @pytest.mark.parametrize(
