@@ -524,7 +524,7 @@ def _events(run: Run) -> str:
 
 def answer_lines(run: Run) -> list[tuple[str, str]]:
     """Return a line for each measure, with its value and unit or the reason why it has none; without measures, the
-    headlines.
+    headlines. If the run stopped early, another line says when.
     """
     lines: list[tuple[str, str]] = []
     for name, value in run.measures.items():
@@ -534,7 +534,10 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
         remark = f" ({run.measures.remarks[name]})" if name in run.measures.remarks else ""
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
     told = "; ".join(f"{one.label} {one.text()}" for one in headlines(run)) if not lines else ""
-    return lines or [("answer", told)]
+    lines = lines or ([("answer", told)] if told else [])
+    if lines and run.status in ("failed", "interrupted"):
+        lines.append(("", f"these values cover the motion until t = {run.time[-1]:.6g} s, at which the run stopped"))
+    return lines
 
 
 def _elements(run: Run) -> list[str]:
@@ -553,7 +556,9 @@ def _elements(run: Run) -> list[str]:
 
 
 def _gradients(run: Run) -> list[tuple[str, str]]:
-    """Return a line for each derivative of a measure, and one for each measure that has none or whose check fails."""
+    """Return a line for each derivative of a measure, for each measure that has none or whose check fails, and for each
+    doubt.
+    """
     lines: list[tuple[str, str]] = []
     for name, gradient in run.gradients.items():
         texts = [gradient["reason"]] if "reason" in gradient else []
@@ -563,7 +568,8 @@ def _gradients(run: Run) -> list[tuple[str, str]]:
         if not check["agrees"]:
             texts.append(f"the check DISAGREES: {check['derivative']:.6g}, by differences {check['extrapolated']:.6g}")
         lines += [("" if lines or i else "gradients", f"{name} {text}") for i, text in enumerate(texts)]
-    return lines
+    doubts = dict.fromkeys(doubt for one in run.gradients.values() for doubt in one.get("doubts", ()))
+    return [*lines, *(("", doubt) for doubt in doubts)]
 
 
 def _counters(stats: Mapping[str, int | float]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,7 @@ from mbdkit.gradients.gradient_parameters import Parameter, resolved
 from mbdkit.gradients.measured_derivatives import MeasureOfRun, needs_of
 from mbdkit.gradients.parameter_differences import PreparedDerivatives
 from mbdkit.gradients.prepared_derivatives import prepared_derivatives
+from mbdkit.gradients.start_doubts import start_doubts
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
@@ -70,7 +71,8 @@ class Gradient(HtmlView):
     preparation_error
         (K,) estimated relative errors of the derivatives of the compiled mechanism and its start; 0 where exact.
     doubts
-        Warnings about measures that have no derivative, such as the largest of two equal peaks.
+        Warnings about measures that have no derivative, such as the largest of two equal peaks, and about parameters
+        that are initial values which assembly changes.
     check
         Comparison of the gradient in one direction with differences of runs; None if it was not requested.
     """
@@ -89,14 +91,16 @@ class Gradient(HtmlView):
         return float(self.jacobian[self.measures.index(measure), self.parameters.index(parameter)])
 
     def described(self, measure: str) -> dict[str, Any]:
-        """Return unit, derivatives by name of the parameter, and check of one measure as plain data. Numbers that are
-        not finite become None.
+        """Return unit, derivatives by name of the parameter, doubts if there are any, and check of one measure as
+        plain data. Numbers that are not finite become None.
         """
         m = self.measures.index(measure)
         found: dict[str, Any] = {
             "unit": self.units[m],
             "derivatives": {one: _finite(x) for one, x in zip(self.parameters, self.jacobian[m].tolist(), strict=True)},
         }
+        if self.doubts:
+            found["doubts"] = list(self.doubts)
         if self.check is not None:
             check = self.check
             found["check"] = {
@@ -235,6 +239,7 @@ def gradient_of_run_spec(
     every = [needs_of(one) for one in expressions.values()]
     needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
     run = differentiated_run(spec, prepared.seeds, needs)
+    run = replace(run, doubts=(*start_doubts(spec, parameters, prepared), *run.doubts))
     specs = VariedSpecs(spec.canonical_json())
 
     def again(varied: RunSpec) -> DifferentiatedRun:

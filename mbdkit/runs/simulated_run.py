@@ -403,7 +403,8 @@ class SimulatedRun:
             advice = step_advice(self.spec, self.failure.code)
             status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
         elif stepper is not None and not stepper.finished:
-            status, reason = "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s."
+            at = f"t = {stepper.time:.6g} s of {self.spec.time.final:.6g} s"
+            status, reason = "interrupted", f"interrupted: stopped by the user at {at}."
         elif self.watch is not None and self.watch.stopped is not None:
             reason = f"event: {self.watch.stopped}."
         misalignment_max = self.recorder.misalignment_max(

@@ -24,8 +24,11 @@ from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
 
 FAR = 0.1
-"""Share of the mechanism's size by which assembly may change the initial positions without a warning, and share of a
-given velocity by which it may change this velocity.
+"""Share of the mechanism's size by which assembly may change the initial positions without a warning."""
+
+CHANGED = 0.01
+"""Share of a given velocity by which assembly may change it without a warning: more than the rounding of a value to
+three digits, which is at most 0.005 of it.
 """
 
 DIGITS = 3
@@ -56,7 +59,7 @@ def mechanism_warnings(spec: RunSpec) -> tuple[str, ...]:
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
     """Return warnings if assembly moved the start by more than a tenth of the mechanism's size, or changed a velocity
-    that the spec gives by more than a tenth of it.
+    that the spec gives by more than 1 % of it.
 
     Parameters
     ----------
@@ -97,7 +100,7 @@ def _changed_velocities(mechanism: Mechanism, start: AssembledState) -> Iterator
             ("angular velocity", "rad/s", (body.angular_velocity,), (rate,)),
         ):
             size = math.hypot(*given)
-            if size > 0.0 and (change := math.dist(given, now) / size) > FAR:
+            if size > 0.0 and (change := math.dist(given, now) / size) > CHANGED:
                 texts = [", ".join(f"{x:.4g}" for x in values) for values in (given, now)]
                 texts = texts if len(given) == 1 else [f"({text})" for text in texts]
                 changes.append((change, name, f"the {what} of {name} from {texts[0]} to {texts[1]} {unit}"))

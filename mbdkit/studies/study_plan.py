@@ -20,6 +20,7 @@ from mbdkit.studies.judge import check_verdict
 from mbdkit.studies.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids, plan_points
 from mbdkit.studies.study_blocks import StudyBlocks
 from mbdkit.studies.study_index import COLUMNS, axis_column
+from mbdkit.studies.varied_starts import start_warnings_of_study
 
 SAMPLES = 8
 """Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.
@@ -94,12 +95,15 @@ class StudyPlan:
         return valid
 
     def warnings(self) -> list[str]:
-        """Return the warnings about the validated specs of runs; if several differ only in numbers, the first one."""
+        """Return the warnings about the validated specs of runs, and about initial values that the runs vary.
+
+        If several differ only in numbers, the first one is returned.
+        """
         specs = [spec for _, spec in self._valid_samples()] if self.spec.in_blocks else self.runs.values()
         found: dict[str, str] = {}
         for warning in (one for spec in specs for one in caution(spec)):
             found.setdefault(without_numbers(warning), warning)
-        return list(found.values())
+        return [*found.values(), *start_warnings_of_study(spec for _, spec in self._valid_samples())]
 
     @cached_property
     def expressions(self) -> tuple[str, ...]:

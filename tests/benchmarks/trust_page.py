@@ -40,8 +40,8 @@ Every run has a verdict. It is shown at the top of the summary and in reports. `
 |---|---|
 | `good` | the errors were estimated (`--check` or `--accuracy`) for all recorded times, and no value exceeds a limit |
 | `unknown` | no value exceeds a limit, but the errors were not estimated; this is the best verdict without a check |
-| `doubtful` | a value exceeds its first limit, or the errors are known only for a part of the run |
-| `bad` | a value exceeds its second limit, or the run stopped early |
+| `doubtful` | a value exceeds its first limit, the errors are known only for a part of the run, or it was interrupted |
+| `bad` | a value exceeds its second limit, or the run failed |
 
 A run without a check is never `good`. Its motion can be wrong even if its joints stay closed and its energy balance is
 good; an example is a chaotic double pendulum after a few seconds.
@@ -52,8 +52,9 @@ good; an example is a chaotic double pendulum after a few seconds.
 |---|---|---|
 {criteria}
 
-Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that stops before
-its end is `bad`. Warnings that question the result make a run `doubtful`.
+Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that fails before
+its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its values
+hold. Warnings that question the result make a run `doubtful`.
 
 The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
 position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion

@@ -372,3 +372,18 @@ def test_parameters_that_are_almost_zero_have_exact_derivatives() -> None:
         return float(mbdkit.gradient(spec, "final(bodies.ball.x)", "turn", check=False, **PENDULUM).jacobian[0, 0])
 
     assert by_turn(1e-9) == pytest.approx(by_turn(0.0), rel=1e-8)
+
+
+@pytest.mark.parametrize(("velocity", "told"), [([0.0, 0.0], True), ([0.0, "0.5*rate"], False)])
+def test_a_rate_that_assembly_reduces_is_a_doubtful_parameter(velocity: list[Any], told: bool) -> None:
+    # expected: a rod on a pin at its end keeps the share I / (I + m a^2) = 1/4 of a rate given without its velocity
+    rod = {"mass": 1.0, "inertia": 1.0 / 12.0, "position": [0.5, 0.0], "velocity": velocity, "angular_velocity": "rate"}
+    pin = {"type": "revolute", "bodies": ["ground", "rod"], "at": [0.0, 0.0]}
+    model = {"name": "mechanism", "gravity": [0.0, 0.0], "bodies": {"rod": rod}, "joints": {"pin": pin}}
+    spec = {"mbdkit": 1, "parameters": {"rate": 2.0}, "model": model, **PENDULUM}
+    found = mbdkit.gradient(spec, "final(rod.angular_velocity)", "rate", check=False)
+    np.testing.assert_allclose(found.jacobian, [[0.25 if told else 1.0]], rtol=1e-12)
+    assert len(found.doubts) == told
+    if told:
+        assert "changes by 0.25 of a change of model.bodies.rod.angular_velocity" in found.doubts[0]
+        assert "doubts" in found.described(found.measures[0])

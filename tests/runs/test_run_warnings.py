@@ -205,3 +205,17 @@ def test_a_given_velocity_that_assembly_changes_is_told(velocity: tuple[float, f
         assert warnings == ()
     else:
         assert "changes the angular velocity of rod from 4 to 1 rad/s" in warnings[0]
+
+
+@pytest.mark.parametrize(("rate", "told"), [(1.6, "from 1.6 to 1.525 rad/s"), (1.505, None)])
+def test_a_given_rate_that_assembly_changes_by_five_percent_is_told_and_rounding_is_not(
+    rate: float, told: str | None
+) -> None:
+    # expected: the velocity of the centre, 0.75 m/s at 0.5 m, alone gives 1.5 rad/s and keeps the share 3/4
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=1.0 / 12.0, position=(0.5, 0.0), velocity=(0.0, 0.75), angular_velocity=rate)
+    m.revolute("pin", "ground", "rod", at=(0.0, 0.0))
+    spec = load_spec(m, time={"end": 0.1, "step": 0.01}, integrator={"name": "rk4"})
+    warnings = start_warnings(spec, build(spec)[1])
+    assert len(warnings) == (told is not None)
+    assert told is None or told in warnings[0]

@@ -10,6 +10,7 @@ import pytest
 from mbdkit.base.errors import SpecError
 from mbdkit.spec import load_spec, load_study_spec
 from mbdkit.studies.planned_points import plan_points
+from mbdkit.studies.study_plan import plan_study
 
 
 def points(study):
@@ -206,3 +207,22 @@ def test_many_values_with_one_label_are_told_apart_soon(small):
     assert time.process_time() - begin < 2.0
     assert labels[0] == "a"
     assert labels[-1] == "a (9999)"
+
+
+@pytest.mark.parametrize(
+    ("axis", "told"),
+    [
+        ({"model.bodies.rod.angular_velocity": [1.0, 2.0]}, True),
+        ({"model.bodies.rod.angular_velocity": [1.0, 2.0], "model.bodies.rod.velocity.1": [0.5, 1.0]}, False),
+        ({"model.bodies.rod.mass": [1.0, 2.0]}, False),
+    ],
+)
+def test_varied_initial_values_that_assembly_changes_are_told(axis: dict[str, list[float]], told: bool) -> None:
+    # expected: a rod on a pin at its end keeps the share I / (I + m a^2) = 1/4 of a rate given without its velocity
+    rod = {"mass": 1.0, "inertia": 1.0 / 12.0, "position": [0.5, 0.0], "velocity": [0.0, 0.0], "angular_velocity": 0.0}
+    pin = {"type": "revolute", "bodies": ["ground", "rod"], "at": [0.0, 0.0]}
+    model = {"name": "mechanism", "bodies": {"rod": rod}, "joints": {"pin": pin}}
+    base = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+    warnings = plan_study(load_study_spec({"mbdkit_study": 1, "base": base, "axes": [axis]})).warnings()
+    assert len(warnings) == told
+    assert not told or "angular_velocity from 1 to 2, but the start after assembly from 0.25 to 0.5" in warnings[0]

@@ -63,6 +63,11 @@ CASES = {
         "bad",
         "stopped at t = 5 s, before its end",
     ),
+    "interrupted": (
+        {"status": "interrupted", "status_reason": "interrupted: stopped by the user at t = 5 s of 9 s."},
+        "doubtful",
+        "stopped by the user at t = 5 s of 9 s",
+    ),
     "warned": ({"warnings": ("the motion has a corner",)}, "doubtful", "the motion has a corner"),
     "branch left": ({"branch": (BranchSuspicion(2.0, 1.0, 0.02),)}, "bad", "`stabilization: projection`"),
 }
@@ -81,12 +86,11 @@ def test_each_criterion_alone_decides(case: str) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"status": "interrupted", "status_reason": "interrupted: stopped by the user."},
         {"branch": (BranchSuspicion(2.0, 0.2, 0.02), BranchSuspicion(3.0, 0.5, 0.2))},
         {"energy_jump": 0.4, "balance": 1e-3},
         {"kinetic": 1e-30, "balance": 1e-13, "energy_jump": 1e-13},
     ],
-    ids=["interrupted", "gentle turns", "below the limits", "at rest but for rounding"],
+    ids=["gentle turns", "below the limits", "at rest but for rounding"],
 )
 def test_what_is_no_reason(change: dict[str, object]) -> None:
     assert judge(replace(SOUND, **change)).reasons == ()
