@@ -13,7 +13,7 @@ from mbdkit.base import higher_layers
 from mbdkit.base.lazy_names import lazy
 
 if TYPE_CHECKING:
-    from mbdkit import plot
+    from mbdkit import plot, spec
     from mbdkit.analysis.workload import Workload, workload
     from mbdkit.archive.reader import load
     from mbdkit.archive.run import Run
@@ -101,6 +101,7 @@ __all__ = [
     "prepare",
     "resume",
     "run",
+    "spec",
     "study",
     "workload",
 ]
@@ -173,7 +174,7 @@ if not TYPE_CHECKING:  # type checkers see only the names above
             from importlib.metadata import version
 
             return version("mbdkit")
-        return importlib.import_module("mbdkit.plot") if name == "plot" else _lazy(name)
+        return importlib.import_module(f"mbdkit.{name}") if name in ("plot", "spec") else _lazy(name)
 
 
 def __dir__() -> list[str]:

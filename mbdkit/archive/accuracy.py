@@ -126,6 +126,28 @@ class Accuracy(HtmlView):
     why: str = ""
     compared_measures: ComparedMeasures = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        """Return method, observed order, and largest errors as lines of text; the arrays are not printed."""
+        lines = [f"method          {self.method}", f"known until     {self._until}"]
+        if not math.isnan(self.order_observed):
+            lines.append(f"observed order  {self.order_observed:.3g}")
+        if count := self.rows_known:
+            errors = [(self.position_error_max, "m", "position"), (self.angle_error_max, "rad", "angle")]
+            for values, unit, what in (
+                (self.reaction_error, "N", "reaction force"),
+                (self.torque_error, "N m", "reaction torque"),
+            ):
+                if values.shape[1]:
+                    errors.append((float(np.max(values[:count])), unit, what))
+            lines.append("largest errors  " + ", ".join(f"{what} {size:.2g} {unit}" for size, unit, what in errors))
+        return "\n".join(lines)
+
+    @property
+    def _until(self) -> str:
+        if math.isnan(self.known_until):
+            return "no error is known"
+        return f"{self.known_until:.6g} s, the end" if self.is_complete else f"{self.known_until:.6g} s"
+
     @property
     def is_reached(self) -> bool:
         """Whether an accuracy was requested, and the estimates confirm it for all rows."""

@@ -471,7 +471,8 @@ class Impacts:
         those of the joints.
     energy_lost
         Energy that all contacts dissipate at this time, or for a driver that drivers take from the bodies, (I,), J;
-        negative if they add it.
+        negative if they add it. Of several contacts struck at one time, each has the whole energy; the same holds for
+        drivers. `total_energy_lost` counts it once.
     joint
         Names of the joints, drivers included, (J,).
     reaction_impulse
@@ -504,6 +505,11 @@ class Impacts:
         none = np.zeros(count)
         paths = {item.name: f"impacts/{item.name}" for item in fields(cls)}
         return cls(*(run.array(x) if run.records(x) else absent.get(name, none) for name, x in paths.items()))
+
+    @property
+    def total_energy_lost(self) -> float:
+        """Energy that all impacts of the run take from the bodies [J]; simultaneous impacts count once."""
+        return float(np.sum(np.unique(np.column_stack([self.time, self.energy_lost]), axis=0)[:, 1]))
 
     def __len__(self) -> int:
         return len(self.time)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,6 +10,7 @@ import typer
 
 from mbdkit.base.files import check_output, check_suffix, replacing
 from mbdkit.base.terminal import show, show_json
+from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName, output_to
 
 if TYPE_CHECKING:
@@ -45,11 +47,15 @@ def equilibrium(
         _check_picture(output, spec)
     prepared = PreparedMechanism.of(spec, assignments or ())
     found = equilibrium_of(prepared)
+    notes = []
     if write is not None:
         from mbdkit.spec.yaml_reader import write_yaml
 
+        written = spec_at(prepared, found)
         with replacing(write, overwrite=overwrite, source=spec) as temporary:
-            temporary.write_text(write_yaml(spec_at(prepared, found)), encoding="utf-8")
+            temporary.write_text(write_yaml(written), encoding="utf-8")
+        if left_out := [name for name in prepared.spec.parameters if name not in written["parameters"]]:
+            notes.append(f"{write.name} has numbers in place of the parameters {listed(left_out, 'and')}")
     if output is not None:
         from mbdkit.plot.equilibrium_plot import equilibrium_figure
         from mbdkit.plot.style import save
@@ -57,9 +63,9 @@ def equilibrium(
         mechanism = prepared.spec.mechanism()
         save(equilibrium_figure(found, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
     if as_json:
-        show_json(mechanics_summary.equilibrium_data(found) | {"warnings": _warnings(prepared)})
+        show_json(mechanics_summary.equilibrium_data(found) | {"warnings": [*_warnings(prepared), *notes]})
     else:
-        _show(mechanics_summary.equilibrium_text(found), prepared)
+        _show(mechanics_summary.equilibrium_text(found), prepared, notes)
 
 
 def modes(
@@ -130,9 +136,10 @@ def kinematics(
         _show(mechanics_summary.kinematics_text(found), prepared)
 
 
-def _show(text: str, prepared: PreparedMechanism) -> None:
-    """Print a result and the warnings about its spec."""
-    show("\n".join([text, *(f"warning      {warning}" for warning in _warnings(prepared))]))
+def _show(text: str, prepared: PreparedMechanism, notes: Sequence[str] = ()) -> None:
+    """Print a result, the warnings about its spec, and notes."""
+    warnings = (f"warning      {warning}" for warning in _warnings(prepared))
+    show("\n".join([text, *warnings, *(f"note         {note}" for note in notes)]))
 
 
 def _warnings(prepared: PreparedMechanism) -> list[str]:

@@ -37,6 +37,7 @@ from mbdkit.mechanics.source import PreparedMechanism
 from mbdkit.mechanics.states_at_rest import StaticEquations
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.spec.loading import RunSource, Sections
 
 MOST_STEPS = 500
@@ -494,8 +495,14 @@ def joint_reactions(
 
 
 def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
-    """Return the spec as a plain mapping in which the mechanism is given in the equilibrium, at rest."""
+    """Return the spec as a plain mapping in which the mechanism is given in the equilibrium, at rest.
+
+    The numbers of the mechanism are values, not expressions. Of the parameters, only those are kept that events and
+    measures use; changes of others would have no effect.
+    """
     spec = prepared.spec
+    kept = parameters_in_use(spec.parameters, spec.expressions_outside_model)
+    left_out = {*spec.parameters} - kept
     mechanism = spec.mechanism()
     model = mechanism.to_spec()
     places = dict(zip(found.bodies, found.position.tolist(), strict=True))
@@ -514,6 +521,9 @@ def spec_at(prepared: PreparedMechanism, found: Equilibrium) -> dict[str, Any]:
         for rate in ("velocity", "angular_velocity"):
             element.pop(rate, None)
     sections = {name: plain(getattr(spec, name)) for name in type(spec).model_fields if name != "model"}
+    sections["parameters"] = {name: value for name, value in sections["parameters"].items() if name in kept}
+    without = {*left_out, *(f"parameters.{name}" for name in left_out)}
+    sections["gradients"] = [name for name in sections["gradients"] if name not in without]
     for section in sections.values():
         if isinstance(section, dict):
             for key in [key for key, value in section.items() if value is None]:

@@ -13,7 +13,7 @@ import ast
 import graphlib
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -154,6 +154,16 @@ def evaluate(text: str, values: Values, known: list[str] | None = None) -> float
 def names_in(text: Any) -> set[str]:
     """Return the names in an expression; none if the value is not text."""
     return set(_NAME.findall(text)) if isinstance(text, str) else set()
+
+
+def parameters_in_use(parameters: Mapping[str, Any], texts: Iterable[Any]) -> set[str]:
+    """Return the names of the parameters that expressions use, directly or through other parameters."""
+    used: set[str] = set()
+    fresh: set[str] = set().union(*map(names_in, texts)) & parameters.keys()
+    while fresh:
+        used |= fresh
+        fresh = set().union(*(names_in(parameters[name]) for name in fresh)) & parameters.keys() - used
+    return used
 
 
 def with_expressions(

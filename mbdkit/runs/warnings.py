@@ -18,7 +18,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.joints import Driver, Revolute
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.parameters import evaluate, names_in
+from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.muscles.acting_muscles import acting_muscles
 from mbdkit.spec import RunSpec
@@ -256,9 +256,7 @@ def step_advice(spec: RunSpec, code: str) -> str:
 def _unused_parameters(spec: RunSpec) -> Iterator[str]:
     if not spec.parameters:
         return
-    of_events = [text for event in spec.events.values() for text in (event.when, *event.set.values())]
-    texts = [*spec.written.values(), *spec.parameters.values(), *of_events]
-    used = set().union(*map(names_in, texts))
+    used = parameters_in_use(spec.parameters, [*spec.written.values(), *spec.expressions_outside_model])
     for name in spec.parameters:
         if name not in used:
             hint = did_you_mean(name, [other for other in spec.parameters if other != name])

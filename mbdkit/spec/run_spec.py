@@ -327,6 +327,12 @@ class RunSpec(ModelSpec):
         """Return the measures of the run."""
         return tuple(defined(self.measures, ("measures",)))
 
+    @property
+    def expressions_outside_model(self) -> list[str]:
+        """The expressions of events and measures, which may contain names of parameters."""
+        of_events = [text for event in self.events.values() for text in (event.when, *event.set.values())]
+        return [*of_events, *(measure.expression for measure in self.defined_measures())]
+
     def settings(self) -> dict[str, dict[str, RunExpression]]:
         """Return the parsed expressions of new state values, by event and state. Raises the errors of `mechanism`."""
         self.mechanism()

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from mbdkit.spec import load_spec
+
 
 def test_equilibrium_says_where_and_what_the_joints_carry(mbdkit, small, in_tmp_path):
     # expected: both rods hang, the upper joint carries the two weights of 9.81 N
@@ -33,6 +35,21 @@ def test_equilibrium_writes_a_spec_that_rests(mbdkit, in_tmp_path):
     assert "this file exists" in refused.stderr
     assert mbdkit("equilibrium", "rest.yaml", "--write", "rest.yaml", "--overwrite").exit_code == 2
     assert mbdkit("equilibrium", "knee", "--write", "rest.yaml", "--overwrite").exit_code == 0
+
+
+def test_the_spec_at_rest_has_only_parameters_that_have_an_effect(mbdkit, in_tmp_path):
+    model = {"name": "mechanism", "bodies": {"ball": {"mass": "m", "position": [0.0, 0.0]}}}
+    spring = {"type": "spring-damper", "bodies": ["ground", "ball"], "points": [[0.0, 1.0], [0.0, 0.0]]}
+    model["forces"] = {"spring": spring | {"stiffness": "k", "free_length": 1.0}}
+    spec = {"mbdkit": 1, "parameters": {"m": 2.0, "k": 100.0, "low": "down/2", "down": -0.4}, "model": model}
+    spec |= {"events": {"low": {"when": "ball.y - low"}}, "gradients": ["m"], "measures": {"y": "final(ball.y)"}}
+    spec |= {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+    Path("ball.json").write_text(json.dumps(spec), encoding="utf-8")
+    printed = mbdkit("equilibrium", "ball.json", "--write", "rest.yaml").stdout
+    assert "rest.yaml has numbers in place of the parameters m and k" in printed
+    written = load_spec("rest.yaml")
+    assert written.parameters == {"low": "down/2", "down": -0.4}
+    assert written.gradients == []
 
 
 def test_modes_are_listed_and_drawn(mbdkit, in_tmp_path):

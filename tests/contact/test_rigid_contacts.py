@@ -94,6 +94,16 @@ def test_the_summary_counts_impacts() -> None:
     assert f"1 (floor 1), impulses up to {3.0 * np.sqrt(2 * G):.4g} N s, {1.5 * G:.4g} J lost" in summary
 
 
+def test_simultaneous_impacts_lose_their_energy_once() -> None:
+    # expected: m g h (1 - e^2) for each of two balls that fall side by side
+    one = ball(0.5)
+    bodies = {name: one["bodies"]["ball"] | {"position": [x, 1.1]} for name, x in (("left", -1.0), ("right", 1.0))}
+    contacts = {f"{name} floor": one["contacts"]["floor"] | {"bodies": ["ground", name]} for name in bodies}
+    impacts = run({"bodies": bodies, "contacts": contacts}, 0.6, 0.05).impacts
+    assert len(impacts) == 2
+    assert impacts.total_energy_lost == pytest.approx(2 * 1.5 * G, rel=1e-11)
+
+
 def block(mu: float) -> dict[str, Any]:
     angle = np.radians(30.0)
     along, normal = np.array([np.cos(angle), np.sin(angle)]), [-np.sin(angle), np.cos(angle)]
