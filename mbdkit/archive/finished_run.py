@@ -14,7 +14,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.fingerprint import digest_lines, line, text_bytes
+from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_lines
 from mbdkit.archive.writer import ArchiveWriter
@@ -209,9 +209,18 @@ class ArrayHash:
     """
 
     def __init__(self, names: ArchiveNames, recorded: Sequence[Array]):
-        self._names = list(name_lines(names, tuple(recorded)))
         hashed = [one for one in recorded if one.grows and layout.is_hashed(one.path)]
-        self._arrays = [(one.path, one.key, one.dtype) for one in hashed]
+        lines: list[tuple[str, Array | None]] = [(name, None) for name in name_lines(names, tuple(recorded))]
+        lines += [(f"{one.path} ", one) for one in hashed]
+        #: Arrays in the order of their lines, which is that of their paths, with the lines of names before each.
+        self._arrays: list[tuple[str, str, str, str]] = []
+        self._rest = ""
+        for name, one in sorted(lines, key=lambda item: item[0]):
+            if one is None:
+                self._rest += name
+            else:
+                self._arrays.append((self._rest, one.path, one.key, one.dtype))
+                self._rest = ""
 
     def digest(self, array: np.ndarray) -> str:
         """Return the digest of the numbers in a contiguous array."""
@@ -225,15 +234,14 @@ class ArrayHash:
         known
             Known digests of arrays, by key; arrays that several runs share are then hashed only once.
         """
-        digests = dict(known)
-        lines = self._names.copy()
-        for path, key, dtype in self._arrays:
+        lines, digests = [], dict(known)
+        for names, path, key, dtype in self._arrays:
             values = arrays[key]
             if key not in digests:
                 text = dtype == TEXT
                 digests[key] = sha256(text_bytes(values)).hexdigest() if text else self.digest(values)
-            lines.append(line(path, dtype, values.shape, digests[key]))
-        return digest_lines(lines)
+            lines.append(names + line(path, dtype, values.shape, digests[key]))
+        return sha256("".join([*lines, self._rest]).encode()).hexdigest()
 
 
 @lru_cache(maxsize=16)

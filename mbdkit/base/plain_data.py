@@ -75,6 +75,7 @@ def quoted(name: str) -> str:
     return '"' + re.sub(r'(["\\])', r"\\\1", name) + '"'
 
 
+@lru_cache(maxsize=1024)
 def path_text(path: Path) -> str:
     """Return a key path as text, such as ``model.joints.A.bodies[1]`` or ``model.bodies."R.Shank".mass``."""
     text = ""
@@ -152,6 +153,8 @@ def copied(value: Any, path: Path = ()) -> Any:
     if len(path) > DEEPEST:
         raise SpecError(f"is nested too deeply (more than {DEEPEST} levels), or contains itself", key=str(path[0]))
     match value:
+        case str() | float() | int():  # compared first, because tests for abstract classes are slow
+            return value
         case Mapping():
             return {_key(key, path): copied(item, (*path, key)) for key, item in value.items()}
         case list():
@@ -191,6 +194,8 @@ def canonical(value: Any) -> Any:
     Keys listed in the model's ``ABSENT_BY_DEFAULT`` are omitted if they are empty or have their default value.
     """
     match value:
+        case str() | float() | int():  # compared first, because tests for abstract classes are slow
+            return value
         case BaseModel():
             parts = [(one, getattr(value, one.field)) for one in _written_fields(type(value))]
             return {one.name: canonical(part) for one, part in parts if one.is_written(part)}

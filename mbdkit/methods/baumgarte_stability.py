@@ -32,7 +32,7 @@ def stiff_baumgarte(name: str, method: Method, claims: Claims, wanted: Stabiliza
     step
         The fixed step [s]; None if there is none.
     """
-    if wanted.kind != "baumgarte" or step is None or claims.adaptive:
+    if step is None or claims.adaptive:
         return ""
     growth, does = _growth(method, claims, wanted)
     if growth(step) < 1:

@@ -56,7 +56,7 @@ MOST_GROUPS = 8
 """Number of loops, each for one mechanism and method, that are stored for later batches."""
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class LaneMember:
     """A prepared run that can be vectorized."""
 
@@ -181,7 +181,10 @@ class LaneRuns:
                 member = None
             members.append(member)
         seconds = (time.perf_counter() - begin) / max(1, len(members))
-        return [None if member is None else replace(member, seconds=seconds) for member in members]
+        for member in members:
+            if member is not None:
+                member.seconds = seconds
+        return members
 
     def _started(self, spec: RunSpec) -> _Started | None:
         """Compute the consistent initial state of a run; None if it cannot be vectorized.

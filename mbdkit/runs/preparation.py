@@ -49,7 +49,9 @@ def caution(spec: RunSpec, method: Method | None = None) -> tuple[str, ...]:
         If the plugin fails to create the method.
     """
     method = method if method is not None else make_method(spec)
-    unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
+    unstable = ""
+    if spec.stabilized.kind == "baumgarte":
+        unstable = stiff_baumgarte(spec.integrator_item.name, method, spec.claims, spec.stabilized, spec.time.step)
     return (*([unstable] if unstable else []), *spec_warnings(spec), *corner_warnings(spec))
 
 

@@ -175,7 +175,10 @@ def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:
 
 def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tuple[Path, float | str]]:
     """Return the key path and the number or text of each option of a model that is an angle in radians."""
-    if isinstance(value, BaseModel):
+    if isinstance(value, int | float | str):  # compared first, because tests for abstract classes are slow
+        if is_angle:
+            yield path, value
+    elif isinstance(value, BaseModel):
         is_length = isinstance(value, Driver) and value.coordinate != "angle"
         for name, is_angular in _fields(type(value)):
             item = getattr(value, name)
@@ -189,8 +192,6 @@ def _angles(value: object, path: Path, *, is_angle: bool = False) -> Iterator[tu
     elif isinstance(value, list | tuple) and (is_angle or not _is_flat(value)):
         for index, item in enumerate(value):
             yield from _angles(item, (*path, index), is_angle=is_angle)
-    elif is_angle and isinstance(value, int | float | str):
-        yield path, value
 
 
 def _is_flat(values: Sequence[object]) -> bool:

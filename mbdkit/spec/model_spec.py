@@ -66,6 +66,11 @@ class StrictSpec(Section):
         self._numbers, self._written = numbers, written
 
     @property
+    def _private(self) -> Mapping[str, Any]:
+        """The private attributes by name, which are read from here ten times as fast as from the model."""
+        return self.__pydantic_private__ or {}
+
+    @property
     def numbers(self) -> Mapping[str, float]:
         """The values of the parameters by name."""
         return self._numbers
@@ -73,7 +78,8 @@ class StrictSpec(Section):
     @property
     def written(self) -> Mapping[Path, str]:
         """The expressions that were given in place of numbers, by key path."""
-        return self._written
+        written: Written = self._private["_written"]
+        return written
 
     def sections(self) -> dict[str, Any]:
         """Return the sections by name, with expressions as written."""
@@ -98,9 +104,10 @@ class StrictSpec(Section):
         Expressions in place of numbers are not evaluated. Names given by the user (bodies, joints, forces) are not
         sorted, because their order is that of the archive's arrays.
         """
-        if not self._canonical:  # cached, because the model is frozen
-            self._canonical = canonical_text(insert(canonical(self), self._written))
-        return self._canonical
+        text: str = self._private["_canonical"]
+        if not text:  # cached, because the model is frozen
+            self._canonical = text = canonical_text(insert(canonical(self), self._written))
+        return text
 
     def sha256(self) -> str:
         """Return the SHA-256 digest of the canonical JSON in UTF-8, in hexadecimal."""
@@ -191,8 +198,7 @@ class ModelSpec(StrictSpec):
         PluginError
             If the model plugin fails.
         """
-        private = self.__pydantic_private__ or {}  # ten times faster than attributes, and called ten times for each run
-        built: Mechanism | None = private["_mechanism"]
+        built: Mechanism | None = self._private["_mechanism"]  # called ten times for each run
         if built is None:
             built = self._build()
             self._accept(built)
@@ -226,9 +232,10 @@ class ModelSpec(StrictSpec):
 
     def run_id(self) -> str:
         """Return 16 hexadecimal digits that identify this spec and the versions of the plugins it uses."""
-        if not self._run_id:
-            self._run_id = self._identifier()
-        return self._run_id
+        found: str = self._private["_run_id"]
+        if not found:
+            self._run_id = found = self._identifier()
+        return found
 
     def _identifier(self) -> str:
         used = [f"{item.id}=={item.origin.version}" for item in self.items]

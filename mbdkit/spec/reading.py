@@ -12,6 +12,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -317,17 +318,18 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
     """
     place: Any = data
     for index, part in enumerate(path):
-        here = path_text(path[:index]) or "the spec"
         last = index == len(path) - 1
         if isinstance(place, list) and isinstance(part, str) and re.fullmatch(r"\d{1,9}", part):
             part = int(part)  # as in `model.angles.0`
         if isinstance(place, list) and isinstance(part, int):
             if part >= len(place):
+                here = path_text(path[:index]) or "the spec"
                 raise SpecError(f"{here} has {len(place)} items, counted from 0", key=path_text(path))
         elif isinstance(place, dict) and isinstance(part, str):
             if not last and place.get(part) is None and isinstance(path[index + 1], str):
                 place[part] = {}
         else:
+            here = path_text(path[:index]) or "the spec"
             raise SpecError(f"{here} is {value_text(place)}, so it has no '{part}'", key=path_text(path))
         if last:
             place[part] = value
@@ -335,6 +337,7 @@ def put(data: dict[str, Any], path: Path, value: Any) -> None:
             place = place.get(part) if isinstance(place, dict) else place[part]
 
 
+@lru_cache(maxsize=1024)
 def parse_key(key: str) -> Path:
     """Return the parts of a dotted key; an empty tuple if it is not valid, or has more parts than any spec allows."""
     bare = re.sub(QUOTED, "name", key)

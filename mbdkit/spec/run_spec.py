@@ -274,8 +274,14 @@ class RunSpec(ModelSpec):
             head, tail = canonical_text(before)[:-1], canonical_text(after)[1:]
             self._around_model = head + "," * bool(before) + '"model":', "," * bool(after) + tail
         spec = self.model_copy(update={"model": model})
-        spec._document, spec._mechanism, spec._run_id, spec._watched = None, None, "", None
-        spec._canonical = canonical_text(canonical(model)).join(self._around_model)
+        assert spec.__pydantic_private__ is not None
+        spec.__pydantic_private__ |= {
+            "_document": None,
+            "_mechanism": None,
+            "_run_id": "",
+            "_watched": None,
+            "_canonical": canonical_text(canonical(model)).join(self._around_model),
+        }
         return spec
 
     @property

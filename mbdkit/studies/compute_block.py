@@ -25,6 +25,7 @@ from mbdkit.runs.batch import CHUNK, Refused, refusal, simulate_batch
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec import RunSpec
 from mbdkit.spec.study_loading import load_study_spec
+from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.studies.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, places_by_group
 from mbdkit.studies.planned_points import PlannedPoint
@@ -59,6 +60,10 @@ class BlockMeasures:
         return [name for name in wanted if name in MEASURES and not MEASURES[name].needs]
 
     @cached_property
+    def _defined_measures(self) -> tuple[DefinedMeasure, ...]:
+        return self.spec.defined_measures()
+
+    @cached_property
     def described(self) -> dict[str, tuple[str, str]]:
         """Unit and description of each measure."""
         built_in = {name: MEASURES[name] for name in self.built_in if name != MISALIGNMENT}  # it has its own column
@@ -76,7 +81,7 @@ class BlockMeasures:
         runs = [Run(ArrayContents(finished, Heading(spec))) for finished, spec in results]
         taken: list[dict[str, float] | Refused] = [Refused("", "")] * len(runs)
         for places in places_by_group([finished for finished, _ in results]):
-            group = RunGroup([runs[place] for place in places])
+            group = RunGroup([runs[place] for place in places], recorded=[results[place][0].arrays for place in places])
             columns = {name: MEASURES[name].take(group).tolist() for name in self.built_in if name != MISALIGNMENT}
             for number, place in enumerate(places):
                 built_in = {name: column[number] for name, column in columns.items()}
@@ -89,7 +94,7 @@ class BlockMeasures:
     def _of_one(self, run: Run) -> dict[str, float]:
         """Return the measures that are computed for one run at a time."""
         taken: dict[str, float] = {}
-        for measure in self.spec.defined_measures():
+        for measure in self._defined_measures:
             taken |= with_error(measure, run, run.run_spec)
         checked = {} if run.accuracy is None else OF_CHECKED_RUNS
         return taken | {name: measure.of(run) for name, measure in checked.items()}

@@ -13,6 +13,7 @@ import numpy as np
 from mbdkit.analysis.energy import Trend, trends
 from mbdkit.analysis.reference import EVERY_ROW, LAST_ROW, carries_multipliers, common_rows, multiplier_error, offsets
 from mbdkit.archive.history import NotRecordedError
+from mbdkit.archive.layout import BY_PATH
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
@@ -31,10 +32,17 @@ class RunGroup:
         The runs, at least one.
     reference
         Reference run, if the group is a single run and has one.
+    recorded
+        Arrays of each run by `Array.key`, if they are in memory.
     """
 
-    def __init__(self, runs: Sequence[Run], reference: Run | None = None):
-        self.runs, self.reference = runs, reference
+    def __init__(
+        self,
+        runs: Sequence[Run],
+        reference: Run | None = None,
+        recorded: Sequence[Mapping[str, np.ndarray]] = (),
+    ):
+        self.runs, self.reference, self._recorded = runs, reference, recorded
         self.first = runs[0]
         self._arrays: dict[str, np.ndarray] = {}
 
@@ -58,7 +66,12 @@ class RunGroup:
     def array(self, path: str) -> np.ndarray:
         """Return an array (T, ...) of all runs, (R, T, ...)."""
         if path not in self._arrays:
-            self._arrays[path] = np.stack([run.array(path) for run in self.runs])
+            key = BY_PATH[path].key
+            if self._recorded and key in self._recorded[0]:
+                arrays = [one[key] for one in self._recorded]
+            else:
+                arrays = [run.array(path) for run in self.runs]
+            self._arrays[path] = np.stack(arrays)
         return self._arrays[path]
 
     def everywhere(self, value: float) -> np.ndarray:
@@ -240,7 +253,7 @@ def _size(group: RunGroup) -> np.ndarray:
         mechanisms = [run.run_spec.mechanism() for run in group.runs]
     except MbdkitError:  # the plugin of the model is not installed here
         return group.everywhere(math.nan)
-    return mechanism_sizes(mechanisms, np.stack([run.array("trajectory/position")[0] for run in group.runs]))
+    return mechanism_sizes(mechanisms, group.array("trajectory/position")[:, 0])
 
 
 _XY, _THETA = slice(0, 2), slice(2, 3)
