@@ -27,6 +27,11 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(**STRICT)
 
     @classmethod
+    def chosen_unit(cls, name: str, data: Mapping[str, Any]) -> str:
+        """Return the unit of a field if it depends on the other keys, which need not be valid; empty otherwise."""
+        return ""
+
+    @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Return the JSON schema with the docstrings of the attributes as descriptions."""
         schema = handler(core_schema)

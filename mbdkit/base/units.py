@@ -43,7 +43,7 @@ class Unit:
     text: str
     exponents: Exponents = _NONE
     factor: float = 1.0
-    counts: tuple[int, int, int] = (0, 0, 0)
+    counts: Exponents = _NONE
     si: str = "1"
 
     def __str__(self) -> str:
@@ -127,15 +127,15 @@ _NAMED = {
 """Usual names of SI units with several base units."""
 
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-QUANTITY = rf"^\s*{NUMBER}\s+(?:[A-Za-z%]|1/)[A-Za-z0-9%*/^ -]*$"
+QUANTITY = rf"^\s*{NUMBER}\s+(?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*$"
 """Pattern of a number with a unit."""
 PERCENT = rf"^\s*{NUMBER}\s+%$"
-_QUANTITY = re.compile(rf"\s*({NUMBER}(?:,\d+)?)(\s*)((?:[A-Za-z%]|1/)[A-Za-z0-9%*/^ -]*)")
+_QUANTITY = re.compile(rf"\s*({NUMBER}(?:,\d+)?)(\s*)((?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*)")
 _LONGEST = 100
-PLAIN = Unit("1", counts=(0, 0, 1))
+PLAIN = Unit("1", counts=(Fraction(0), Fraction(0), Fraction(1)))
 """The unit of pure numbers, which may also be given in percent."""
 
-_PART = re.compile(r"(%|1|[A-Za-z]+)(?:(?:\^|\*\*)(-?\d{1,2}))?")
+_PART = re.compile(r"(%|1|[A-Za-z]+)(?:(?:\^|\*\*)(-?\d{1,2}(?:\.5)?))?")
 
 
 def si_unit(exponents: Exponents) -> Unit:
@@ -158,14 +158,15 @@ def _power(name: str, exponent: Fraction) -> str:
 
 
 def read_unit(text: str) -> Unit:
-    """Parse the text of a unit: symbols with integer powers, multiplied by blanks or ``*``, divided by ``/``.
+    """Parse the text of a unit: symbols with powers in halves such as m^1.5, multiplied by blanks or ``*``, divided
+    by ``/``.
 
     Raises
     ------
     SpecError
         If the text is not a unit.
     """
-    exponents, factor, counts, si = list(_NONE), 1.0, [0, 0, 0], ""
+    exponents, factor, counts, si = list(_NONE), 1.0, list(_NONE), ""
     sign, place, written = 1, 0, text.strip()
     if not written:
         raise SpecError("should be a unit such as N, N m, mm or deg, not an empty text")
@@ -173,7 +174,7 @@ def read_unit(text: str) -> Unit:
         found = _PART.match(written, place)
         if found is None:
             raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
-        symbol, power = found[1], sign * int(found[2] or 1)
+        symbol, power = found[1], sign * Fraction(found[2] or 1)
         if symbol not in _SYMBOLS:
             apart = (f" (did you mean '{symbol[:i]} {symbol[i:]}'?)" for i in range(1, len(symbol))
                      if symbol[0] == "N" and symbol[:i] in _SYMBOLS and symbol[i:] in _SYMBOLS)  # fmt: skip
@@ -183,7 +184,7 @@ def read_unit(text: str) -> Unit:
         exponents = [total + power * one for total, one in zip(exponents, of_symbol, strict=True)]
         if any(abs(total) > LARGEST_EXPONENT for total in exponents):
             raise SpecError(f"'{_short(text)}' has an exponent larger than {LARGEST_EXPONENT}")
-        factor *= size**power
+        factor *= float(size**power)
         counts = [total + power * one for total, one in zip(counts, _COUNTS.get(symbol, (0, 0, 0)), strict=True)]
         plain = symbol[1:] if len(symbol) > 1 and symbol[1:] in _SYMBOLS else symbol
         si += _SI.get(symbol, plain) + written[found.end(1) : found.end()]

@@ -118,7 +118,7 @@ def bundle_search(
             radius = min(0.7 * radius, 2.0 * size)
         if share > 0.0:
             best = trial
-    return OptimizeResult(x=best.point, message=message, is_least=is_least, linearizations=bundle)
+    return OptimizeResult(x=best.point, message=message, success=is_least, is_least=is_least, linearizations=bundle)
 
 
 def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most: int) -> OptimizeResult:

@@ -55,6 +55,8 @@ class Design:
         these variables is determined. Empty for a Pareto front.
     compared
         Results of the design with other settings of the runs (`compare` of its spec); empty until they are computed.
+    is_converged
+        Whether the best search converged, and did not end because of its largest number of iterations, for example.
     """
 
     spec: DesignSpec
@@ -71,6 +73,7 @@ class Design:
     unconfirmed: tuple[str, ...] = ()
     undetermined: tuple[dict[str, float], ...] = ()
     compared: tuple[Comparison, ...] = ()
+    is_converged: bool = True
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; unknown numbers are None."""
@@ -85,6 +88,7 @@ class Design:
                 "failures": self.failures,
                 "searches": {"at_best": self.searches[0], "all": self.searches[1]},
                 "message": self.message,
+                "is_converged": self.is_converged,
                 "derivatives": self.derivatives,
                 "unconfirmed": self.unconfirmed,
                 "undetermined": self.undetermined,
@@ -123,6 +127,7 @@ class Design:
             derivatives=str(data["derivatives"]),
             unconfirmed=tuple(map(str, data["unconfirmed"])),
             undetermined=tuple(numbers(one) for one in data["undetermined"]),
+            is_converged=bool(data.get("is_converged", True)),
             compared=tuple(Comparison.from_dict(spec, one) for one in data["compared"]),
         )
 
@@ -145,8 +150,6 @@ class Design:
         lines += [f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
         if self.derivatives:
             lines.append(self.derivatives)
-        if not self.is_feasible:
-            lines.append("No point that satisfies all limits was found; this one violates them least.")
         if len(self.front) > 1:
             lines.append(front_table(self.front, self.best))
         if self.compared:
@@ -156,9 +159,16 @@ class Design:
 
     @property
     def doubt(self) -> str:
-        """Sentence that the best point may not be an optimum, because derivatives there are not confirmed; empty
-        otherwise.
+        """Sentence that the best point violates limits, or may not be an optimum because the search was cut short or
+        derivatives there are not confirmed; empty otherwise.
         """
+        if not self.is_feasible:
+            return "No point that satisfies all limits was found; this one violates them least."
+        if not self.is_converged:
+            return (
+                f"This point may not be an optimum: the search ended early ({self.message.rstrip('.')}). Raise "
+                "`optimizer.max_iterations`, or try several `starts` or another optimizer."
+            )
         if not self.unconfirmed:
             return ""
         return (
@@ -230,6 +240,7 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
         failures=evaluator.failures,
         searches=(near, len(found)),
         message=best.message,
+        is_converged=best.is_converged,
         derivatives=derivatives_sentence(evaluator),
         unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients and not best.is_least else (),
         undetermined=alone,

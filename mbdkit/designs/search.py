@@ -37,6 +37,8 @@ class Search:
     is_least
         Whether the derivatives at several points near the end show that it is a local minimum, even if the goal or a
         limit has a kink there.
+    is_converged
+        Whether the optimiser ended because it converged, not because of the largest number of iterations.
     """
 
     start: np.ndarray
@@ -45,6 +47,7 @@ class Search:
     cost: float
     message: str
     is_least: bool = False
+    is_converged: bool = True
 
     @property
     def feasible(self) -> bool:
@@ -101,7 +104,7 @@ def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeRe
         worth = min(found)
         end = points[found.index(worth)]
         message, is_least = f"{message.rstrip('.')}; its last point is worse than this one", False
-    return Search(start, end, *worth, message, is_least)
+    return Search(start, end, *worth, message, is_least, bool(result.get("success", True)))
 
 
 def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> OptimizeResult:
@@ -196,7 +199,7 @@ def _strategy(problem: Problem, optimizer: EvolutionStrategy, first: np.ndarray)
         if worth[index] < least:
             best, least = points[index], worth[index]
     ended = ", ".join(f"{name} {value:g}" for name, value in strategy.stop().items())
-    return OptimizeResult(x=best, message=f"CMA-ES ended by {ended}")
+    return OptimizeResult(x=best, message=f"CMA-ES ended by {ended}", success="maxiter" not in strategy.stop())
 
 
 def _points(x: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -198,6 +198,15 @@ class Compliance(StrictModel):
     """Speed of approach [m/s] at which an impact has the `restitution` of the contact."""
     transition_speed: Positive = 0.01
     """Slip [m/s] at which the regularised friction force reaches its static value."""
+
+    @classmethod
+    def chosen_unit(cls, name: str, data: Mapping[str, Any]) -> str:
+        """Return the unit of stiffness or dissipation in the chosen law; see `StrictModel.chosen_unit`."""
+        law = data.get("law")
+        return {
+            "stiffness": {"linear": "N/m", "smooth-sphere-half-space": "N/m^2"}.get(str(law), "N/m^1.5"),
+            "dissipation": "N s/m" if law == "linear" else "s/m",
+        }.get(name, "")
 
 
 class ContactPair(NamedTuple):

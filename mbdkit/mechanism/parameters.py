@@ -22,7 +22,7 @@ from pydantic_core import ErrorDetails
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
-from mbdkit.base.strict_model import description
+from mbdkit.base.strict_model import StrictModel, description
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import PLAIN, Unit, described_units, read_quantity, read_unit
 from mbdkit.expressions.operations import FUNCTIONS
@@ -363,6 +363,8 @@ def _units_of(location: Path, data: Any, root: Any, plugins: PluginLookup) -> tu
             break
     else:
         return None
+    if issubclass(owner, StrictModel) and (chosen := owner.chosen_unit(name, _at(data, path[:-1]))):
+        return (chosen,)
     units = described_units(description(owner, name))
     parts, _ = walk(location, root, plugins)
     if len(units) == 2 and issubclass(owner, Element):

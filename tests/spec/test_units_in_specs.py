@@ -197,3 +197,26 @@ def test_every_unit_in_a_description_is_a_unit() -> None:
 @pytest.mark.parametrize("text", ["2*k", "2 sin(t)", "2", "2e3", "k", "", "N", "two N", "2 k/3*(1)"])
 def test_what_is_no_number_with_a_unit_is_left_to_expressions(text: str) -> None:
     assert read_quantity(text, {"k"}) is None
+
+
+def test_stiffness_and_dissipation_of_a_contact_have_the_units_of_its_law() -> None:
+    # expected: k d^1.5 of Hunt and Crossley, k d of the linear law, and k d^2 of OpenSim's half space are forces
+    def compliance(law: str, **numbers: str) -> Any:
+        contact = {"bodies": ["ground", "puck"], "shapes": [{"line": {"normal": [0, 1]}}, {"circle": {"radius": 0.1}}]}
+        model = {"name": "mechanism", "bodies": {"puck": {"mass": 1.0, "inertia": 0.01, "position": [0.0, 0.2]}}}
+        model["contacts"] = {"floor": contact | {"compliance": {"law": law, **numbers}}}
+        spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+        return load_spec(spec).mechanism().contacts["floor"].compliance
+
+    assert compliance("hunt-crossley", stiffness="2.0e7 N/m^1.5").stiffness == 2e7
+    assert compliance("hunt-crossley", stiffness="1 N/mm^1.5").stiffness == pytest.approx(1000**1.5, rel=1e-15)
+    linear = compliance("linear", stiffness="20 N/mm", dissipation="500 N s/m")
+    assert (linear.stiffness, linear.dissipation) == (2e4, 500.0)
+    assert compliance("smooth-sphere-half-space", stiffness="1 MPa", dissipation="1 s/m").stiffness == 1e6
+    for law, numbers, unit in (
+        ("hunt-crossley", {"stiffness": "2.0e4 N/mm"}, r"N/m\^1.5"),
+        ("linear", {"stiffness": "1 N/mm", "dissipation": "500 s/m"}, "N s/m"),
+        ("smooth-sphere-half-space", {"stiffness": "2 N/m"}, r"N/m\^2"),
+    ):
+        with pytest.raises(SpecError, match=rf"has the unit .*, but this is a number in {unit}$"):
+            compliance(law, **numbers)
