@@ -10,6 +10,7 @@ from scipy.optimize import OptimizeResult, linprog
 
 import mbdkit
 from mbdkit.designs.bundle_search import beyond_kink, bundle_search
+from mbdkit.designs.design import Design
 from mbdkit.designs.problem import Problem
 from tests.designs.swinging_shank import ANGLE, BRACE, design_of, moments, swing
 
@@ -94,3 +95,10 @@ def test_the_spring_of_the_least_peak_of_a_torque_is_the_chebyshev_fit_of_the_mo
     assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(k, rel=1e-4)
     assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(-offset / k, rel=1e-2, abs=1e-4 * ANGLE)
     assert not found.doubt
+
+
+def test_a_search_that_is_cut_short_says_first_that_its_result_may_not_be_an_optimum() -> None:
+    found = mbdkit.design(design_of(swing(), optimizer={"name": "bundle", "max_iterations": 3}))
+    assert not found.is_converged
+    assert found.summary().startswith("This point may not be an optimum: the search ended early (the bundle method")
+    assert not Design.from_dict(found.spec, found.to_dict()).is_converged

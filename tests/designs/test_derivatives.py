@@ -57,9 +57,6 @@ def test_differences_say_why_they_are_used() -> None:
     spec["time"] = {key: value for key, value in spec["time"].items() if key != "step"}
     spec["output"] = {"interval": 0.01}
     found = mbdkit.design(design_of(spec, optimizer={"name": "slsqp", "max_iterations": 2}))
-    assert found.summary().startswith(
-        "This point may not be an optimum: the search ended early (Iteration limit reached"
-    )
     assert found.derivatives.startswith("Derivatives are differences of runs: integrator: mbdkit:scipy-dop853 has no")
     assert found.to_dict()["derivatives"] in found.summary()
 
