@@ -31,13 +31,13 @@ class Operation:
     Parameters
     ----------
     name
-        Name in programs, and of a function in the text of an expression as well.
+        Name in programs; for a function, also its name in the text of an expression.
     arity
         Number of operands in programs.
     number
-        The operation on numbers, by the C library, for constants and events.
+        The operation on numbers, computed by the C library; used for constants and events.
     array
-        The operation on arrays, by NumPy, for measures.
+        The operation on arrays, computed by NumPy; used for measures.
     rule
         Value and derivatives; see the docstring of this module. The rule of ``powi`` has the exponent as its second
         argument.
@@ -124,7 +124,7 @@ def _larger(a0, a1, a2, b0, b1, b2):
 
 
 def power(x, n):
-    """Return x**n and its first two derivatives by x, for a constant exponent.
+    """Return x**n and its first two derivatives with respect to x, for a constant exponent.
 
     The derivatives of n = 0 and n = 1 are set explicitly, because the formula gives 0 * inf = NaN for them at x = 0.
     """
@@ -258,5 +258,5 @@ def arity_of(operation: str) -> int:
     if operation in OPERATIONS:
         return OPERATIONS[operation].arity
     if operation.startswith(REDUCE):
-        return 2 if operation == REDUCE + "at" else 1  # of a quantity at a time
+        return 2 if operation == REDUCE + "at" else 1  # `at` has a quantity and a time
     return 1 if operation in OF_PARTS else 0

@@ -66,7 +66,7 @@ class CompiledCollocation(CompiledMethod):
         tolerance = TOLERANCE
         if method.tolerance is not None:
             tolerance = method.tolerance
-        elif control is not None and not formulation.solves_multipliers:  # the tolerance is relative to accelerations
+        elif control is not None and not formulation.solves_multipliers:  # this tolerance is relative to accelerations
             tolerance = control.iteration_tolerance
         solver = NEWTON if method.stage_solver == "newton" else FIXED_POINT
         self.bundle = new_stages(
@@ -81,7 +81,7 @@ class CompiledCollocation(CompiledMethod):
         self.coupled: CoupledNewton | None = None
 
     def start(self, run_state: RunState, h: float) -> None:
-        """Choose pivots for the stage matrix at the state in `run_state`."""
+        """Choose pivots for the stage matrix at the state in `run_state`, for steps of about `h`."""
         self.renew(run_state, self.workspace.t0, h)
 
     def forget(self) -> None:
@@ -124,8 +124,8 @@ class CompiledCollocation(CompiledMethod):
     def solve_apart(self, run_state: RunState, t: float, h: float) -> bool:
         """Solve the stages of the next attempt with a tangent for each stage; return whether that succeeded.
 
-        This applies to index-1 only, because other formulations do not fail near singular positions in this way, and
-        only without first-order states.
+        This is done only for index-1, because only this formulation fails near singular positions in this way, and only
+        if there are no first-order states.
         """
         stages, settings = self.bundle, self.bundle.settings
         is_other = settings.solver[0] == FIXED_POINT or self.formulation.solves_multipliers
@@ -148,9 +148,9 @@ class CompiledCollocation(CompiledMethod):
 
 
 def _terms_by_position(workspace: Workspace) -> np.ndarray:
-    """Return the terms of the matrix that are derivatives by positions, (N, 4).
+    """Return the terms of the matrix that are derivatives with respect to positions, (N, 4).
 
-    The columns are the index in ``Scratch.source``, row and column in the matrix, and the class of the term.
+    The columns are the index in ``Scratch.source``, the row and the column in the matrix, and the class of the term.
     """
     terms, classes = workspace.terms, classes_of(workspace)
     wanted = (classes == STIFFNESS) | (classes == GAMMA_V)

@@ -23,7 +23,7 @@ multipliers, about eps / h^2 of a coordinate, is inherent in the formulation.
 In ggl the change of w comes first. Both constraints together require ``Phi_q dw_i = sum_j (A^-1)_ij Phi_j / h - (Phi_q
 v + Phi_t)_i`` up to terms of O(h): with dw_i in the range of M^-1 Phi_q^T that is an index-1 system for each stage. The
 change of positions by dw enters the equations above with the exact K and gamma_v, so that stiff springs do not slow the
-iteration down.
+iteration.
 """
 
 from __future__ import annotations
@@ -293,8 +293,8 @@ def stage_powers(c, m, t, h):
 
 @inlined
 def _estimate_side(c, m, z, b):
-    """Write ``[M z, 0]``: components of `z` that violate the constraints do not accumulate as errors and are
-    omitted.
+    """Write ``[M z, 0]``: components of `z` that violate the constraints are omitted, because they do not accumulate as
+    errors.
     """
     n3 = len(c.q) - 3
     for d in range(n3):
@@ -332,7 +332,7 @@ def dense(run, method, t, h, theta):
     """Write state and multipliers at ``t + theta h`` within the last attempt, by its collocation polynomial."""
     c, m = load_run_state(run), load_stages(method)
     state_inside(c, m, h, theta)
-    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # every row of weights: the polynomial at theta
+    extrapolation_weights(theta, 0.0, m.rk.c, m.weights)  # each row has the weights of the polynomial at theta
     m.pairs[:, :] = 0.0
     for i in range(len(m.rk.c)):
         for k in range(len(m.pairs)):
@@ -343,7 +343,10 @@ def dense(run, method, t, h, theta):
 
 
 def _choose_pivots(workspace: Workspace, rate: complex | None) -> tuple[Pattern, Scatter]:
-    """Choose pivots for stage matrices; in rows of constraints on velocities, -gamma_v has the factor ``h mu / 2``."""
+    """Choose pivots for stage matrices with ``rate = h mu``.
+
+    In rows of constraints on velocities, -gamma_v has the factor ``h mu / 2``.
+    """
     if rate is None:
         raise ValueError("stages on the constraints are solved by Newton's method only")
     row_share = 0.5 if "velocity" in FORMULATIONS[workspace.formulation].holds else 0.0

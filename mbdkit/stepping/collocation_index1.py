@@ -106,7 +106,7 @@ def _lift(c, m, x, b):
 
 @inlined
 def right_side(c, m, rate, z, b):
-    """Write the right-hand side of an eigenvalue's system; it does not depend on ``rate = h mu``."""
+    """Write the right-hand side of the system of an eigenvalue mu; it does not depend on ``rate = h mu``."""
     _lift(c, m, z, b)
 
 

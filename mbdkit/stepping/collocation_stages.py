@@ -71,10 +71,11 @@ class StageKernels(NamedTuple):
     sizes: Any
     """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
     counts_as_idle: Any
-    """``(now)``: return whether a stalled change of this relative size counts as idle; see `round_off`."""
+    """``(now)``: return whether a change that no longer decreases, of this relative size, counts as idle, that is, as
+    possible round-off."""
     round_off: Any
-    """``(c, m, h, now, moved, idle)``: return whether a stalled change is round-off; `idle` is the number of idle
-    changes so far."""
+    """``(c, m, h, now, moved, idle)``: return whether a change that no longer decreases is round-off. `now` is the
+    relative change, `moved` that of the positions, and `idle` the number of idle changes so far."""
     powers: Any = None
     """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
     right_side: Any = None
@@ -86,7 +87,7 @@ class StageKernels(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """A fully implicit method of s stages, and the eigenvalues of its matrix: real ones, and one of each pair."""
+    """A fully implicit method of s stages, and eigenvalues of its matrix: real ones, and one of each complex pair."""
 
     a: np.ndarray
     a2: np.ndarray
@@ -217,7 +218,7 @@ class StageStates(NamedTuple):
     """First-order states of force elements at the stages; see `mbdkit.stepping.element_states`."""
 
     rate: State
-    """(s, Z) derivatives by time, which are unknowns of the stages."""
+    """(s, Z) derivatives with respect to time, which are unknowns of the stages."""
     first_rate: State
     """(Z,) derivatives at the beginning of the step."""
     z: np.ndarray
@@ -226,9 +227,9 @@ class StageStates(NamedTuple):
     """(s, Z) length of the pathway of the element of each state, and its rate."""
     speed: np.ndarray
     slope: np.ndarray
-    """(Z,) derivative of each rate by its own state, at the last stage."""
+    """(Z,) derivative of each rate with respect to its own state, at the last stage."""
     matrix: np.ndarray
-    """(s n, s n) matrix and (s n,) right side of the equations of an element with n states."""
+    """(s n, s n) matrix, and (s n,) right side, of the equations of an element with n states."""
     right: np.ndarray
 
 
@@ -236,7 +237,8 @@ class Constraints(NamedTuple):
     """Arrays of formulations that impose the constraints on the stages; empty for index 1."""
 
     by_position: np.ndarray
-    """(N, 4) derivatives of the equations by positions: index in ``Scratch.source``, row, column, class."""
+    """(N, 4) derivatives of the equations with respect to positions: index in ``Scratch.source``, row, column, class.
+    """
     jac: np.ndarray
     """(s, P, 12) Jacobians of the stages."""
     phi: np.ndarray

@@ -117,7 +117,7 @@ def move_stages(c, m, h, active):
 
 @subkernel
 def every_change_is_idle(now):
-    """Return that any stalled change counts as idle, unless it is infinite or NaN."""
+    """Return True unless the change is infinite or NaN: any other stalled change counts as idle."""
     return now < np.inf
 
 
@@ -206,9 +206,8 @@ def increments(c, m, h):
 
 @subkernel
 def keep_stages(c, m, t, h):
-    """Store the states of the stages of a step as quadrature nodes of time integrals.
-
-    The method is a collocation method or a Lobatto pair.
+    """Store the states of the stages of a step, of a collocation method or a Lobatto pair, as quadrature nodes of time
+    integrals.
     """
     for i in range(len(m.rk.c)):
         keep_node(c, t + m.rk.c[i] * h, h * m.rk.b[i], m.q_stage[i], m.v_stage[i])
@@ -227,10 +226,11 @@ def keep(run, method, t, h, unused):
 def _estimate(c, m, h, kernels):
     """Write estimates of the local error of positions and velocities.
 
-    The embedded formula of Hairer and Wanner (1996), IV.8: ``h gamma0`` times the difference between the acceleration
-    at the beginning and that of the collocation polynomial there, filtered by the first system. Of order s + 1 in h.
+    They are computed by the embedded formula of Hairer and Wanner (1996), IV.8: ``h gamma0`` times the difference
+    between the acceleration at the beginning and that of the collocation polynomial there, filtered by the system of
+    the first eigenvalue. They are of order s + 1 in h.
     """
-    extrapolation_weights(0.0, 0.0, m.rk.c, m.weights)  # every row of weights: the polynomial at the beginning
+    extrapolation_weights(0.0, 0.0, m.rk.c, m.weights)  # each row has the weights of the polynomial at the beginning
     rate = h * leading(m.rk)
     for d in range(len(c.q) - 3):
         gap = m.first.acc[d]
@@ -280,7 +280,7 @@ def try_step(c, m, t, h, want_error, kernels):
             break
         careful = True
         change, coordinate, iterations = c.report[0], c.report[1], c.report[2]
-    if status == DIVERGED and iterations > 0.0:  # errors are reported for the fast iteration
+    if status == DIVERGED and iterations > 0.0:  # the report is that of the fast iteration
         c.report[0], c.report[1], c.report[2] = change, coordinate, iterations
     if status != OK:
         return status
@@ -299,7 +299,7 @@ def try_step(c, m, t, h, want_error, kernels):
 
 @subkernel
 def state_inside(c, m, h, theta):
-    """Write the state at the share `theta` of the last attempt by its collocation polynomial, and the energies."""
+    """Write state and energies at the time ``t + theta h`` in the last attempt, from its collocation polynomial."""
     n3 = len(c.q) - 3
     weights = m.dense_weights
     c.point_q[:] = 0.0

@@ -38,7 +38,8 @@ class CompiledMethod(ABC):
     carries_stages
         Whether a step solves equations by iteration, so that a failure may be divergence instead of overflow.
     limit
-        Default limit of the number of iterations in a step, which fixed steps may extend; None if the user gives one.
+        Default limit of the number of iterations in a step, which fixed steps may extend; None if the user has set the
+        limit.
     """
 
     attempt: Entry

@@ -21,16 +21,17 @@ def couple_contacts(
     Parameters
     ----------
     begin, members
-        (B + 2,) and (2 k,): the sides of contacts at body b are ``members[begin[b]:begin[b + 1]]``, side s of contact i
-        being 2 i + s. The ground is the last body.
+        (B + 2,) and (2 k,) arrays. The sides of contacts that belong to body b are
+        ``members[begin[b]:begin[b + 1]]``, where side s of contact i has the number 2 i + s. The ground is the last
+        body.
     bodies
         (k, 2) numbers of the bodies.
     gradients
-        (2, k, 6) derivatives of the rates of gap and slip by the velocities of both bodies.
+        (2, k, 6) derivatives of the rates of gap and slip with respect to the velocities of both bodies.
     lightness
         (B + 1, 3) inverse masses and moments of inertia.
     start, other, blocks
-        (k + 1,), (E,) and (E, 4) results; E need not be exact.
+        (k + 1,), (E,) and (E, 4) arrays that receive the result; E may be larger than needed.
     """
     last = 0
     for i in range(len(bodies)):
@@ -62,22 +63,23 @@ def sweep_contacts(
     start: IntVector, other: IntVector, blocks: RealMatrix, free: RealMatrix, friction: RealVector, tolerance: float,
     most: int, impulses: RealMatrix,
 ) -> float:  # fmt: skip
-    """Renew the impulses (k, 2) of contacts, normal ones first, until they hardly change.
+    """Update the impulses (k, 2) of contacts, each normal and tangential, until velocities hardly change.
 
-    Returns the largest change of a velocity by the own impulses of its contact in the last sweep.
+    Returns the largest change, in the last sweep, of the velocity of a contact due to the impulses of this contact.
 
     Parameters
     ----------
     start, other, blocks
-        (k + 1,), (E,) and (E, 4): for contact i, the items from ``start[i]`` to ``start[i + 1]`` are the contacts that
-        affect it, itself included, and its velocities by their unit impulses: normal by normal, normal by tangential,
-        tangential by normal, tangential by tangential.
+        (k + 1,), (E,) and (E, 4) arrays. For contact i, the items from ``start[i]`` to ``start[i + 1] - 1`` of `other`
+        are the contacts that affect it, itself included. The same rows of `blocks` are the changes of its velocities by
+        unit impulses of those contacts: normal velocity by the normal and by the tangential impulse, tangential
+        velocity by the normal and by the tangential impulse.
     free
         (k, 2) velocities without impulses.
     friction
         (k,) coefficients of friction.
     tolerance
-        Change with which the sweeps end.
+        Largest change of a velocity with which the sweeps end.
     most
         Largest number of sweeps.
     """

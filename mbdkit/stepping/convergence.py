@@ -3,8 +3,8 @@
 An iteration ends in one of three ways. It converges when the change that the next iteration would make is predicted to
 be negligible (Hairer and Wanner 1996, *Solving Ordinary Differential Equations II*, IV.8, equation 8.10; Deuflhard
 2004, *Newton Methods for Nonlinear Problems*, section 2.1). It stalls when changes no longer decrease; this is accepted
-only if round-off explains the remaining change. Otherwise it fails. The *contraction* of an iteration is the ratio of
-its change to that of the previous iteration.
+only if round-off explains the remaining change. Otherwise it fails. The *contraction* is the ratio of the change by an
+iteration to the change by the previous one.
 
 Linear and angular quantities are always compared separately, because their units have no common size.
 
@@ -35,7 +35,7 @@ where it is due to rounding alone. With 1e-18, a step takes 0.05 to 0.6 iteratio
 """
 
 LARGEST_CONTRACTION = 0.9
-"""Largest contraction for which later changes are predicted; chosen. RADAU5 predicts them up to 0.99.
+"""Largest contraction for which later changes are predicted (a chosen value). RADAU5 predicts them up to 0.99.
 
 The predicted sum of all later changes is theta / (1 - theta) times the last one; for theta near 1 that is unreliable.
 """
@@ -57,7 +57,7 @@ Cancellation of forces and the solution of the linear systems amplify `EPS` by f
 """
 
 SMALLEST = 1e-300
-"""Least divisor, so that nothing is divided by zero where the quotient is not used or its dividend is zero."""
+"""Smallest divisor. It avoids a division by zero where the quotient is not used or its dividend is zero."""
 
 PATIENCE = 3
 """Stalled iterations after which weaker criteria for round-off apply.
@@ -83,14 +83,15 @@ its Jacobian for the next step if the contraction is below 0.001 (``THET``). Her
 """
 
 FEWEST_WITH_ONE_TANGENT = 3
-"""Iterations with one tangent before it is evaluated again; the contraction needs two changes to be known."""
+"""Number of iterations with one tangent before it is evaluated again; two changes are needed to know the contraction.
+"""
 
 MOST_ITERATIONS = 50
 """Default limit of the iterations in a step."""
 
 STEADY = 10
-"""Number of iterations over which contraction has to be steady if their limit is extended; chosen. Over fewer
-iterations, steady contraction may occur by chance."""
+"""Number of iterations over which the contraction has to be steady if the limit of iterations is extended; chosen. Over
+fewer iterations, steady contraction may occur by chance."""
 
 MOST_EXTENDED = 500
 """Limit of the iterations in a fixed step that contract steadily, unless the user gives one; chosen. Iterations that
@@ -221,7 +222,7 @@ def stays_near(c, acc, h):
     largest, size = 0.0, 1.0
     for i in range(len(acc)):
         for d in range(len(c.q) - 3):
-            largest = where(abs(acc[i, d]) <= largest, largest, abs(acc[i, d]))  # also of NaN
+            largest = where(abs(acc[i, d]) <= largest, largest, abs(acc[i, d]))  # becomes NaN if one is NaN
     for d in range(len(c.q) - 3):
         size = max(max(size, abs(c.q[d])), h * abs(c.v[d]))
     return h * h * largest < FAR * size
@@ -231,8 +232,9 @@ def stays_near(c, acc, h):
 def relative_to_accelerations(acc, change, bodies):
     """Return the largest change of an acceleration relative to the largest acceleration.
 
-    Linear and angular ones are compared separately, and the larger result is returned. It is limited to 1, because a
-    change can be larger than the resulting acceleration where forces cancel. It is infinite if a change is not finite.
+    Linear and angular accelerations are compared separately, and the larger result is returned. The result is at most
+    1, because a change can be larger than the resulting acceleration where forces cancel. It is infinite if a change is
+    not finite.
     """
     size_t = size_r = change_t = change_r = 0.0
     finite = True
@@ -252,9 +254,9 @@ def relative_to_accelerations(acc, change, bodies):
 
 @subkernel
 def _largest_sizes(x, change, bodies):
-    """Return the largest length and the largest angle of `x`, each at least 1, and those of `change` (s, 3 (B + 1)).
+    """Return the largest linear and angular entries of `x`, each at least 1, and those of `change` (s, 3 (B + 1)).
 
-    Those of `change` are infinite if it contains NaN.
+    The entries of `change` count as infinite if it contains NaN.
     """
     size_t = size_r = 1.0
     change_t = change_r = 0.0
@@ -273,8 +275,8 @@ def _largest_sizes(x, change, bodies):
 
 @subkernel
 def relative_to_state(change, x, bodies):
-    """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest of `x`, separately for linear and
-    angular ones.
+    """Return the largest entry of `change` (s, 3 (B + 1)) relative to the largest entry of `x`; linear and angular
+    entries are compared separately.
 
     `x` (3 (B + 1),) holds positions or velocities; sizes below 1 m, 1 rad, 1 m/s or 1 rad/s count as 1. The result is
     infinite if a change is not a number.
@@ -358,7 +360,7 @@ def report_divergence(c, iterations, change, stages):
     for i in range(stages):
         for d in range(len(c.q) - 3):
             size, largest = abs(change[i, d]), c.report[0]
-            c.report[0] = where(size <= largest, largest, size)  # also NaN
+            c.report[0] = where(size <= largest, largest, size)  # becomes NaN if the size is NaN
             c.report[1] = where(size <= largest, c.report[1], d)
 
 

@@ -123,9 +123,9 @@ class CoupledNewton:
             now = self._relative(change[:, :n], acc)
             if not now < np.inf:
                 return 0
-            # Near a singular position, round-off is large: changes stall at 3e-15 to 7e-11 of the accelerations. If the
-            # initial guess is too far away, they stall above 0.1. Stiff forces convert round-off of positions into
-            # accelerations: for a beam that has made 30 turns, changes stall at 1e-9.
+            # Near a singular position, round-off is large: changes stop decreasing at 3e-15 to 7e-11 of the
+            # accelerations. If the initial guess is too far away, they stop decreasing above 0.1. Stiff forces convert
+            # round-off of positions into accelerations: for a beam that has made 30 turns, this happens at 1e-9.
             is_stalled = now > STALLED * before
             if now <= FEW_ROUNDINGS * EPS or (is_stalled and (now <= STAGNANT or self._is_negligible(h, change, q))):
                 return iteration
@@ -166,7 +166,9 @@ class CoupledNewton:
         )
 
     def _relative(self, change: np.ndarray, acc: np.ndarray) -> float:
-        """Return the largest change relative to the largest acceleration, separately for linear and angular ones."""
+        """Return the largest change relative to the largest acceleration; linear and angular ones are compared
+        separately.
+        """
         largest = 0.0
         for some in (np.arange(self.equations.n) % 3 < 2, np.arange(self.equations.n) % 3 == 2):
             moved, size = np.max(np.abs(change[:, some])), np.max(np.abs(acc[:, some]))

@@ -1,4 +1,5 @@
-"""Arrays of a run that is differentiated: its state with derivatives by parameters, and the rows that are recorded.
+"""Arrays of a run that is differentiated: its state with derivatives with respect to parameters, and the rows that are
+recorded.
 
 The run itself is advanced like any other. After each of its steps, a kernel repeats the step with dual numbers
 (`mbdkit.engine.compiler.dual_types`), from the same base state, which gives the derivatives of the discrete solution.
@@ -27,7 +28,7 @@ from mbdkit.stepping.run_state import MODIFIED
 
 MOST_PROJECTIONS = 50
 NEGLIGIBLE = 1e-14
-"""Largest number of iterations of a projection, and relative change of the derivatives at which they end."""
+"""Largest number of iterations of a projection, and relative change of the derivatives at which the iteration ends."""
 
 
 class DualRun(NamedTuple):
@@ -60,7 +61,7 @@ class DualRun(NamedTuple):
     projected: np.ndarray
     """(1,) number: whether the run has projected the end of the step."""
     unit: np.ndarray
-    """(1,) dual number: each derivative is one over the size of the parameter, 0 where there is no parameter."""
+    """(1,) dual number: each derivative is 1 over the size of its parameter, or 0 if there is no parameter for it."""
     rest: np.ndarray
     """Velocities of a mechanism at rest: zeros."""
     end_q: np.ndarray
@@ -70,7 +71,7 @@ class DualRun(NamedTuple):
     mu: np.ndarray
     miss: np.ndarray
     counts: np.ndarray
-    """(5,) numbers: counts, which are not used."""
+    """(5,) numbers: counts of the kernels that are called, which nothing reads."""
     row_q: np.ndarray
     """Recorded states, (R, ...)."""
     row_v: np.ndarray
@@ -86,7 +87,7 @@ class DualRun(NamedTuple):
 
 @dataclass(frozen=True)
 class Seeds:
-    """Derivatives, by K parameters, of the input of a run.
+    """Derivatives, with respect to K parameters, of the input of a run.
 
     Attributes
     ----------
@@ -110,7 +111,7 @@ class Seeds:
         return self.arrays.get(name)
 
     def only(self, some: slice) -> Seeds:
-        """Return the derivatives by the parameters in a slice."""
+        """Return the derivatives with respect to the parameters in a slice."""
         return Seeds({name: x[..., some] for name, x in self.arrays.items()}, self.scale[some])
 
 
@@ -119,7 +120,7 @@ NO_SEEDS = Seeds({}, np.zeros(0))
 
 
 def constants(values: np.ndarray, derivatives: np.ndarray | None = None) -> Duals:
-    """Return an array of dual numbers with the given values and derivatives (..., K); None: all derivatives are 0."""
+    """Return an array of dual numbers with these values and derivatives (..., K), which are 0 if none are given."""
     x = new_duals(*values.shape)
     x[..., 0] = values
     if derivatives is not None:
@@ -168,7 +169,7 @@ def new_dual_run(workspace: Workspace, seeds: Seeds, laws: np.ndarray, rows: int
     workspace
         The mechanism and its start; its working arrays are used for the values.
     seeds
-        Derivatives of the mechanism and of the start by up to `DIRECTIONS` parameters.
+        Derivatives of the mechanism and of the start with respect to up to `DIRECTIONS` parameters.
     laws
         See `dual_topology`.
     rows, nodes

@@ -2,7 +2,7 @@
 
 In a collocation method, the stages of the run satisfy their equations. Their derivatives follow from the same iteration
 with the same factors: the residual is evaluated with dual numbers, so that its derivatives are exact, and the iteration
-goes on until those of the stages no longer change.
+continues until the derivatives of the stages no longer change.
 """
 
 from __future__ import annotations
@@ -94,16 +94,18 @@ STATE_ITERATIONS = 2
 """Newton iterations for the derivatives of first-order states in each iteration for those of the accelerations."""
 MOST_ITERATIONS = 100
 SMALL = 1e-14
-"""Relative change of the derivatives of a step at which the iteration ends, by its rate of convergence."""
+"""The iteration ends when its rate of convergence predicts that the derivatives of the step will change by less than
+this relative amount."""
 STALLED, NEGLIGIBLE = 0.5, 1e-9
-"""A relative change is round-off if its ratio to the previous one exceeds the first and it is below the second."""
+"""A relative change counts as round-off if it is below `NEGLIGIBLE`, and its ratio to the previous change exceeds
+`STALLED`."""
 FEW_ROUNDINGS = 1e-15
 """A change whose ratio to the previous one exceeds `STALLED` is also round-off if it moves positions by less than this.
 
 Forces that cancel, as in a driven mechanism, leave their round-off in accelerations that are small.
 """
 PATIENCE, MOST_ROUNDINGS = 30, 1e-13
-"""After the first number of iterations, relative changes of positions below the second are round-off, whatever the
+"""After `PATIENCE` iterations, relative changes of positions below `MOST_ROUNDINGS` count as round-off, whatever the
 ratio of successive changes.
 
 In beams, whose forces are small differences of large ones, the changes vary between 1e-15 and 5e-15.
@@ -169,8 +171,8 @@ def _take_values(m, k):
 def _change_states(c, n, m, k, t, h):
     """Change the derivatives of the first-order states of all stages by Newton's method; return a status.
 
-    The values are those of the run, which satisfy the equations, and so is the matrix. The derivatives satisfy the
-    equations after an iteration, but for the errors of the differences in this matrix.
+    The values are those of the run, which satisfy the equations, and the matrix is evaluated at these values. After an
+    iteration, the derivatives satisfy the equations, apart from the errors of the difference quotients in the matrix.
     """
     count = len(c.from_z)
     if count == 0:

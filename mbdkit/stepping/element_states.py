@@ -1,13 +1,13 @@
 """First-order states of force elements in implicit steps: their stages, solved element by element.
 
-Stage i of a state z, with A the tableau and g its derivative by time:
+Stage i of a state z, with A the tableau and g its derivative with respect to time:
 
     z_i = z_n + h sum_j A_ij k_j,        k_i = g(s_i, s'_i, t_i, z_i)
 
 A state acts on bodies through its element only, and bodies act on it through the length s of the pathway only. For
-given positions and velocities of the stages, the equations of each element are therefore a small system of their own,
-which Newton's method solves before every iteration of the bodies' equations. The derivatives k are the unknowns, since
-those of a stiff element would amplify the round-off of z.
+given positions and velocities of the stages, the equations of each element are therefore a small separate system, which
+Newton's method solves before every iteration of the bodies' equations. The unknowns are the derivatives k instead of
+the states z: a stiff element would amplify the round-off of z in its derivatives.
 
 If there are expressions of the state, a rate may depend on all states, also through the tension of an element with
 states of its own. All states of the stages are then one system.
@@ -30,11 +30,11 @@ from mbdkit.engine.native.functions import inlined, overload, subkernel
 
 MOST_ITERATIONS = 50
 DIFFERENCE = 1e-7
-"""Relative change of a state for difference quotients of its rate. Errors of these slow the iteration, but do not
-change its limit."""
+"""Relative change of a state for difference quotients of its rate. Errors of the quotients slow the iteration, but do
+not change its limit."""
 ROUND_OFF, NEGLIGIBLE, STALLED = 1e-16, 1e-9, 0.5
-"""A relative change of states is round-off if it is at most the first; or at most the second, and at least the third
-times the previous change."""
+"""A relative change of states counts as round-off if it is at most `ROUND_OFF`, or if it is at most `NEGLIGIBLE` and
+at least `STALLED` times the previous change."""
 
 
 def solve_states(c, m, t, h):

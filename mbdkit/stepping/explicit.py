@@ -61,7 +61,7 @@ class Relative(NamedTuple):
 
 
 def new_relative(size: int, tree: np.ndarray | None = None, *, of_pins: bool = False) -> Relative:
-    """Return the arrays for a spanning tree, which may consist of fixed pins only; empty ones without."""
+    """Return the arrays for a spanning tree, or empty ones without a tree; `of_pins`: all its joints are fixed pins."""
     rows, size = (np.zeros((0, COLUMNS), dtype=np.int64), 0) if tree is None else (tree, size)
     return Relative(rows, np.zeros((VECTORS, size)), np.zeros((size // 3 if of_pins else 0, ARTICULATED)))
 
@@ -76,7 +76,7 @@ class Explicit(NamedTuple):
     c: np.ndarray
     """(E,) nodes."""
     error: np.ndarray
-    """(0, 1 or 2, S) weights of the error estimates, the one of higher order first."""
+    """(0, 1 or 2, S) weights of the error estimates; the estimate of higher order comes first."""
     dense: np.ndarray
     """(E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows if there is none."""
     rates: State
@@ -316,7 +316,7 @@ def _errors_of_bodies(c, m, t, error_q, error_v):
 
 @subkernel
 def estimate_errors(c, m, t, h, out):
-    """Write the estimates of the local error of a step from `t`, one or two, into arrays of `out`."""
+    """Write one or two estimates of the local error of a step from `t` into arrays of `out`."""
     _increment(h, m.error[0], m.rates, out.est_q)
     _increment(h, m.error[0], m.accelerations, out.est_v)
     if is_relative(m):
@@ -377,7 +377,7 @@ def reuse_first_stage(c, m):
 
 @subkernel
 def keep_stages(c, m, t, h):
-    """Keep the stages of a step of the method `m` from the base state of the run `c` as nodes of integrals."""
+    """Store the stages of a step of `m` from the base state of the run `c` as quadrature nodes of time integrals."""
     r, joint = m.relative, is_relative(m)
     base, place = c.from_q, m.q_stage
     if joint:
@@ -396,7 +396,7 @@ def keep_stages(c, m, t, h):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.step_loop`."""
+    """Store the stages of the last attempt as quadrature nodes; see `mbdkit.stepping.step_loop`."""
     keep_stages(load_run_state(run), load_explicit(method), t, h)
     return OK
 

@@ -1,4 +1,4 @@
-"""The interface of steppers: the timetable of a run, the recorded states of a stretch of it, and failures."""
+"""The interface of steppers, which advance a run: its timetable, the states recorded in a part of it, and failures."""
 
 from __future__ import annotations
 
@@ -96,13 +96,13 @@ class Timetable:
     start, end
         Time span [s].
     step
-        Fixed step, or first step of an adaptive method [s]; None: chosen by the method.
+        Fixed step, or first step of an adaptive method [s]; None if the method chooses it.
     steps
         Number of fixed steps N.
     every
-        Record every k-th step, the start and the end.
+        Number k: every k-th step, the start and the end are recorded.
     interval
-        Instead of `every`: distance of recorded states in time [s], by dense output.
+        Time between recorded states [s], which dense output computes; an alternative to `every`.
     max_steps
         Steps after which the run stops.
     nodes
@@ -118,15 +118,15 @@ class Timetable:
         `max_steps` and the counters count the parts.
     stop_margins
         Margin of each stop [s]. In the step that ends at a stop, motions are evaluated no later than the stop less its
-        margin; in the next step, no earlier than the stop plus its margin. Each step thus uses one-sided limits; see
-        `sides`.
+        margin; in the next step, no earlier than the stop plus its margin. Each step thus uses one-sided limits of the
+        motions; see `sides`.
     impacts
-        Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities. A row at
-        the end of a step shows the state before the impulse, at the time of the stop less its margin; a row by
-        `interval` the state after it, at the time of the stop plus its margin.
+        Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities. A state
+        that is recorded at the end of a step is that before the impulse, at the time of the stop minus its margin. A
+        state recorded by `interval` is that after the impulse, at the time of the stop plus its margin.
     samples
-        Stops at which the values that sampled controllers hold change. A row at the end of a step shows the values
-        before the change.
+        Stops at which the values that sampled controllers hold change. A state that is recorded at the end of a step
+        has the values before the change.
     """
 
     start: float
@@ -186,7 +186,7 @@ class Stretch:
     """(T, Z) first-order states of force elements; may be None if there are none."""
 
     def rows(self, part: slice | np.ndarray) -> Stretch:
-        """Return some of the rows: a slice, or a mask (T,)."""
+        """Return the rows in a slice or a mask (T,)."""
         chosen: dict[str, Any] = {}
         for one in fields(self):
             values = getattr(self, one.name)
@@ -223,7 +223,7 @@ class Nodes:
     v: np.ndarray
 
     def part(self, some: slice) -> Nodes:
-        """Return the nodes in a slice."""
+        """Return the nodes in the slice `some`."""
         return Nodes(*(getattr(self, field.name)[some] for field in fields(self)))
 
     @classmethod
@@ -264,7 +264,7 @@ class KeptNodes:
         t0, t1
             Start and end of the step [s].
         state
-            Returns positions and velocities (3 (B + 1),) at a share of the step.
+            Returns positions and velocities (3 (B + 1),) at a share of the step, from 0 (its start) to 1 (its end).
         """
         q, v = zip(*map(state, _GAUSS_NODES.tolist()), strict=True)
         h = t1 - t0
@@ -342,7 +342,7 @@ class StepTaken:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a run stopped early: a code of the archive's status_reason, and a sentence."""
+    """Reason why a run stopped early: the code in ``status_reason`` of the archive, and a sentence."""
 
     code: str
     sentence: str
@@ -382,7 +382,7 @@ class Advancing(Protocol):
         ...
 
     def advance(self) -> Stretch:
-        """Advance for about `STRETCH` seconds, to the end or to a failure, and return the recorded states.
+        """Advance until about `STRETCH` seconds have passed, or to the end or a failure; return the recorded states.
 
         Under ``Timetable.single``, advance by one accepted step instead.
         """
@@ -419,7 +419,7 @@ class Stepper(Advancing, Protocol):
         ...
 
     def within(self, theta: float) -> Moment:
-        """Return the state at the share `theta` of the last step, by a shorter step of the method from the same start.
+        """Return the state at the share `theta` of the last step, computed by a shorter step from the same start.
 
         This does not change the run, apart from the counters. If the step fails, and for methods that cannot repeat a
         step, the result is that of `inside`.
@@ -436,7 +436,7 @@ class Stepper(Advancing, Protocol):
 
 @dataclass
 class Pace:
-    """Chooses the number of steps per stretch from the speed so far."""
+    """Chooses the number of steps in a stretch (one call of the compiled loop) from the speed so far."""
 
     steps: int
 

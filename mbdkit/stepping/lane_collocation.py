@@ -1,9 +1,10 @@
 """Vectorized runs of collocation methods on the index-1 equations, and of other fully implicit Runge-Kutta methods.
 
-The step is that of single runs (`mbdkit.stepping.collocation_step`), compiled for lanes (`mbdkit.stepping.lane_loop`).
-All lanes share the pivots of the stage matrix, so that only runs with equal pivots can share a loop; `StagePivoting`
-chooses them as single runs do. The scaling of the matrix may differ between lanes. A run that later needs other pivots,
-a more careful iteration or more iterations is lost, that is, repeated alone.
+Several runs advance together, one in each *lane* of a SIMD vector (`mbdkit.stepping.lane_loop`). The step is that of
+single runs (`mbdkit.stepping.collocation_step`), compiled for lanes. All lanes share the pivots of the stage matrix, so
+that only runs with equal pivots can share a loop; `StagePivoting` chooses them as single runs do. The scaling of the
+matrix may differ between lanes. A run that later needs other pivots, a more careful iteration or more iterations is
+*lost*, that is, repeated alone.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from mbdkit.stepping.step_guards import distance_by_pivots
 
 
 class LaneKept(NamedTuple):
-    """Values that are restored in lanes that have converged; see `mbdkit.stepping.stage_iteration`."""
+    """Copies of values, which are restored in lanes that have converged; see `mbdkit.stepping.stage_iteration`."""
 
     lam: np.ndarray
     """(s, P, 2) multipliers of the stages."""
@@ -56,7 +57,7 @@ class LaneStages(NamedTuple):
     """The stages of `WIDTH` runs; see `mbdkit.stepping.collocation_stages.Stages`, which has the same fields."""
 
     rk: Coefficients
-    """Its arrays, and those of `settings`, hold numbers; all others hold lanes."""
+    """The arrays of `rk` and of `settings` hold numbers; all others hold lanes."""
     systems: Systems
     settings: Settings
     previous: PreviousStep
@@ -85,7 +86,7 @@ class StagePivots(NamedTuple):
 
     @property
     def key(self) -> tuple[bytes, ...]:
-        """Key that is equal for pivots that differ in their scaling only."""
+        """Key of these pivots; it is the same for pivots that differ in their scaling only."""
         arrays = (*self.pattern, *self.scatter)
         return tuple(x.tobytes() for x in arrays if x.dtype.kind == "i")
 

@@ -1,9 +1,10 @@
 """Vectorized runs with controlled step size: each lane has its own time, step size and error, and ends independently.
 
-In each turn of the loop, every lane attempts one step of its own; some accept it, others reject it. Lanes that have
-reached their end do not change until the last one has ended. The functions of a step and of its control are those of
-single runs, compiled for lanes; masks replace branches. A run that needs a projection, or whose step fails for other
-reasons than its error, is lost (repeated alone); see `mbdkit.stepping.lane_loop`.
+A *lane* is one of several runs that advance together in the elements of SIMD vectors. In each turn of the loop, every
+lane attempts one step of its own; some lanes accept their step, others reject it. Lanes that have reached their end do
+not change until the last one has ended. The functions of a step and of its control are those of single runs, compiled
+for lanes; masks replace branches. A run that needs a projection, or whose step fails for other reasons than its error,
+is lost (repeated alone); see `mbdkit.stepping.lane_loop`.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ class LaneProgress(NamedTuple):
 
 
 class LaneControl(NamedTuple):
-    """`WIDTH` runs with controlled step size. Vectors are as in `LaneRun`, and so are the shapes of recorded values."""
+    """`WIDTH` runs with controlled step size. Shapes of vectors and of recorded values are as in `LaneRun`."""
 
     run: LaneRun
     control: ControlData
@@ -91,7 +92,7 @@ class LaneControl(NamedTuple):
     row_work: np.ndarray
     """(R, 3) the values of `work` at each recorded state."""
     rows: np.ndarray
-    """(WIDTH,) number of recorded states of each run; numbers, as the two fields below."""
+    """(WIDTH,) number of recorded states of each run; an array of numbers, as are the next two fields."""
     interval: np.ndarray
     """(1,) distance of recorded states in time [s], if ``every`` is 0; `LaneTimes.every` counts accepted steps."""
     attempts: np.ndarray
@@ -133,7 +134,7 @@ def _write_rows(s, due, t, q, v, z, gain):
 
 @subkernel
 def _evaluate(s, t, h, running):
-    """Evaluate the stages of a step of each lane, add them up, and count what the single runs would."""
+    """Evaluate the stages of a step of each lane, add them up, and count evaluations as a single run would."""
     c, m = s.run, s.run.method
     stages, first = len(m.b), 0
     right_sides, factorizations = c.counts[RHS], c.counts[FACTORIZATIONS]
@@ -168,7 +169,7 @@ def _evaluate_further(s, t, h, due):
 
 @subkernel
 def _lose_near_singularities(s, accepted):
-    """Lose the lanes whose single runs would be projected, because they are near a singular position."""
+    """Mark lanes near a singular position as lost, because their single runs would be projected."""
     c = s.run
     for lane in range(WIDTH):
         farthest = load_guards(c.watch.guards[lane]).farthest[0]
@@ -180,7 +181,7 @@ def _lose_near_singularities(s, accepted):
 def _check_energy(s, at, accepted):
     """Record the energy balance of the accepted steps, which end at `at`.
 
-    Lanes whose step a single run would reject because of its energy are lost.
+    A lane is lost if a single run would reject its step because of the energy.
     """
     c = s.run
     guards = c.guards

@@ -1,7 +1,7 @@
 """Data of vectorized runs (`mbdkit.stepping.lane_loop`) for the compiled loop.
 
-An array of lanes has `WIDTH` values for each element, one for each run; the shapes below do not include this
-number. Arrays of numbers are ordinary arrays.
+An array of lanes has `WIDTH` values for each element, one for each run; the shapes below do not include this number.
+Fields described as numbers are ordinary arrays.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from mbdkit.stepping.explicit import Explicit, explicit_on
 from mbdkit.stepping.step_guards import new_guard_state
 
 BY_LANE = ("motion_values", "law_parameters")
-"""Fields of `Topology` that functions of numbers read; they are (WIDTH, N), so that those of a run are contiguous."""
+"""Fields of `Topology` that functions of ordinary numbers read; their shape is (WIDTH, N), so that the values of a run
+are contiguous."""
 
 
 class LaneGuards(NamedTuple):
@@ -38,7 +39,7 @@ class LaneGuards(NamedTuple):
 
 class LaneWatch(NamedTuple):
     """State of the guard against a change of branch (`mbdkit.stepping.step_guards`), which processes one lane after
-    another; arrays of numbers.
+    another. The fields are arrays of numbers.
     """
 
     has_loops: np.ndarray
@@ -108,7 +109,7 @@ class LaneRun(NamedTuple):
     """(P, 11) vectors from which the distance to singularity is computed."""
     row_time: np.ndarray
     """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) positions and velocities; (R, Z)
-    first-order states; (R, 2) energies, intervals."""
+    first-order states; (R, 2) energies; (R, 2) `interval`."""
     row_q: np.ndarray
     row_v: np.ndarray
     row_z: np.ndarray

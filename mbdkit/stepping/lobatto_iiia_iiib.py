@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from mbdkit.methods.kinds import LobattoPair
 
 MOST_PAST = 3
-"""Number of previous steps whose stages are extrapolated, stage by stage, by a polynomial in time."""
+"""Number of previous steps from which each stage is extrapolated by a polynomial in time."""
 
 
 class PairCoefficients(NamedTuple):
@@ -104,7 +104,7 @@ class Pair(NamedTuple):
     q_stage: np.ndarray
     v_stage: np.ndarray
     gap: np.ndarray
-    """(s - 1, P, 2) Phi of the stages after the first."""
+    """(s - 1, P, 2) constraint residuals Phi of the stages after the first."""
     change: np.ndarray
     """(s - 1, 3 (B + 1)) change of accelerations."""
     spread: np.ndarray
@@ -148,7 +148,7 @@ def _predict(m, t, h):
                 m.acc[i, d] = x0[i, d]
             else:
                 m.acc[i, d] = 0.0
-    m.acc[len(m.rk.c) - 1, :] = 0.0  # it follows when the others are known
+    m.acc[len(m.rk.c) - 1, :] = 0.0  # the last stage is computed when the others are known
 
 
 @subkernel
@@ -313,7 +313,7 @@ def attempt(run, method, t, h, want_error):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Keep the stages of the last attempt as nodes of integrals; see `mbdkit.stepping.step_loop`."""
+    """Store the stages of the last attempt as quadrature nodes; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_pair(method)
     stage_states(c, m, h)
     keep_stages(c, m, t, h)

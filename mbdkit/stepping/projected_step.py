@@ -29,12 +29,13 @@ converges slowly for fast linkages."""
 
 IDLE, IDLE_RATIO = 2, 0.9
 """Number of iterations without progress after which the iteration ends; chosen. An iteration makes no progress if its
-residual is below `STAGNANT`, the level of rounding errors, but above `IDLE_RATIO` times the smallest one so far."""
+residual is below `STAGNANT`, the level of rounding errors, but above `IDLE_RATIO` times the smallest residual so far.
+"""
 
 
 @subkernel
 def _push(c, t, q, push_q, push_v):
-    """Write ``M^-1 Phi_q(q)^T mu`` into `push_q` and the same with nu into `push_v`."""
+    """Write ``M^-1 Phi_q(q)^T mu`` into `push_q`, and ``M^-1 Phi_q(q)^T nu`` into `push_v`."""
     position_rows(c.still, c.w, t, q)
     solved_rows(c.still, c.w, q, c.rest)
     pairs, jac, weight = c.still.pairs, c.w.jac, c.still.weight
@@ -139,7 +140,7 @@ def _passes_bound(c, t, q, v, bound):
 
 @subkernel
 def take(run, method, attempt, t, h, want_error, mode):
-    """Compute one step, and its projection if that is symmetric; write its end into ``new_q, new_v``; return a status.
+    """Compute one step, including a symmetric projection; write its end into ``new_q, new_v``; return a status.
 
     The state is not changed. ``shift_q, shift_v`` are the corrections that the projection adds to ``dq, dv``.
     """

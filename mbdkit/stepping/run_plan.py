@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mbdkit.stepping.step_control import Control
 
 NO_PROJECTION, PLAIN, SYMMETRIC, NEAR_SINGULARITY = range(4)
-"""Projection mode: none, after the step, symmetrically before and after it, or after steps near singular positions.
+"""Projection modes: none, after each step, symmetrically before and after it, or after steps near singular positions.
 
 `NEAR_SINGULARITY` applies to controlled steps without stabilization. With drift, the path through a singular position
 is deformed into a sharp but smooth bend onto another branch (another possible motion), which small steps follow; if the
@@ -32,8 +32,8 @@ NEAR = 0.2
 """Share of the largest distance to singularity so far below which controlled steps are projected; chosen.
 
 The share matters little. When it was chosen, with an earlier pivoted solver, 23 of 40 adaptive runs of linkages through
-flat positions were correct with 0.1, 25 with 0.5 and 27 if every step was projected. The other guards detect wrong
-runs.
+singular (flat) positions were correct with 0.1, 25 with 0.5, and 27 if every step was projected. Guards detect the
+wrong runs.
 """
 
 MIN_SIZE = 16 * float(np.finfo(float).eps)
@@ -63,7 +63,7 @@ class Recording(NamedTuple):
     """Which states are recorded; each array has one element."""
 
     every: np.ndarray
-    """Record every k-th step and the end; 0: by `interval`."""
+    """Number k: every k-th step and the end are recorded; 0 if states are recorded by `interval`."""
     interval: np.ndarray
     """Distance of recorded states in time [s]; the end is recorded as well."""
     start_of_step: np.ndarray
@@ -78,7 +78,7 @@ class Projection(NamedTuple):
     every: np.ndarray
     """Project after every k-th step."""
     bound: np.ndarray
-    """Project only if a constraint is violated by more than this; 0: always."""
+    """Project only if a constraint is violated by more than this; 0 means always."""
     near: np.ndarray
     """Share of the largest distance to singularity so far below which NEAR_SINGULARITY projects."""
 

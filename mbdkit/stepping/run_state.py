@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
 AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED = range(3)
-"""Base state of an attempt: the end of the last attempt, its start, or modified since. Methods may reuse values of the
-last attempt that belong to it: those of the last stage, those of the first stage, or none."""
+"""Relation of the base state of an attempt to the last attempt: equal to its end, equal to its start, or modified.
+Accordingly, methods may reuse values of the last stage of the last attempt, those of its first stage, or none."""
 
 RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS = range(5)
 """Indices of ``counts``: right-hand sides, Jacobians, factorizations, Newton iterations, projections."""
@@ -52,7 +52,8 @@ class Progress(NamedTuple):
     rejected: np.ndarray
     """Number of rejected steps."""
     pending: np.ndarray
-    """Whether a step has been accepted whose rows are not yet written; the state is then still that of its start."""
+    """Whether there is a pending step: it is accepted, but its rows are not yet written, and the state is still that at
+    its start."""
     retrying: np.ndarray
     """Whether the last attempt was rejected."""
     whole: np.ndarray
@@ -167,8 +168,8 @@ class RunState(NamedTuple):
     """Change of the state at the end of the step by projection."""
     shift_v: State
     mu: State
-    """(P, 2) multipliers of the symmetric projection, of positions and of velocities; a step starts from the last
-    ones."""
+    """(P, 2) multipliers of the symmetric projection, for positions and for velocities; the iteration of a step starts
+    from those of the last step."""
     nu: State
     rest: np.ndarray
     """Velocities of a mechanism at rest: zeros."""
@@ -180,7 +181,7 @@ class RunState(NamedTuple):
     """State at the start of the last step, if the plan asks for it."""
     before_v: np.ndarray
     worst: Record
-    """(P,) largest squared norm of each pair's Phi so far."""
+    """(P,) largest squared norm so far of the constraint residuals Phi of each pair of rows."""
     counts: Record
     """(5,) RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS."""
     report: np.ndarray
@@ -269,7 +270,7 @@ def keep_node(c, t, weight, q, v):
         return
     c.node_time[place] = min(
         max(t, c.w.sides[0]), c.w.sides[1]
-    )  # motions are evaluated on this side of a discontinuity
+    )  # motions are evaluated on the side of a discontinuity to which the step belongs
     c.node_weight[place] = weight
     for d in range(len(q)):
         c.node_q[place, d] = q[d]

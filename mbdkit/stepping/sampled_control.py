@@ -18,7 +18,7 @@ from mbdkit.engine.native.calls import call_law
 from mbdkit.engine.workspace import Workspace
 
 SAME = 1e-6
-"""Largest difference between a stop and a sample at the same time, as a share of the period."""
+"""Largest difference, as a share of the period, between the time of a stop and that of a sample that count as equal."""
 
 
 class Sampler:

@@ -98,7 +98,7 @@ def newton_changes(c, m, h, right_side):
 
 @inlined
 def _filter(c, m, estimate_side, factors, z, b, solution, x):
-    """Replace `x` (3 (B + 1),) by the solution of the system with these `factors`, or its real part."""
+    """Replace `x` (3 (B + 1),) by the solution of the system with these `factors`; if complex, by its real part."""
     n3 = len(x) - 3
     for d in range(n3):
         z[d] = x[d]
@@ -112,7 +112,7 @@ def _filter(c, m, estimate_side, factors, z, b, solution, x):
 
 @inlined
 def filter_estimate(c, m, estimate_side, x):
-    """Replace the estimate `x` (3 (B + 1),) by the solution of the first eigenvalue's system, or its real part.
+    """Replace the estimate `x` (3 (B + 1),) by the (real part of the) solution of the system of the first eigenvalue.
 
     For index 1 this is ``(1 - h mu f_v - h^2 mu^2 f_q)^-1 x``, which keeps the estimate bounded for stiff forces
     (Hairer and Wanner 1996, IV.8).

@@ -1,4 +1,7 @@
-"""The iteration for the stages of a step, the same for collocation methods and Lobatto pairs, single runs and lanes."""
+"""The iteration for the stages of a step, shared by collocation methods and Lobatto pairs, single runs and lanes.
+
+A lane is one of several runs that advance together, one in each element of a SIMD vector.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +30,8 @@ def hold_counts(c, m, wanted):
 
 
 def hold_finished(c, m, active):
-    """Restore the values that an iteration has changed in lanes that are not `active`: multipliers, distance, and
-    counts.
+    """Restore the values that an iteration has changed in lanes that are not `active`: multipliers, distance to
+    singularity, and counts.
     """
 
 
@@ -68,14 +71,14 @@ def _finished(c, m, active):
 def iterate(c, m, t, h, until, strategy, kernels):
     """Solve the equations of the stages, which have been predicted and evaluated; return a status.
 
-    The tangents are evaluated at the mean of the predicted stages; again after the first iteration from free flight,
-    and where the iteration contracts slowly. This takes the fewest iterations, but for stiff forces it can lead to
-    another solution of the stage equations: the predicted stages may be anywhere, and tangents that follow the
-    iteration find the solution nearest to them.
+    The tangents are evaluated at the mean of the predicted stages. They are evaluated again after the first iteration
+    from free flight, and where the iteration contracts slowly. This takes the fewest iterations. For stiff forces,
+    however, it can lead to another solution of the stage equations: the predicted stages may be far away, and an
+    iteration with new tangents finds the solution nearest to them.
 
     A careful iteration therefore keeps the tangents of the start of the step, as RADAU5 does, and ends as soon as its
     rate predicts that it will not converge (`predicts_failure`). It can only converge to the solution that belongs to
-    the start. With step size control, a step that fails is repeated with a smaller one.
+    the start. With step size control, a step that fails is repeated with a smaller step size.
 
     In lanes, the iteration continues until every lane has converged. A lane that has converged keeps its stages, so
     that it makes the same iterations as the single run; the accelerations of a lane that fails become NaN.

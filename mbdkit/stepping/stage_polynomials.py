@@ -122,7 +122,7 @@ def weights_at(polynomials, theta, out):
 
 @subkernel
 def dense_gains(h, weights, power, out):
-    """Write the energies gained up to a point of the step into `out` (2,), from the powers of the stages (s, 2)."""
+    """Write the energies gained up to a point of the step into `out` (2,), given the powers (s, 2) of the stages."""
     out[0] = out[1] = 0.0
     for i in range(len(weights)):
         out[0] += h * weights[i] * power[i, 0]

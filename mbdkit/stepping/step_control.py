@@ -81,8 +81,9 @@ class Control:
     scale
         Factor of the tolerance of the estimate.
     memory
-        beta k, the share of the last error in the choice of a step. 0.2 keeps explicit methods stable at the limit of
-        their stability (DOPRI5). Implicit methods have no such limit; with 0 their errors follow the tolerance best.
+        beta k, the influence of the previous error on the choice of a step. 0.2 avoids oscillations of the step size if
+        stability limits the steps of an explicit method (DOPRI5). Implicit methods have no such limit; with 0, their
+        errors follow the tolerance best.
     max_step
         Largest step [s]; a step that reaches a stop or the end of the run may be 1 % longer.
     length
@@ -144,7 +145,7 @@ class ControlData(NamedTuple):
 
 
 def control_data(control: Control | None, min_size: float) -> ControlData:
-    """Return the data of step-size control for the kernels; None: fixed steps."""
+    """Return the data of step-size control for the kernels; `control` is None for fixed steps."""
     c = control or Control()
     numbers = (c.inner_rtol, 1.0 / c.estimate_order, c.memory / c.estimate_order)
     rtol, exponent, beta = (np.array([x], dtype=np.float64) for x in numbers)
@@ -163,9 +164,9 @@ def control_data(control: Control | None, min_size: float) -> ControlData:
 def unit_of_length(by_size: bool, mechanism: CompiledMechanism) -> float:
     """Return the unit of length [m] in which an absolute tolerance applies; 1 for one given by the user.
 
-    For the default tolerance it is the characteristic length of the mechanism, but at most 1 m: a tolerance of 1e-6 m
-    would allow any error in a mechanism of micrometres. Velocities scale with it, so that a run of the same mechanism
-    in other units of length takes the same steps. Angles and times are the same in all units.
+    For the default tolerance, it is the characteristic length of the mechanism, but at most 1 m: a tolerance of 1e-6 m
+    would allow any error in a mechanism of the size of micrometres. The tolerance of velocities is in this unit per
+    second, so that a mechanism described in another unit of length takes the same steps.
     """
     return min(1.0, mechanism.length) if by_size else 1.0
 
@@ -220,7 +221,7 @@ def fitted_size(t, h, end):
 
 @subkernel
 def is_too_small(control, t, h, end):
-    """Return whether the step size is not above the smallest one; the last step of a run is never too small."""
+    """Return whether the step size is at or below its lower limit; the last step of a run is never too small."""
     return (not h > control.min_size[0]) & (t + END_MARGIN * h < end)
 
 

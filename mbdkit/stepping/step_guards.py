@@ -38,9 +38,9 @@ FELL_APART, ENERGY_JUMP = 6, 7
 """Status of a step: a limit of the guards was exceeded, see `mbdkit.stepping.run_plan.GuardLimits`."""
 
 ROUNDING = 1e-11
-"""Share of the sum of all energies, taken as positive, that round-off may add to a jump.
+"""Share of the sum of the absolute values of all energies that round-off may add to a jump.
 
-A mechanism that starts at rest has no kinetic energy to compare with.
+The kinetic energy is not used for comparison, because it is zero in a mechanism that starts at rest.
 """
 
 DIP = 0.05
@@ -79,7 +79,8 @@ class GuardState(NamedTuple):
     jumped: np.ndarray
     """Whether the jump of the energy balance was the reason for the last rejection of a step."""
     per_square: np.ndarray
-    """Square of a path in characteristic lengths, per square of a displacement in the mass metric [1/(kg m^2)]."""
+    """Factor that converts the square of a displacement in the mass metric to the square of a path in characteristic
+    lengths [1/(kg m^2)]."""
     has_loops: np.ndarray
     """Whether joints close a loop. Otherwise no position is singular, and branches are not watched."""
     path: np.ndarray
@@ -99,7 +100,7 @@ class GuardState(NamedTuple):
     sample_v: np.ndarray
     """(SAMPLES, 3 (B + 1)) the velocities at the last samples."""
     armed: np.ndarray
-    """Whether the distance has been above the limit of a dip since the last dip."""
+    """Whether the distance has exceeded the limit of dips since the last dip."""
     dip_path: np.ndarray
     """Path at the lowest point of the current dip; NaN outside of dips."""
     dip_distance: np.ndarray
@@ -218,7 +219,7 @@ def note_jump(guards, t, jump, total, kinetic, rounding, share):
 
 @subkernel
 def limit_status(guards, worst, limits):
-    """Return which of the limits of a run has been exceeded, or OK; `worst` (P,) are squared misalignments."""
+    """Return the status for the limit of a run that is exceeded, or OK; `worst` (P,) are squared misalignments."""
     for k in range(len(worst)):
         if worst[k] > limits.squared_misalignment[k]:
             return FELL_APART
@@ -229,8 +230,8 @@ def limit_status(guards, worst, limits):
 def distance_to_singularity(h, vectors):
     """Return an estimate of the distance to singularity at the last solution for the accelerations.
 
-    With the Schur complement, see `distance_by_pivots`. With the pivoted solver, inverse iteration gives the distance
-    itself.
+    With the Schur complement, it is computed by `distance_by_pivots`. With the pivoted solver, inverse iteration gives
+    the distance itself.
     """
     if h.solver.pivoted[0] != 0:
         return singularity_distance(h.top, h.w, h.solver, vectors)

@@ -86,7 +86,7 @@ def _next_stop(plan, progress):
 
 @subkernel
 def _end_of_whole_step(plan, progress):
-    """Return the end of the fixed step that contains the next step."""
+    """Return the end of the whole fixed step to which the next step belongs; stops split fixed steps."""
     times, n = plan.times, progress.whole[0] + 1
     return times.start[0] + n * times.step[0] if n < times.steps[0] else times.end[0]
 
@@ -191,7 +191,7 @@ def _note_end_of_step(c, plan, t):
         if mode != NO_PROJECTION or plan.baumgarte[0]:  # stabilization changes the energy as well
             jump = 0.0
         note_jump(guards, t, jump, total, kinetic, rounding, plan.limits.energy_jump[0])
-    elif c.base_state[0] == MODIFIED:  # projected
+    elif c.base_state[0] == MODIFIED:  # the state was projected
         kinetic, potential, _ = energies(c.top, c.w, c.q, c.v)
         guards.energy[0] = kinetic + potential
 
@@ -237,7 +237,7 @@ def _try_step(run, method, attempt, plan):
         if control.controlled[0] or mode == PLAIN:
             prepare(c.top, c.w, at, c.new_q)
             jump, total, kinetic, rounding = energy_jump(c, guards, c.gain, c.new_q, c.new_v)
-            if plan.baumgarte[0]:  # its terms do work that is not counted
+            if plan.baumgarte[0]:  # Baumgarte's terms do work that is not counted
                 jump = 0.0
             most = plan.limits.rejected_jump[0] * max(kinetic, guards.kinetic[0]) + rounding
             jumped = control.controlled[0] != 0 and not abs(jump) <= most
@@ -252,7 +252,7 @@ def _try_step(run, method, attempt, plan):
         c.base_state[0] = MODIFIED
         return status
     interval.iterations_max[0] = max(interval.iterations_max[0], iterations)
-    if control.controlled[0] or mode == PLAIN:  # otherwise, the balance is checked when the state is advanced
+    if control.controlled[0] or mode == PLAIN:  # otherwise, the energy balance is checked when the state is advanced
         note_jump(guards, at, jump, total, kinetic, rounding, plan.limits.energy_jump[0])
     if projected:
         _note_projection(c)
@@ -382,7 +382,7 @@ def _advance_time(plan, progress):
     if progress.at_stop[0] != 0:
         return False, _pass_stop(plan, progress)
     progress.whole[0] += 1
-    if plan.control.controlled[0]:  # a compensated sum
+    if plan.control.controlled[0]:  # the time is a compensated sum of controlled steps
         y = h + progress.time_low[0]
         progress.time[0] = t + y
         progress.time_low[0] = y - (progress.time[0] - t)
@@ -460,7 +460,7 @@ def drive(run: int, method: int, attempt: int, dense: int, plan: int, budget: in
             status = _try_step(run, method, attempt, planned)
             if status != OK:
                 return status, rows
-            if progress.pending[0] == 0:  # rejected
+            if progress.pending[0] == 0:  # the step was rejected
                 continue
         if every == 0:
             status, rows = _write_inner_rows(run, method, dense, planned, rows)

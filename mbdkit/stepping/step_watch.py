@@ -39,7 +39,7 @@ class WatchedStep(NamedTuple):
     worst: np.ndarray
     """(P,) largest squared misalignments so far, those of the step included [m^2, rad^2]."""
     booked: np.ndarray
-    """(1,) whether there is an energy balance to check: stabilization does no work within the step."""
+    """(1,) whether the energy balance can be checked, because stabilization does no work within the step."""
     from_q: np.ndarray
     """State at the start of the step."""
     from_v: np.ndarray
@@ -118,7 +118,7 @@ class StepWatch:
         self._n = workspace.mechanism.size - 3
 
     def forget_energy(self) -> None:
-        """Compute the energy at the start of the next step again, because an impulse has changed the velocities."""
+        """Forget the known energy, because an impulse has changed the velocities since the end of the last step."""
         self._step.guards.energy[0] = np.nan
 
     def step(

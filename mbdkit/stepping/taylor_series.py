@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from mbdkit.methods.kinds import TaylorSeries
 
 WINDOW = 4
-"""Number of last coefficients in the error estimate: several may vanish by symmetry, as three of four of a pendulum
-released from rest at the horizontal."""
+"""Number of the last coefficients from which the error is estimated. Several may vanish by symmetry: for a pendulum
+released from rest at the horizontal, three of four are zero."""
 
 
 class Taylor(NamedTuple):
@@ -215,7 +215,9 @@ def _truncation(x, h):
 
 @subkernel
 def _estimate(m, v, h, error_q, error_v):
-    """Write bounds of the errors of a step: of coordinates, and of the places of bodies by the lengths between pins."""
+    """Write bounds of the errors of a step: those of the coordinates and, by the lengths between pins, those of the
+    positions of bodies.
+    """
     share = h * m.inverses[len(m.inverses) - 1]
     for n in range(len(m.links)):
         i, x, before = m.links[n, OF], m.bodies[n], m.links[n, BEFORE]
@@ -268,7 +270,7 @@ def dense(run, method, t, h, theta):
 
 @entry
 def keep(run, method, t, h, unused):
-    """Keep Gauss nodes of the last attempt as nodes of integrals; see `mbdkit.stepping.step_loop`."""
+    """Store Gauss nodes of the last attempt as quadrature nodes; see `mbdkit.stepping.step_loop`."""
     c, m = load_run_state(run), load_taylor(method)
     for i in range(len(m.nodes)):
         _state_inside(c, m, t, h * m.nodes[i])

@@ -28,9 +28,10 @@ pairs : (P, 4) kind, first body, second body and motion of each pair of constrai
 q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
 cs : (B + 1, 2) cosine and sine of every theta
 p : (K, 6) parameters, points in body frames first
-u : (motions, 3) value, first and second derivative of each motion by time, and of each other function by the angle
+u : (motions, 3) value, first and second derivative of each motion with respect to time, and of each function that moves
+    a center with respect to the angle
 lam : (K, 2) multipliers
-z, p : of a cross-section of a beam, (G, 10) state, its rates, cosine and sine, and (G, 16) parameters, of which the
+z, p : for cross-sections of beams, (G, 10) state, its rates, cosine and sine, and (G, 16) parameters, of which the
     first six are values and derivatives of the shape functions, which these kernels do not read
 
 The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12

@@ -1,4 +1,4 @@
-"""Bundles (`mbdkit.engine.native.bundle`) in compiled code: pointers to blocks of memory."""
+"""Bundles of arrays (`mbdkit.engine.native.bundle`) in compiled code, where they are pointers to blocks of memory."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _with_sizes(builder: Any, array: Any, kind: Any, axes: Mapping[int, int]) ->
     shape, strides = ARRAY_FIELDS.index("shape"), ARRAY_FIELDS.index("strides")
     for axis, size in axes.items():
         array = builder.insert_value(array, word(size), [shape, axis])
-    if isinstance(kind, types.Array) and axes:  # arrays of items have strides of their own, which nothing reads
+    if isinstance(kind, types.Array) and axes:  # nothing reads the strides of arrays of items
         stride = kind.dtype.bitwidth // 8
         for axis in range(kind.ndim - 1, min(axes) - 2, -1):
             array = builder.insert_value(array, word(stride), [strides, axis])

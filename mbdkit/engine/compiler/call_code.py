@@ -1,4 +1,4 @@
-"""Calls by address (`mbdkit.engine.native.calls`), and memory at an address, in compiled code."""
+"""Compiled code of `mbdkit.engine.native.calls`: calls of functions, and arrays of numbers, at given addresses."""
 
 from __future__ import annotations
 

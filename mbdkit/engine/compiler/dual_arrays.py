@@ -1,4 +1,4 @@
-"""Arrays of dual numbers: `DualArray`, and the NumPy arrays that it reads.
+"""Numba types of arrays of dual numbers (values with derivatives), and of the NumPy arrays that hold them.
 
 This module uses the same parts of Numba as `mbdkit.engine.compiler.item_arrays`.
 """

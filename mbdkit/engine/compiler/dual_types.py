@@ -1,10 +1,10 @@
-"""Dual numbers: forward-mode automatic differentiation of compiled code, by `DIRECTIONS` parameters at once.
+"""Dual numbers: forward-mode automatic differentiation of compiled code with respect to `DIRECTIONS` parameters.
 
-A dual number is a value with its derivatives by several parameters. Kernels are compiled for the types of their
-arguments. If a bundle holds arrays of dual numbers (`mbdkit.engine.compiler.dual_arrays`), the same source becomes a
-kernel that differentiates what it computes. Unlike lanes (`mbdkit.engine.compiler.lane_types`), dual numbers have a
-single control flow: comparisons compare values and return ordinary truth values. The values are computed by the same
-operations as without derivatives and are therefore bitwise identical.
+A dual number is a value with its derivatives with respect to several parameters. Kernels are compiled for the types of
+their arguments. If a bundle holds arrays of dual numbers (`mbdkit.engine.compiler.dual_arrays`), the same source
+becomes a kernel that differentiates what it computes. Unlike lanes (`mbdkit.engine.compiler.lane_types`), dual numbers
+have a single control flow: comparisons compare values and return ordinary truth values. The values are computed by the
+same operations as without derivatives and are therefore bitwise identical.
 
 This module uses the same parts of Numba as `mbdkit.engine.compiler.lane_types`.
 """
@@ -159,7 +159,7 @@ def _divide(b: Any, x: Pair, y: Pair) -> Pair:
 
 
 def _chosen(sign: str) -> Callable[[Any, Pair, Pair], Pair]:
-    """Return code of ``max`` or ``min``: the second one if it is larger (smaller), else the first."""
+    """Return the code of ``max`` or ``min``: the second operand if it is larger (smaller), else the first."""
 
     def code(b: Any, x: Pair, y: Pair) -> Pair:
         is_second = b.fcmp_ordered(sign, y[0], x[0])
@@ -174,7 +174,10 @@ def _compared(sign: str) -> Callable[[Any, Pair, Pair], Any]:
 
 
 def _define(function: Any, code: Callable[[Any, Pair, Pair], Any], result: Any = DUAL) -> None:
-    """Define a function of two dual numbers, of which one may be a number; `code` gets None for its derivatives."""
+    """Define a function of two dual numbers, of which one may be an ordinary number.
+
+    `code` gets None in place of the derivatives of an ordinary number.
+    """
 
     @infer_global(function)
     class _Template(AbstractTemplate):
@@ -258,7 +261,9 @@ def _chain(typing_context, x, value, slope):
 
 @implement(larger_derivatives)
 def _larger_derivatives(typing_context, x, y):
-    """Return the larger absolute value of each derivative of two dual numbers; the value is that of the first."""
+    """Return a dual number whose derivatives are the larger absolute values of those of `x` and `y`; its value is that
+    of `x`.
+    """
 
     def generate(context, builder, signature, arguments):
         kind = ir.FunctionType(VECTOR, [VECTOR])
@@ -272,7 +277,10 @@ def _larger_derivatives(typing_context, x, y):
 
 @implement(largest_quotient)
 def _largest_quotient(typing_context, x, y):
-    """Return the largest quotient of derivatives that are not negative, 0 / 0 being 0; infinity if one is NaN."""
+    """Return the largest quotient of a derivative of `x` and the same derivative of `y`, none of which is negative.
+
+    0 / 0 counts as 0. The result is infinite if a quotient is NaN.
+    """
 
     def generate(context, builder, signature, arguments):
         above, below = (builder.extract_value(x, 1) for x in arguments)
@@ -355,8 +363,8 @@ def _power(x, n):
 
 
 def _general_power(x, n):
-    """Return x**n; if the base is not positive, there is no derivative by the exponent, which is then treated as
-    constant.
+    """Return x**n; if the base is not positive, there is no derivative with respect to the exponent, which is then
+    treated as constant.
     """
     base, exponent = value_of(x), _value(n)
     value = base**exponent

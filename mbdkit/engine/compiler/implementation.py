@@ -1,4 +1,4 @@
-"""How Numba sees the functions of `mbdkit.engine.native.functions`.
+"""Types and code, for Numba, of the functions that `mbdkit.engine.native.functions` declares.
 
 Kernels refer to ordinary functions of Python. Numba looks up the type of each such function here: a subkernel becomes
 a dispatcher, so that it is compiled for the types of its arguments.
@@ -46,7 +46,7 @@ def _typeof_function(function: Callable[..., Any], context: Any) -> Any:
 
 
 def implement(function: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Define a placeholder for compiled code; the decorated function is as for Numba's ``intrinsic``."""
+    """Define a placeholder for compiled code; the decorated function has the form that ``numba.intrinsic`` requires."""
 
     def define(typing: Callable[..., Any]) -> Callable[..., Any]:
         template = make_intrinsic_template(function, typing, function.__name__)

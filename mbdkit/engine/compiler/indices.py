@@ -1,4 +1,4 @@
-"""Indices of arrays in compiled code count from the beginning: a negative index is not one from the end.
+"""Make indices of arrays in compiled code count from the beginning only; negative indices are not supported.
 
 Numba compares each signed index with 0, and adds the size of the axis to a negative one. In kernels, whose indices are
 mostly read from arrays, this takes a tenth of the time. This module replaces `fix_integer_index`, an internal of Numba.

@@ -1,7 +1,8 @@
 """Arrays whose elements consist of several doubles: common base of arrays of lanes and arrays of dual numbers.
 
-An element is an *item*: lanes (`mbdkit.engine.compiler.lane_types`) or a dual number
-(`mbdkit.engine.compiler.dual_types`). A complex item has two parts, which are real items.
+An element is an *item*: lanes, that is, one number for each of several runs (`mbdkit.engine.compiler.lane_types`), or a
+dual number, that is, a value with derivatives (`mbdkit.engine.compiler.dual_types`). A complex item has two parts,
+which are real items.
 
 This module uses the public API of Numba (``numba.extending``) and llvmlite. It also uses internals of Numba:
 `AbstractTemplate`, `infer_global`, `signature`, and the memory layout of an array (`mbdkit.engine.native.bundle`).
@@ -63,7 +64,10 @@ class ItemArray(types.Type):
         return builder.gep(place, [ir.IntType(64)(words) if isinstance(words, int) else words], inbounds=True)
 
     def place(self, builder: Any, array: Any, indices: list[Any]) -> Any:
-        """Generate code for the address of the element, or of the first one of the row, with these leading indices."""
+        """Generate code for the address of the element with these indices.
+
+        If there are fewer indices than dimensions, it is the address of the first element that has them.
+        """
         shape = cgutils.unpack_tuple(builder, builder.extract_value(array, 5), self.ndim + self.parts)
         flat = indices[0]
         for size, index in zip(shape[1 : len(indices)], indices[1:], strict=True):

@@ -1,4 +1,4 @@
-"""Arrays of lanes: `LaneArray`, and the NumPy arrays that it reads.
+"""Numba types of arrays of lanes (one number for each of several runs), and of the NumPy arrays that hold them.
 
 This module uses the same parts of Numba as `mbdkit.engine.compiler.item_arrays`.
 """

@@ -1,4 +1,4 @@
-"""Lanes of complex numbers: arithmetic on `LaneComplex`, for the stage matrices with complex eigenvalues.
+"""Arithmetic on complex lanes (`LaneComplex`: one complex number for each run), needed for complex stage matrices.
 
 Every operation rounds like that of Numba on complex numbers; real operands are converted to complex first, as in Numba.
 This module uses the same parts of Numba as `mbdkit.engine.compiler.lane_types`.

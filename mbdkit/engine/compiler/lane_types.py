@@ -6,8 +6,8 @@ element of such an array is a vector of `WIDTH` doubles, one for each run, and a
 operation on a vector rounds like the operation on a number, and nothing is reassociated or contracted, so that the
 result in a lane is bitwise identical to that of the single run.
 
-A comparison of vectors is a mask (`LaneMask`), on which Python cannot branch. Code for numbers and for lanes uses
-`where` and ``&`` instead of branches, and the other functions of this module.
+A comparison of vectors is a mask (`LaneMask`), on which Python cannot branch. Code for both numbers and lanes therefore
+uses `where` and ``&`` instead of branches, and the other functions defined in this module.
 
 This module uses the public API of Numba (``numba.extending``) and llvmlite. It also uses internals of Numba:
 `AbstractTemplate`, `infer_global` and `signature`.
@@ -185,7 +185,7 @@ for _names, _code in (
     for _function in _names:
         _define(_function, 2, MASK, MASK, _code)
 _define(operator.neg, 1, REAL, REAL, lambda b, x: b.fneg(x))
-# as for numbers: the second one if it is larger (smaller), else the first, also if one of them is NaN
+# as for numbers: the second operand if it is larger (smaller); otherwise, and also if one is NaN, the first
 _define(max, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered(">", y, x), y, x))
 _define(min, 2, REAL, REAL, lambda b, x, y: b.select(b.fcmp_ordered("<", y, x), y, x))
 _define(operator.not_, 1, MASK, MASK, lambda b, x: b.not_(x))
@@ -232,7 +232,7 @@ def _where_number(context, builder, signature, arguments):
 
 
 def _both_widths(function: Any, name: str) -> None:
-    """Define a function of one number, and of lanes, by an intrinsic function of LLVM."""
+    """Define a function, for a number and for lanes, by an intrinsic function of LLVM."""
     _define(function, 1, REAL, REAL, _by_intrinsic(name))
 
     @infer_global(function)

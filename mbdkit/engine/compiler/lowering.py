@@ -1,4 +1,4 @@
-"""All functions with machine code of their own, by symbol, and their unoptimized LLVM modules."""
+"""Table of all functions that get machine code of their own, by symbol, and their unoptimized LLVM modules."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def kernel_module(kernel: Kernel) -> Any:
 
 
 def entry_module(symbol: str, function: Callable[..., Any]) -> Any:
-    """Return the unoptimized LLVM module of an entry."""
+    """Return the unoptimized LLVM module of an entry, a function that kernels call by its address."""
     arguments = (types.int64, types.int64, types.float64, types.float64, types.float64)
 
     def wrap(context: Any, builder: Any, callee: Any, signature: Any, given: list[Any]) -> None:
@@ -163,7 +163,7 @@ def _array(context: Any, builder: Any, kind: Any, members: Any, dtype_: Any) -> 
         ),
     )
     sizes_at = member(16, _WORD)
-    # Of an array with another number of dimensions, nothing behind the last one may be read.
+    # If the array has another number of dimensions, nothing may be read behind its sizes.
     sizes_at = builder.select(
         is_right,
         sizes_at,
@@ -228,7 +228,7 @@ def emitted(module: Any, symbol: str, platform: Platform, level: Level) -> bytes
         cpu=level.processor, features=features, opt=3, reloc="pic", codemodel="small"
     )
     if group_of(symbol) == "gradients":
-        # Every number has twelve derivatives: with a copy of each function at each of its calls, the code would be ten
+        # Every number has twelve derivatives. If each function were copied into its callers, the code would be ten
         # times larger.
         copy = llvm.parse_assembly(str(module).replace("alwaysinline", "nounwind"))
     else:

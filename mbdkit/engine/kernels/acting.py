@@ -17,10 +17,10 @@ _RELATIVE_ANGLE = PATHWAYS["relative_angle"]
 def force_values(top, w, q, v, out):
     """Write length, rate, value, power and potential of every force element into `out` (F, 5).
 
-    Requires `applied_forces` at the same state. The value of an element on a pathway is its tension [N], or the torque
-    on its second body [N m]; that of a load its torque on the loaded body, or the magnitude of its force. A force at a
-    point has no length (0); its rate is the velocity of the point along the force, 0 where the force is zero. The power
-    is that supplied to the bodies.
+    Requires `applied_forces` at the same state. The value of an element on a pathway is its tension [N], or its torque
+    on the second body [N m]. The value of a load is its torque on the loaded body, or the magnitude of its force. The
+    length of a force at a point is 0; its rate is the velocity of the point along the force, or 0 if the force is zero.
+    The power is that supplied to the bodies.
     """
     springs, loads, place, tension, u = top.springs, top.loads, top.force_place, w.tension, w.u
     for k in range(len(springs)):
@@ -57,7 +57,8 @@ def force_values(top, w, q, v, out):
 def joint_values(top, w, q, lam, reactions, out):
     """Write coordinate, driver power, and reaction force in the frames of both bodies of every joint into `out` (J, 6).
 
-    The coordinate is the angle of the second body relative to the first, or its travel along a line of the first.
+    The coordinate is the angle of the second body relative to the first, or the travel of the second body along a line
+    of the first.
     Requires `prepare` and ``w.phi_t`` at the same state, and the `reactions` (P, 3) of the multipliers `lam` (P, 2).
     """
     pairs, joints, lines, cs = top.pairs, top.joints, top.joint_lines, w.cs

@@ -1,10 +1,10 @@
-"""Cosine and sine of an angle by one routine without branches, used for single runs and for vectorized runs.
+"""Cosine and sine of an angle, computed by one routine without branches for single runs and for vectorized runs.
 
 The argument is reduced by multiples of pi/2 in two steps (Cody and Waite): pi/2 is split into two parts of 33 bits and
 a remainder, so that the products with the number of quarter turns are exact. The result is a sum of two numbers. Sine
-and cosine of it follow from polynomials of degree 13 and 14 with the coefficients of fdlibm (Sun Microsystems, 1993),
-which are accurate to 2^-58. The error is below 1 ulp for ``|x| < FAR``. Beyond, the functions of the C library are
-used.
+and cosine of this sum follow from polynomials of degree 13 and 14 with the coefficients of fdlibm (Sun Microsystems,
+1993), which are accurate to 2^-58. The error is below 1 ulp for ``|x| < FAR``. For larger angles, the functions of the
+C library are used.
 
 A library function would be as accurate, but its branches prevent vectorization by LLVM, and its results differ between
 platforms in the last bit.
@@ -31,7 +31,7 @@ FAR = 1e5
 _QUARTERS = 0.6366197723675814
 """2 / pi."""
 _HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21
-"""pi / 2 as a sum; the first two have 33 bits."""
+"""pi / 2 as the sum of three numbers; the first two have 33 bits."""
 
 _S1, _S2, _S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
 _S4, _S5, _S6 = 2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10
@@ -40,7 +40,7 @@ _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.1359
 
 
 def cosine_and_sine(x):
-    """Return cosine and sine of `x` [rad]; also of lanes and of dual numbers."""
+    """Return cosine and sine of `x` [rad], which may be a number, lanes or a dual number."""
     return _cosine_and_sine(x)
 
 
@@ -55,7 +55,9 @@ def _cosine_and_sine(x):
 
 @subkernel
 def cosines_and_sines(q, cs):
-    """Write cosine and sine of every third number of `q`, beginning with the third, to the rows of `cs` but the last.
+    """Write cosine and sine of the angles of all bodies to the rows of `cs`, except for the last row (ground).
+
+    The angles are every third number of `q`, beginning with the third.
 
     LLVM vectorizes the first loop, which calls no function of the C library.
     """
@@ -74,7 +76,7 @@ def _is_far(x):
 
 
 def _near(x):
-    """Return cosine and sine of an angle that is not far."""
+    """Return cosine and sine of an angle below `FAR`."""
     return _of_near(x)
 
 
@@ -104,7 +106,7 @@ def _of_near(x):
 
 
 def _of_any(of_number):
-    """Return how to choose the form of a function for the type of its argument: that of numbers, or of dual numbers."""
+    """Return a function that chooses, by the type of the argument, the form for numbers or for dual numbers."""
 
     def choose(x):
         if not is_dual(x):

@@ -85,9 +85,9 @@ def pathway_lengths(top, w, q):
 def choose_side_of_circle(k, points, s, grad):
     """Decide whether a string touches a circle, and set the segments that are not part of its path to zero.
 
-    Segment `k` is the straight line, the two before it are the tangents, onto the circle and off it. Their unit vectors
-    and lengths give the vectors from the center to both ends. The length is NaN where the string would have to pass the
-    circle on its other side or to wind around it, and where an end is inside of it.
+    Segment `k` is the straight line. The two segments before it are the tangents, onto the circle and off it; their
+    unit vectors and lengths give the vectors from the center to both ends. The length is NaN if the string would have
+    to pass the circle on its other side or to wind around it, and if an end is inside of the circle.
     """
     radius, onto, off = points[k - 2, 4], s[k - 2, 0], s[k - 1, 0]
     ux, uy = radius * -grad[k - 2, 4] - onto * grad[k - 2, 3], radius * grad[k - 2, 3] - onto * grad[k - 2, 4]
@@ -125,8 +125,8 @@ def evaluate_tension(top, w, k, rate):
 
     If a law returns a force that is not finite for finite arguments, its row in ``top.laws`` is stored in ``w.faulty``
     (1,) for the error message. If the arguments are not finite, the state has overflowed and the law is not the cause.
-    Linear springs are computed here, without a call by address. The first segment of a spring is evaluated, with the
-    `rate` of the whole pathway; the later ones copy its row.
+    Linear springs are computed here, without a call by address. Only the first segment of a spring is evaluated, with
+    the `rate` of the whole pathway; the rows of its other segments are copies.
     """
     length, law, tension = w.s[k, 0], top.springs[k, 3], w.tension
     if top.springs[k, 5] == 0:
@@ -162,7 +162,7 @@ def take_multipliers(top, w, lam):
 
 @subkernel
 def law_value(top, w, law, length, rate, t):
-    """Return the value of the law in row `law` of ``top.laws`` at the present parameters."""
+    """Return the value of the law in row `law` of ``top.laws`` for its current parameters."""
     spare = len(top.springs)
     code, program, first = top.laws[law, 0], top.laws[law, 3], top.laws[law, 1]
     call_law(code, program, length, rate, t, w.law_values, first, w.tension, spare)
@@ -171,7 +171,7 @@ def law_value(top, w, law, length, rate, t):
 
 @subkernel
 def state_rates(top, w, v, out):
-    """Write the derivatives of all states into `out` (Z,); requires `take_states` and `applied_forces`."""
+    """Write the rates of all first-order states to `out` (Z,); requires `take_states` and `applied_forces`."""
     for i in range(len(top.states)):
         k, law = top.states[i, 0], top.states[i, 2]
         if law < 0:
@@ -184,7 +184,10 @@ def state_rates(top, w, v, out):
 
 @inlined
 def expression_value(top, w, law):
-    """Return the value of an expression, whose inputs are among its parameters, so that it needs no pathway."""
+    """Return the value of an expression of the state.
+
+    It is a law without a pathway: its inputs are among its parameters.
+    """
     unused = 0.0 * w.cs[0, 0]
     return law_value(top, w, law, unused, 0.0, w.time[0])
 
@@ -193,7 +196,7 @@ def expression_value(top, w, law):
 def evaluate_expressions(top, w, q, v):
     """Evaluate the loads that are expressions of the state into ``w.u``; requires the tensions at the same state.
 
-    The inputs of all expressions, also of those that are rates of states, are put among their parameters.
+    The inputs of all expressions are copied to their parameters, also those of expressions for rates of states.
     """
     for i in range(len(top.inputs)):
         kind, k, place = top.inputs[i, 0], top.inputs[i, 1], top.inputs[i, 2]
@@ -219,8 +222,8 @@ def evaluate_expressions(top, w, q, v):
 def load_slope(top, w, v, i):
     """Write -dQ/dq and -dQ/dv of a load by an input of its value into row `i` of ``w.slope_stiff`` and ``slope_damp``.
 
-    Rows are the coordinates of the load's two bodies, columns those of the bodies of the input. Requires the second
-    derivatives of the pathways.
+    The rows belong to the coordinates of the two bodies of the load, the columns to those of the bodies of the input.
+    Requires the second derivatives of the pathways.
     """
     load, component, law = top.slopes[i, 0], top.slopes[i, 1], top.slopes[i, 2]
     given, k = top.slopes[i, 3], top.slopes[i, 4]
@@ -251,7 +254,7 @@ def load_slope(top, w, v, i):
 
 @subkernel
 def rate_slope(top, w, v, k, column):
-    """Return the derivative ``(s_q v)_q`` of the rate of segment `k` by a coordinate of its two bodies."""
+    """Return the derivative ``(s_q v)_q`` of the rate of segment `k` with respect to a coordinate of its two bodies."""
     a, b = top.springs[k, 1], top.springs[k, 2]
     bend = 0.0 * w.cs[0, 0]
     if top.springs[k, 0] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y, _LIFTED, _TRAVEL, _TANGENT):
@@ -334,7 +337,7 @@ def point_force(top, w, k):
 
 @subkernel
 def pathway_hessian(top, w, k, q):
-    """Write s_qq of length k into ``w.hess`` (S, 36), and return whether the length is curved."""
+    """Write s_qq of segment `k` into row `k` of ``w.hess`` (S, 36), and return whether it may differ from zero."""
     springs, points, cs, grad, hess = top.springs, top.spring_points, w.cs, w.grad, w.hess
     a, b = springs[k, 1], springs[k, 2]
     curved = True
@@ -427,11 +430,12 @@ def force_tangents(top, w, q, v):
 
 @subkernel
 def powers(top, w, v, lam):
-    """Return (power of loads, drivers and active laws, dissipated power) [W].
+    """Return two powers [W]: that of loads, drivers and active laws, and the dissipated power.
 
     Requires `applied_forces` and Phi_t at the same state. The bodies supply the power ``F s'`` to a force element. If
-    the law has a potential V, the part ``V_s s'`` is stored as potential energy. The rest is dissipated if the law
-    is declared passive; otherwise its negative counts as work. Drivers supply the power ``lambda^T Phi_t``.
+    the law has a potential V, the part ``V_s s'`` is stored as potential energy. The rest counts as dissipated if the
+    law is declared passive; otherwise, its negative counts as power of an active law. Drivers supply the power
+    ``lambda^T Phi_t``.
     """
     springs, laws, loads, pairs, u, tension = top.springs, top.laws, top.loads, top.pairs, w.u, w.tension
     work = 0.0
@@ -475,9 +479,9 @@ def powers(top, w, v, lam):
 def potential_energy(top, w, q):
     """Return the potential energy of gravity, force elements and beams, and the level of its rounding errors [J].
 
-    The level is the sum of the absolute values from which the energy is computed; its rounding error is some eps times
-    the level. The potential of gravity is zero at the global origin, that of a linear spring at its free length; other
-    laws define their own zero. Requires `applied_forces` or `force_tangents` at the same state.
+    The level is the sum of the absolute values from which the energy is computed. The rounding error of the energy is
+    a few eps times the level. The potential of gravity is zero at the global origin, and that of a linear spring at its
+    free length; other laws define their own zero. Requires `applied_forces` or `force_tangents` at the same state.
     """
     springs, laws, mass, gravity, tension = top.springs, top.laws, top.mass, top.gravity, w.tension
     energy = level = 0.0

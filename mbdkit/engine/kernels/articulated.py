@@ -24,7 +24,7 @@ centre of mass; and the vector d to this pin from that of the body before. The s
 
 @subkernel
 def _begin(top, cs, tree, has_forces, force, v, bodies):
-    """Write what each body contributes alone: its mass, inertia and applied forces, with respect to its pin."""
+    """Write the contributions of each body itself: its mass, inertia and applied forces, with respect to its pin."""
     p = top.pair_parameters
     for n in range(len(tree)):
         i, k, side = tree[n, BODY], tree[n, PLACE], tree[n, PLACE_SIDE]
@@ -120,7 +120,7 @@ def articulated_accelerations(top, cs, tree, has_forces, force, v, bodies, acc):
     cs : (B + 1, 2) array
         Cosine and sine of every angle.
     has_forces, force
-        Whether there are generalized forces besides gravity, and these.
+        Whether there are generalized forces besides gravity, and the (3 (B + 1),) array of these forces.
     v : (3 (B + 1),) array
         Angular velocities of the bodies in every third element; the others are not used.
     bodies : (B + 1, 13) array

@@ -1,4 +1,4 @@
-"""Constraints of a mechanism: codes of their kinds, sines and cosines, and the generated loops over all pairs of rows.
+"""Constraints of a mechanism: codes of their kinds, cosines and sines, and the generated loops over pairs of rows.
 
 Constraints are stored in pairs of rows. A constraint with one row leaves the second row of its pair zero, and the Schur
 solver puts a unit diagonal there. All blocks of the Schur complement are therefore 2 x 2 for any mechanism, and the

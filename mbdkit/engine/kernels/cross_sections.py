@@ -1,8 +1,8 @@
 """Beams: forces, tangents and internal forces of their elements, evaluated at cross-sections.
 
 An element of two or three nodes is integrated at one or two cross-sections. The state of a cross-section, the
-derivatives of its position by the arc length, its angle and the derivative of its angle, is a linear function of the
-coordinates of the nodes. Its strains, forces and tangents are generated from the strain energy
+derivatives of its position with respect to the arc length, its angle and the derivative of its angle, is a linear
+function of the coordinates of the nodes. Its strains, forces and tangents are generated from the strain energy
 (`mbdkit.symbolic.definitions.derive_section`). Angles are interpolated and not wrapped, so that a beam may make many
 turns.
 """
@@ -100,7 +100,7 @@ def beam_values(top, w, out):
             out[element, i] = 0.0
     for k in range(len(sections)):
         element = sections[k, 0]
-        share = 1.0 / (sections[k, 1] - 1)  # as many cross-sections as intervals between nodes
+        share = 1.0 / (sections[k, 1] - 1)  # an element has one cross-section fewer than nodes
         for i in range(3):
             out[element, i] += share * stress[k, i]
         out[element, 3] += w.section_energy[k, 0]
@@ -120,7 +120,7 @@ def beam_levels(top, w):
         force = (p[k, 7] + p[k, 8]) * (stretch + abs(p[k, 10]) + abs(p[k, 11])) + (p[k, 13] + p[k, 14]) * rate
         turn = abs(p[k, 12])
         for i in range(sections[k, 1]):
-            turn += abs(p[k, NODES + i])  # of angles of 1 rad
+            turn += abs(p[k, NODES + i])  # curvature if the angles of the nodes are of the order of 1 rad
         moment = p[k, 9] * turn + p[k, 15] * abs(z[k, 7])
         for i in range(sections[k, 1]):
             node, shape, slope = sections[k, 2 + i], abs(p[k, i]), abs(p[k, NODES + i])

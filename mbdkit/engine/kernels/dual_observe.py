@@ -82,10 +82,10 @@ def observe_duals(address: int) -> tuple[int, int]:
 
 @kernel
 def describe_duals(address: int) -> None:
-    """Evaluate the states of a `DualStates` whose accelerations and multipliers, of all rows, are given.
+    """Evaluate the states of a `DualStates` whose accelerations and multipliers (of all rows) are given.
 
-    With actuators, for example, these do not follow from the mechanism alone; the residual forces are those of the
-    actuators.
+    This is needed if they do not follow from the mechanism alone. With actuators, for example, the residual forces are
+    the forces of the actuators.
     """
     c = load_dual_states(address)
     top, w, out, lack = c.top, c.w, c.observed, c.lack

@@ -141,7 +141,7 @@ def _by_pivots(n, factors, row_index, right, lack, rows):
 def _with_derivatives(top, w, solver, has_forces, acc, lam, refine):
     """Solve for accelerations and multipliers with their derivatives; return a status.
 
-    The derivatives are refined once if the values are: with `refine`, and by the pivoted solver.
+    The derivatives are refined once if the values are refined: always by the pivoted solver, otherwise with `refine`.
     """
     n = solver.numbers
     _take_values(top, w, n, has_forces)

@@ -238,7 +238,7 @@ def rows_of(
 def tangents_of(
     address: int, t: float, q: RealVector, v: RealVector, a: RealVector, lam: RealVector
 ) -> int:  # fmt: skip
-    """Evaluate all terms of a `Matrix` into ``w.source``; return a status."""
+    """Evaluate all terms of a `Matrix` at a state and write them to ``w.source``; return a status."""
     eq = load_equations(address)
     _put(eq.q, q)
     _put(eq.v, v)
@@ -271,7 +271,10 @@ def powers_of(address: int, t: float, q: RealVector, v: RealVector, lam: RealVec
 
 @kernel
 def pair_multipliers_of(address: int, t: float, q: RealVector, lam: RealVector, out: RealMatrix) -> None:
-    """Write the multipliers of all rows into `out` (P, 2); redundant directions carry no force."""
+    """Convert the multipliers `lam` (m,) of the independent rows to those of all rows, `out` (P, 2).
+
+    The multipliers of redundant directions are zero.
+    """
     eq = load_equations(address)
     _put(eq.q, q)
     _put_rows(eq, out, lam)

@@ -71,9 +71,9 @@ class Reactions(NamedTuple):
 def evaluate_frames(
     address: int, times: RealVector, q: RealMatrix, v: RealMatrix, with_forces: bool, out: Frames
 ) -> None:  # fmt: skip
-    """Evaluate states `q`, `v` (T, n) at `times` (T,) into `out` (Frames), whose Jacobian must be zero on entry.
+    """Evaluate the states `q`, `v` (T, n) at `times` (T,), and write the results to `out`.
 
-    ``out.force`` is written only with forces.
+    The Jacobian in `out` must be zero on entry. The applied forces are written only if `with_forces` is true.
     """
     eq = load_equations(address)
     top, w = eq.top, eq.w
@@ -114,7 +114,7 @@ def evaluate_frames(
 def reactions_in_frames(
     address: int, times: RealVector, q: RealMatrix, v: RealMatrix, lam: RealMatrix, out: Reactions
 ) -> None:  # fmt: skip
-    """Evaluate the constraint forces of the multipliers `lam` (T, m) of the independent rows into `out` (Reactions).
+    """Compute the constraint forces of the multipliers `lam` (T, m) of the independent rows, and write them to `out`.
 
     The other arguments are those of `evaluate_frames`.
     """

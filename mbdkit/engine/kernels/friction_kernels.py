@@ -1,8 +1,9 @@
-"""Friction in joints, whose laws depend on the reactions that the friction changes: the parts of Newton's method.
+"""Friction in joints: the parts of Newton's method, which is needed because friction depends on the reactions, and
+changes them.
 
-The solution itself is `mbdkit.engine.kernels.system.settle_by_newton`. The columns of ``w.friction`` are the matrix
-(F), the right side, which becomes the step, the frictions, and their scales; those of ``w.response`` the responses of
-the reactions to the frictions (F), and the reactions.
+The iteration is `mbdkit.engine.kernels.system.settle_by_newton`. The columns of ``w.friction`` are the F columns of the
+matrix, the right side, which becomes the step, the frictions, and their scales. The columns of ``w.response`` are the F
+responses of the reactions to the frictions, and the reactions.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def begin_frictions(top, w, v, lam):
 
 @subkernel
 def add_unit(top, w, f, sign):
-    """Add the scale of the friction `f`, times `sign`, to ``w.force``; return the scale."""
+    """Add `sign` times the scale of the friction `f` to ``w.force``; return the scale."""
     scale = w.friction[f, len(top.frictions) + 2]
     add_friction(top, w, f, sign * scale)
     return scale
@@ -77,7 +78,7 @@ def add_unit(top, w, f, sign):
 
 @subkernel
 def note_response(top, w, f, lam, change):
-    """Write the responses to the friction `f` from the multipliers `lam` after its `change`."""
+    """Write the responses of the reactions to the friction `f`, given the multipliers `lam` after its `change`."""
     reactions, response, count = top.reactions, w.response, len(top.frictions)
     for i in range(len(reactions)):
         response[i, f] = (lam[reactions[i, 0], reactions[i, 1]] - response[i, count]) / change
@@ -94,7 +95,7 @@ def change_frictions(top, w):
 
 @subkernel
 def _law_slope(top, w, v, f, j):
-    """Return the derivative of the law of friction `f` by friction `j`, which changes the reactions."""
+    """Return the derivative of the law of friction `f` with respect to friction `j`, which changes the reactions."""
     reactions, response, count = top.reactions, w.response, len(top.frictions)
     k, nudge = top.frictions[f], NUDGE * w.friction[j, count + 2]
     now = w.tension[k, 0]
@@ -113,8 +114,8 @@ def _law_slope(top, w, v, f, j):
 def newton_step(top, w, v):
     """Write a step of Newton's method for all frictions into column F of ``w.friction``.
 
-    Returns the largest difference between a friction and its law, relative to the friction, and the number of the
-    friction with this difference. The difference is infinite if the joint locks itself.
+    Returns the largest difference between a friction and the value of its law, relative to the friction, and the number
+    of the friction with this difference. The difference is infinite if the joint locks itself.
     """
     count, room = len(top.frictions), w.friction
     rest, worst = 0.0, 0

@@ -1,9 +1,9 @@
-"""Force laws as programs, to which SymPy expressions are translated so that no compiler is needed to use them.
+"""Force laws as programs: SymPy expressions are translated to programs, so that no compiler is needed to use them.
 
-A program works on registers. The first ones hold length, rate and time, then follow the parameters and the constants of
-the program, and the others hold results of its instructions. An instruction has five integers: the operation, up to
-three operands, and the register of the result. An operand is a register, but the exponent of ``power_of_integer``
-stands for itself.
+A program works on registers. The first ones hold length, rate and time, the next ones the parameters and the constants
+of the program, and the others the results of its instructions. An instruction has five integers: the operation, up to
+three operands, and the register of the result. An operand is the number of a register, except for the exponent of
+``power_of_integer``, which is the exponent itself.
 
 The program at an address consists of the numbers of instructions and of constants, the registers of the four results,
 the instructions, and the constants.
@@ -182,7 +182,7 @@ def _smooth(op, a, to, x):
 
 
 def other_function(op, a, b, to, x):
-    """Execute an instruction that only numbers have."""
+    """Execute an instruction that is not defined for dual numbers."""
     _other_function(op, a, b, to, x)
 
 

@@ -3,7 +3,7 @@
 `mbdkit.engine.elimination_order` chooses the order of rows and columns once, with numerical pivoting. The kernels reuse
 this order for new values, which avoids pivot searches and allocation. The order can become unsuitable as the values
 change. Two checks detect this: a pivot that has become small relative to its size when the order was chosen (`WORN`),
-and a large residual of the solution. Either makes the caller choose new pivots.
+and a large residual of the solution. If one of them fails, the caller chooses new pivots.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from mbdkit.engine.native.arithmetic import is_refused, usable, where
 from mbdkit.engine.native.functions import inlined
 
 WORN = 1e-6
-"""If a pivot shrinks to this fraction of its size when it was chosen, new pivots are chosen."""
+"""If a pivot shrinks to this fraction of its original size, new pivots are chosen."""
 
 
 class Pattern(NamedTuple):
@@ -62,7 +62,8 @@ def factorize(p, f):
 
     Row-wise elimination (IKJ order): each row is expanded into the dense array ``f.work``, all earlier rows that it
     depends on are subtracted, and the result is stored in the patterns of L and U. These patterns include the fill-in,
-    so the entries to be used are set to zero first. A size of a complex number is ``|re| + |im|``, which needs no root.
+    so the entries to be used are set to zero first. The size of a complex number is taken as ``|re| + |im|``, which
+    needs no root.
     """
     a_start, a_column = p.a_start, p.a_column
     l_start, l_column, u_start, u_column = p.l_start, p.l_column, p.u_start, p.u_column
@@ -83,7 +84,7 @@ def factorize(p, f):
                 w[u_column[y]] -= m * upper[y]
         d = w[i]
         size = abs(d.real) + abs(d.imag)
-        sound = size > WORN * reference[i]  # not if it is NaN
+        sound = size > WORN * reference[i]  # false if the size is NaN
         if is_refused(sound):
             return i
         reference[i] = where(reference[i] == 0.0, size, reference[i])  # first factorization with these pivots
@@ -117,8 +118,8 @@ def substitute(p, f, b, x):
 def residual(p, f, b, x, r):
     """Write b - A x into `r` (n,) and return the largest residual of a row relative to the largest row sum.
 
-    The row sum is the sum of the absolute values of all terms of a row, including b; both are taken of the scaled
-    system. Returns NaN if a residual is NaN.
+    The row sum is the sum of the absolute values of all terms of a row, including b. Residuals and row sums are those
+    of the scaled system. Returns NaN if a residual is NaN.
     """
     worst = 0.0
     largest = 0.0

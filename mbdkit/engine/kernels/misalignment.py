@@ -12,7 +12,7 @@ from mbdkit.engine.native.functions import inlined, subkernel
 
 
 def squared_misalignment(x, y):
-    """Return the squared misalignment of a pair from the residuals of its two rows; also for arrays of one shape."""
+    """Return the squared misalignment of a pair from the residuals of its two rows, which may be arrays."""
     return x * x + y * y
 
 

@@ -1,14 +1,14 @@
-"""Prescribed motions u(t), and functions of relative angles: postfix programs evaluated with second-order forward-mode
-automatic differentiation.
+"""Prescribed motions u(t), and functions of relative angles: postfix programs, evaluated with their derivatives.
 
-Each stack entry is a jet: value, first and second derivative by the argument. Jets follow from the rules of the table
-of operations (`mbdkit.expressions.operations`). The derivatives are therefore exact up to rounding errors. Jets are
-used instead of symbolic derivatives because they need no SymPy at run time, and a new expression requires no
-compilation. A table is a single instruction, a piecewise polynomial, whose data follow the constants of all programs in
-`values`.
+Each stack entry is a jet: value, first and second derivative with respect to the argument. Jets are computed by the
+rules of the table of operations (`mbdkit.expressions.operations`), so that the derivatives are exact up to rounding
+errors. Jets are used instead of symbolic derivatives because they need no SymPy at run time, and a new expression
+requires no compilation. A table is a single instruction, a piecewise polynomial, whose data follow the constants of all
+programs in `values`.
 
-The programs of the centers that move with an angle come after those of the motions, four for each center: x, its
-derivative, y, and its derivative. The second derivatives of the derivatives are the third ones, which tangents need.
+The programs of the centers that move with an angle come after those of the motions. Each center has four programs: x,
+the derivative of x, y, and the derivative of y. The second derivatives of the programs of derivatives are third
+derivatives, which tangents need.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mbdkit.expressions.program import MAX_DEPTH
 _BINARY = [one for one in OPERATIONS.values() if one.arity == 2]
 _UNARY = [one for one in OPERATIONS.values() if one.arity == 1]
 OPCODES = {name: code for code, name in enumerate(("const", "t", "table", *(one.name for one in (*_BINARY, *_UNARY))))}
-"""Code of each instruction; those of two operands come before those of one."""
+"""Code of each instruction; instructions with two operands come before those with one."""
 OF_CENTER = 4
 """Number of programs of a center."""
 
@@ -37,11 +37,11 @@ _power = compiled_rule(OPERATIONS["powi"])
 
 @subkernel
 def _piecewise_polynomial(t, values, start):
-    """Return the jet of a piecewise polynomial; the first and last pieces extrapolate it unless it is periodic.
+    """Return the jet of a piecewise polynomial at `t`; the first and last pieces extrapolate it unless it is periodic.
 
     Starting at index `start`, `values` holds the number of pieces n, the number m of coefficients of a piece, the
     period or 0, the n + 1 end times of the pieces, and for each piece m coefficients in ascending powers of the time
-    since its beginning. The piece is found by bisection, its value and derivatives by Horner's rule.
+    since its beginning. The piece is found by bisection. Its value and derivatives are computed by Horner's rule.
     """
     pieces, terms, period = int(values[start]), int(values[start + 1]), values[start + 2]
     first = start + 3
@@ -68,7 +68,7 @@ def _piecewise_polynomial(t, values, start):
 
 @subkernel
 def _evaluate(i, t, ptr, ops, values, stack, u):
-    """Evaluate program `i` at the argument `t`; the other arguments as of `evaluate_motions`."""
+    """Evaluate program `i` at the argument `t`; the other arguments are those of `evaluate_motions`."""
     top = 0
     for j in range(ptr[i], ptr[i + 1]):
         op = ops[j]
@@ -112,7 +112,7 @@ def evaluate_motions(t, count, ptr, ops, values, stack, u):
     stack : (MAX_DEPTH, 3) array
         Scratch.
     u : (motions, 3) array
-        Receives value, first and second derivative by time.
+        Receives value, first and second derivative with respect to time.
     """
     for i in range(count):
         _evaluate(i, t, ptr, ops, values, stack, u)
@@ -130,7 +130,7 @@ def _motions_in_lanes(t, count, ptr, ops, values, stack, u):
 
 
 def motions(t, count, ptr, ops, values, stack, u):
-    """Evaluate every motion at time `t`, see `evaluate_motions`; also in lanes."""
+    """Evaluate every motion at time `t`, for one run or in lanes; see `evaluate_motions`."""
     evaluate_motions(t, count, ptr, ops, values, stack, u)
 
 
@@ -172,7 +172,7 @@ def _centers_in_lanes(q, bodies, ptr, ops, values, stack, u):
 
 
 def centers(q, bodies, ptr, ops, values, stack, u):
-    """Evaluate the centers that move with the angle of the second body relative to the first; also in lanes.
+    """Evaluate the centers that move with the angle of the second body relative to the first, for one run or in lanes.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ class Observed(NamedTuple):
     beams: RealCube
     """(T, E, 4) axial force, shear force and bending moment in the middle of each element, and its strain energy."""
     state_rates: RealMatrix
-    """(T, Z) derivatives of the first-order states of force elements by time."""
+    """(T, Z) derivatives of the first-order states of force elements with respect to time."""
 
     @staticmethod
     def zeros(states: int, top: Topology) -> Observed:
@@ -126,9 +126,9 @@ class Observed(NamedTuple):
 
 @subkernel
 def describe(top, w, q, v, out, r):
-    """Write what follows from a state, its forces and its multipliers into row `r` of `out`, an `Observed`.
+    """Write the quantities that follow from a state, its forces and its multipliers into row `r` of `out`.
 
-    Values of joints are left out, because redundant reactions have to be distributed before.
+    `out` is an `Observed`. Values of joints are not written, because redundant reactions have to be distributed first.
     """
     force_values(top, w, q, v, out.forces[r])
     marker_values(top, w, q, v, out.markers[r])
@@ -198,7 +198,8 @@ def observe(
         if status != OK:
             return status, r
         state_rates(top, w, v[r], out.state_rates[r])
-        # The order matters: the next two calculations use the factors and the Jacobian of this solution.
+        # The order matters: the next two calculations use the factors and the Jacobian of this solution for the
+        # accelerations.
         out.singularity_distance[r] = singularity_distance(top, w, solver, near)
         # Self-stress: a unit multiplier of the redundant direction minus the equivalent multipliers of all other rows.
         for i in range(len(top.spare)):
@@ -212,7 +213,7 @@ def observe(
         if len(top.spare) > 0:  # restore the rows that the solution combined
             constraint_rows(top, w, q[r], v[r])
         describe(top, w, q[r], v[r], out, r)
-        if len(top.spare) == 0:  # else, `observe_joints` evaluates the joints when the reactions are distributed
+        if len(top.spare) == 0:  # otherwise, `observe_joints` evaluates the joints once the reactions are distributed
             joint_values(top, w, q[r], lam, out.reactions[r], out.joints[r])
         for i in range(len(top.spare)):
             reactions_of(top, w, stress.lam[r, i], stress.reactions[r, i])
@@ -221,7 +222,7 @@ def observe(
 
 @kernel
 def observe_joints(engine: int, times: RealVector, q: RealMatrix, out: Observed) -> None:
-    """Evaluate ``out.joints`` of states whose multipliers and reactions are known; arguments as of `observe`."""
+    """Evaluate ``out.joints`` of states with known multipliers and reactions; the arguments are as in `observe`."""
     h = load_engine(engine)
     top, w = h.top, h.w
     for r in range(len(times)):

@@ -14,7 +14,8 @@ from mbdkit.engine.kernels.vectors import copy, fill
 from mbdkit.engine.native.functions import subkernel
 
 EXPANDED = ("const", "t", "add", "sub", "mul", "div", "powi", "neg", "sin", "cos", "exp", "log", "sqrt")
-"""Operations whose series are known. The others have switches, or are too rare."""
+"""Operations whose series are implemented. The others have switches (such as ``abs``), where no series exists, or are
+too rare."""
 
 _CONST, _T, _ADD, _SUB, _MUL, _DIV, _POWI, _NEG, _SIN, _COS, _EXP, _LOG, _SQRT = (OPCODES[name] for name in EXPANDED)
 
@@ -47,7 +48,7 @@ def _divide(a, b):
 
 @subkernel
 def _raise(a, exponent, base):
-    """Replace the series `a` by its power with a whole exponent; `base` is a work array."""
+    """Replace the series `a` by its power with an integer exponent; `base` is a work array."""
     copy(a, base)
     fill(a, 0.0)
     a[0] = 1.0
@@ -62,7 +63,7 @@ def _raise(a, exponent, base):
 
 @subkernel
 def _turn(a, sine, cosine):
-    """Write the sine and the cosine of the series `a`."""
+    """Write the series of the sine and the cosine of the series `a` to `sine` and `cosine`."""
     sine[0], cosine[0] = math.sin(a[0]), math.cos(a[0])
     for k in range(1, len(a)):
         s, c = 0.0, 0.0
@@ -74,7 +75,7 @@ def _turn(a, sine, cosine):
 
 @subkernel
 def _apply(op, a, old, other):
-    """Replace the series `a` by a function of one variable of it; `old` and `other` are work arrays."""
+    """Replace the series `a` by the series of a function of it; `old` and `other` are work arrays."""
     copy(a, old)
     if op == _NEG:
         for k in range(len(a)):
@@ -107,7 +108,7 @@ def _apply(op, a, old, other):
 
 @subkernel
 def expand_motions(t, ptr, ops, values, stack, u):
-    """Write the series at the time `t` of all programs, which consist of `EXPANDED` operations.
+    """Write the series, about the time `t`, of the values of all programs, which consist of `EXPANDED` operations.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Projection of positions and velocities onto the constraints with the smallest change in the mass metric.
 
 Both projections solve the saddle point system of the index-1 equations with other right-hand sides, so that they reuse
-its solver. The topology that they take has no gravity, which the solver would otherwise add.
+its solver. They take a mechanism (`still`) without gravity, which the solver would otherwise add.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from mbdkit.engine.native.functions import subkernel
 EPS = float(np.finfo(float).eps)
 
 FEW_ROUNDINGS = 4.0
-"""Residuals and changes below this many `EPS` times the largest coordinate (at least 1) count as zero, with lengths in
-units of the mechanism's length if that is below 1 m.
+"""Residuals and changes below this many `EPS` times the largest coordinate (at least 1) count as zero. Lengths are in
+units of the characteristic length of the mechanism if it is below 1 m, and otherwise in metres.
 
 A residual or a stage position is a sum of a few products, each rounded once.
 """
@@ -90,7 +90,7 @@ def position_rows(top, w, t, q):
 
 @subkernel
 def rate_rows(top, jac, phi_t, v, rate):
-    """Write ``Phi_q v + Phi_t`` of the rows that are solved for into `rate` (P, 2), 0 in the others."""
+    """Write ``Phi_q v + Phi_t`` of the rows that are solved for into `rate` (P, 2), and 0 into the other rows."""
     for k in range(len(top.pairs)):
         for r in range(2):
             rate[k, r] = constraint_rate(top.pairs, jac, phi_t, v, k, r) if r < top.rows[k] else 0.0
@@ -145,10 +145,11 @@ def project_positions(still, w, solver, t, q, p, rest, x, lam):
 
 @subkernel
 def project_velocities(still, w, solver, t, q, v, x, lam):
-    """Project `v` onto ``Phi_q v + Phi_t = 0`` at `t`, `q`, closest in the mass metric; return a status.
+    """Replace `v` by the closest velocities, in the mass metric, with ``Phi_q v + Phi_t = 0`` at `t`, `q`.
 
     The equations are linear, so one solution suffices in exact arithmetic. It is repeated, at most three times in
-    total, until the residual is below `FEW_ROUNDINGS` or no longer halves. `x` and `lam` are work arrays.
+    total, until the residual is below `FEW_ROUNDINGS` or no longer halves. `x` and `lam` are work arrays. Returns a
+    status.
     """
     before = np.inf
     position_rows(still, w, t, q)

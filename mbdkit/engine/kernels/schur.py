@@ -30,8 +30,9 @@ class Schur(NamedTuple):
     """Targets of the updates: for each column and each two of its blocks, in order of use, the block from which their
     product is subtracted."""
     coupling: Annotated[IntMatrix, 6]
-    """(C, 6) contributions to S off the diagonal, one for each shared body: block; pair of the block's row and first
-    column of the body in its Jacobian; pair of the block's column and the same; body."""
+    """(C, 6) contributions to the blocks of S off the diagonal, one for each shared body: the block; the pair of its
+    row, and the first column of the body in the Jacobian of this pair; the same two numbers for the pair of its column;
+    the body."""
     diagonal: Annotated[RealMatrix, 3]
     """(P, 3) entries (xx, xy, yy) of the inverse pivot blocks."""
     whole: Annotated[RealMatrix, 2]
@@ -92,7 +93,7 @@ def factor(top, jac, schur):
     for k in range(n):
         d00, d01, d11 = diagonal[k, 0], diagonal[k, 1], diagonal[k, 2]
         det = d00 * d11 - d01 * d01
-        sound = (d00 > TOO_SMALL * whole[k, 0]) & (det > TOO_SMALL * whole[k, 0] * whole[k, 1])  # not if they are NaN
+        sound = (d00 > TOO_SMALL * whole[k, 0]) & (det > TOO_SMALL * whole[k, 0] * whole[k, 1])  # false for NaN
         if is_refused(sound):
             return k
         inverse = 1.0 / usable(det, sound)

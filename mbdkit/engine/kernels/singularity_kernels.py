@@ -6,8 +6,8 @@ applies the inverse of this operator to both vectors with the existing factors o
 factorized again. The smaller Ritz value of the subspace of the two images approximates the eigenvalue (Parlett, The
 Symmetric Eigenvalue Problem, 1998, ch. 4, 11 and 14). See `mbdkit.engine.singularity`.
 
-The vectors of one recorded row are a good start for the next, because the mechanism has moved little in between. The
-second vector makes the iteration converge when the two smallest eigenvalues are close together or change places.
+The vectors of one recorded state are a good start for the next, because the mechanism has moved little in between. The
+second vector makes the iteration converge if the two smallest eigenvalues are close together or exchange their order.
 """
 
 from __future__ import annotations
@@ -164,8 +164,8 @@ def _solve_pivoted(top, w, solver, near):
 def _products(rows, near):
     """Scale the solutions by ``L^T`` to the images; return three Gram matrices, each as its entries 00, 01 and 11.
 
-    They are those of the vectors, of the images, and of the vectors with the images. The last one is symmetric up to
-    rounding errors and is symmetrized.
+    The matrices contain the products of the vectors, of the images, and of the vectors with the images. The last one is
+    symmetric up to rounding errors and is symmetrized.
     """
     x00 = x01 = x11 = y00 = y01 = y11 = h00 = h01 = h11 = 0.0
     for k in range(len(near)):
@@ -262,9 +262,9 @@ def _ritz(rows, near):
 def singularity_distance(top, w, solver, near):
     """Return the distance to singularity at the position of the last `solve_accelerations`.
 
-    It is 1 with fewer than two pairs and 0 if an image or a Ritz value is not finite or not positive. `near` (P, 11)
-    carries the vectors from one recorded row to the next. Overwrites ``w.right`` and ``w.solution``. Lanes that have
-    converged keep their values while others go on.
+    The distance is 1 with fewer than two pairs, and 0 if an image or a Ritz value is not finite or not positive. `near`
+    (P, 11) carries the vectors from one recorded state to the next. Overwrites ``w.right`` and ``w.solution``. In
+    lanes, those that have converged keep their values while the iteration continues for others.
     """
     distance = 1.0
     if _pair_factors(top, w.jac, near) > 1:

@@ -56,9 +56,10 @@ OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
 """Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
 
 SETTLED = 4.0 * np.finfo(float).eps
-"""Difference between the friction in a joint and its law, relative to the friction, that counts as zero."""
+"""Differences between the friction in a joint and the value of its law, relative to the friction, up to this size count
+as zero."""
 NEARLY_SETTLED = 1e-11
-"""Relative difference that counts as round-off if it does not decrease any more."""
+"""Relative differences up to this size count as round-off if they no longer decrease."""
 MOST_PASSES = 30
 """Largest number of Newton steps for the friction in joints; three are usual."""
 KKT_TOLERANCE = 1e-9
@@ -85,7 +86,8 @@ class Topology(NamedTuple):
     rows: IntVector
     """(P,) number of rows that are solved for, 0, 1 or 2."""
     length: RealVector
-    """(1,) unit in which lengths are compared with angles: the characteristic length of the mechanism, at most 1 m."""
+    """(1,) length [m] that is compared with an angle of 1 rad: the characteristic length of the mechanism, at most
+    1 m."""
     row_units: Annotated[RealMatrix, 2]
     """(P, 2) `length` for rows whose Phi is a length, 1 for angles."""
     pair_parameters: Annotated[RealMatrix, 6]
@@ -93,8 +95,8 @@ class Topology(NamedTuple):
     spare: Annotated[IntMatrix, 2]
     """(D, 2) redundant directions, which are not solved for: pair, and body in whose frame the direction is fixed."""
     spare_axes: Annotated[RealMatrix, 2]
-    """(D, 2) unit vectors of these directions in that frame, as coefficients of the pair's two rows; (1, 0) for a pair
-    with a single row."""
+    """(D, 2) unit vectors of the redundant directions in that frame, as coefficients of the pair's two rows; (1, 0) for
+    a pair with a single row."""
     springs: Annotated[IntMatrix, 6]
     """(S, 6) pathway, first body, second body, row of `laws` (-1: linear), first segment of the same spring, number of
     its segments (0 for all but the first segment)."""
@@ -119,9 +121,11 @@ class Topology(NamedTuple):
     """(N, 3) inputs of expressions of the state: kind (`mbdkit.engine.kernels.applied_forces`), coordinate or first
     segment, index in `law_parameters`."""
     load_values: Annotated[IntMatrix, 2]
-    """(V, 2) components of loads that are expressions of the state: row of `laws`, motion whose value they replace."""
+    """(V, 2) components of loads that are expressions of the state: row of `laws`, and number of the motion in
+    ``Scratch.u`` whose value is replaced."""
     slopes: Annotated[IntMatrix, 5]
-    """(D, 5) derivatives of these components by their inputs: load, component, row of `laws`, input, segment."""
+    """(D, 5) derivatives of these components with respect to their inputs: load, component, row of `laws`, input,
+    segment."""
     frictions: IntVector
     """(F,) segment of the force element of each joint with friction."""
     reactions: Annotated[IntMatrix, 4]
@@ -133,8 +137,8 @@ class Topology(NamedTuple):
     sections: Annotated[IntMatrix, 5]
     """(G, 5) cross-sections at which the elements of beams are integrated: element, number of its nodes, the nodes."""
     section_parameters: Annotated[RealMatrix, 16]
-    """(G, 16) values and derivatives by the arc length of the shape functions of three nodes, then the parameters of
-    the cross-section; see `mbdkit.symbolic.definitions.derive_section`."""
+    """(G, 16) values and derivatives with respect to the arc length of the shape functions of three nodes, then the
+    parameters of the cross-section; see `mbdkit.symbolic.definitions.derive_section`."""
     force_place: IntVector
     """(S + L,) index of the force element of each segment and of each load."""
     pair_joint: IntVector
@@ -171,8 +175,8 @@ class Scratch(NamedTuple):
     cs: Annotated[RealMatrix, 2]
     """(B + 1, 2) cosine and sine of every angle."""
     u: Annotated[RealMatrix, 3]
-    """(motions, 3) value, first and second derivative of each motion by time, then of the functions of each moving
-    center by the angle."""
+    """(motions, 3) value, first and second derivative of each motion with respect to time, then of the functions of
+    each moving center with respect to the angle."""
     stack: RealMatrix
     """Stack of `evaluate_motions`."""
     force: RealVector
@@ -180,7 +184,7 @@ class Scratch(NamedTuple):
     phi: Annotated[RealMatrix, 2]
     """(P, 2) constraint residuals Phi."""
     phi_t: Annotated[RealMatrix, 2]
-    """(P, 2) partial derivatives of Phi by time."""
+    """(P, 2) partial derivatives of Phi with respect to time."""
     gamma: Annotated[RealMatrix, 2]
     """(P, 2) right-hand side of ``Phi_q a = gamma``."""
     refinement: Annotated[RealMatrix, 2]
@@ -192,8 +196,8 @@ class Scratch(NamedTuple):
     hess: Annotated[RealMatrix, 36]
     """(S, 36) second derivatives s_qq of the segments."""
     tension: Annotated[RealMatrix, 4]
-    """(S + 1, 4) force, derivatives by length and rate, potential of the spring of each segment; the last row is a
-    temporary."""
+    """(S + 1, 4) force, derivatives with respect to length and rate, and potential of the spring of each segment; the
+    last row is a work array."""
     section: Annotated[RealMatrix, 10]
     """(G, 10) state of each cross-section of a beam, its rates, cosine and sine of its angle."""
     section_force: Annotated[RealMatrix, 4]
@@ -203,9 +207,9 @@ class Scratch(NamedTuple):
     section_energy: Annotated[RealMatrix, 2]
     """(G, 2) strain energy and dissipated power of the part of the beam that the cross-section represents."""
     section_stiff: Annotated[RealMatrix, 16]
-    """(G, 16) derivatives of the forces by the states."""
+    """(G, 16) derivatives of the forces with respect to the states."""
     section_damp: Annotated[RealMatrix, 16]
-    """(G, 16) derivatives of the forces by the rates."""
+    """(G, 16) derivatives of the forces with respect to the rates."""
     law_values: RealVector
     """(N,) parameters of laws as in `Topology.law_parameters`, but with the present values of states and inputs.
     Without states and inputs, it is that array itself."""
@@ -213,7 +217,8 @@ class Scratch(NamedTuple):
     """(F, F + 3) matrix and right side of Newton's method for the friction in joints, the frictions, and their
     scales."""
     response: RealMatrix
-    """(N, F + 1) change of each of ``Topology.reactions`` by a unit of each friction; its value in the last column."""
+    """(N, F + 1) change of each multiplier in ``Topology.reactions`` by a unit of each friction; the value of the
+    multiplier in the last column."""
     faulty: IntVector
     """(1,) row of the last law whose force or required derivatives were not finite; -1 for none."""
     source: RealVector
@@ -235,7 +240,7 @@ class Scratch(NamedTuple):
     coupled_damp: Annotated[RealMatrix, 36]
     """(X, 36) -dQ/dv of the same springs."""
     slope_stiff: Annotated[RealMatrix, 36]
-    """(D, 36) -dQ/dq of loads whose value is an expression of the state, by one of its inputs."""
+    """(D, 36) -dQ/dq of loads whose value is an expression of the state, due to one of its inputs."""
     slope_damp: Annotated[RealMatrix, 36]
     """(D, 36) -dQ/dv of the same loads."""
     load_stiff: Annotated[RealMatrix, 3]
@@ -282,7 +287,7 @@ class Solver(NamedTuple):
     factors: Factors
     scatter: Scatter
     row_index: Annotated[IntMatrix, 2]
-    """(P, 2) unknown of each multiplier in the pivoted system; -1 for an empty row."""
+    """(P, 2) number of the unknown of each multiplier in the pivoted system; -1 for an empty row."""
     failed: IntVector
     """(1,) pair or pivot position at which the last factorization failed."""
 
@@ -338,7 +343,7 @@ def evaluate_positions(top, w, q):
 
 @inlined
 def evaluate_powers(top, w, q, v, lam):
-    """Return (power of loads, drivers and active laws, dissipated power) [W].
+    """Return two powers [W]: that of loads, drivers and active laws, and the dissipated power.
 
     Requires `prepare` and `applied_forces`.
     """
@@ -412,10 +417,10 @@ def spare_direction(top, cs, i):
 
 @subkernel
 def fold(top, cs, x):
-    """Reduce the two rows of six columns of every pair, `x` (P, 12), to the rows that are solved for.
+    """Reduce the two rows of six columns of every pair, `x` (P, 12), to the rows that are solved for, in place.
 
-    A pair with one redundant direction keeps the combination perpendicular to it, in its first row; a pair with two
-    keeps none. Other rows become zero.
+    Of a pair with one redundant direction, the combination of rows perpendicular to this direction becomes the first
+    row. Of a pair with two redundant directions, nothing is left. All other rows become zero.
     """
     for i in range(len(top.spare)):
         k = top.spare[i, 0]
@@ -491,7 +496,7 @@ def joint_right_side(top, w, acc, lam):
 
 @subkernel
 def apply_multipliers(top, w, lam, acc, wanted):
-    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations `acc` (3 (B + 1),), in lanes only where `wanted`."""
+    """Subtract ``M^-1 Phi_q^T lambda`` from the accelerations `acc` (3 (B + 1),); in lanes, only where `wanted`."""
     pairs, jac, weight = top.pairs, w.jac, top.weight
     for k in range(len(pairs)):
         a, b = pairs[k, 1], pairs[k, 2]
@@ -559,7 +564,7 @@ def pivoted_accelerations(top, w, solver, has_forces, acc, lam):
 
 @subkernel
 def substitute_by_pivots(top, w, solver, has_forces, acc, lam):
-    """Solve the index-1 system with the factors of the pivoted system; return a status as `pivoted_accelerations`."""
+    """Solve the index-1 system with the existing pivoted factors; return a status as `pivoted_accelerations` does."""
     n3 = 3 * (len(top.mass) - 1)
     row_index, right, solution = solver.row_index, w.right, w.solution
     for b in range(len(top.mass) - 1):
@@ -599,7 +604,7 @@ def solve_accelerations(top, w, solver, q, v, acc, lam, refine):
 def solve_loaded(top, w, solver, q, v, acc, lam, refine):
     """Solve the index-1 system with the applied forces, for ``w.jac`` and ``w.gamma`` of the independent rows.
 
-    The multipliers `lam` remain those of the rows that are solved for. Returns a status.
+    The multipliers `lam` are those of the rows that are solved for; they are not unfolded. Returns a status.
     """
     if len(top.frictions) > 0:  # the first pass is without friction, so that the result depends on the state only
         fill_rows(lam, 0.0)
@@ -660,7 +665,7 @@ def settle_by_newton(top, w, solver, v, acc, lam, refine):
 
 @inlined
 def _not_settled(top, w, solver, v, acc, lam, refine):
-    """Return OK: runs with friction in joints are neither vectorized nor differentiated by parameters."""
+    """Return OK: runs with friction in joints are neither vectorized nor differentiated with respect to parameters."""
     return OK
 
 
@@ -734,7 +739,7 @@ def solve_system(top, w, solver, has_forces, acc, lam, refine):
 
 @overload(solve_system)
 def _solve_system(top, w, solver, has_forces, acc, lam, refine):
-    if "numbers" in solver.bundle.fields:  # of dual numbers; see `mbdkit.engine.kernels.dual_system`
+    if "numbers" in solver.bundle.fields:  # a solver of dual numbers; see `mbdkit.engine.kernels.dual_system`
         return None
     solve = by_pivots_or_schur if "pivoted" in solver.bundle.fields else _by_schur
     return lambda top, w, solver, has_forces, acc, lam, refine: solve(top, w, solver, has_forces, acc, lam, refine)
@@ -744,8 +749,8 @@ def _solve_system(top, w, solver, has_forces, acc, lam, refine):
 def transferred(top, w, solver, i, lam):
     """Write the multipliers that cause the same accelerations as a unit multiplier of redundant direction `i`.
 
-    Must be called right after `solve_accelerations`, because it uses its factors and ``w.loose``. `lam` (P, 2) receives
-    the multipliers. Overwrites ``w.gamma`` or the vectors of the pivoted system.
+    Must be called right after `solve_accelerations`, whose factors and ``w.loose`` it uses. `lam` (P, 2) receives the
+    multipliers. Overwrites ``w.gamma`` or the vectors of the pivoted system.
     """
     n3 = 3 * (len(top.mass) - 1)
     a, b = top.pairs[top.spare[i, 0], 1], top.pairs[top.spare[i, 0], 2]
@@ -792,8 +797,8 @@ def stabilize_tangents(top, w):
 def evaluate_tangents(top, w, t, q, v, acc, lam):
     """Evaluate all terms of the stage matrix into ``w.source``, except for the masses, which are constant.
 
-    Multipliers `lam` (P, 2) are those of the original rows, because d(Phi_q^T lam)/dq is not folded: redundant
-    directions carry no force and contribute nothing.
+    The multipliers `lam` (P, 2) are those of the original rows, because d(Phi_q^T lam)/dq is computed for all rows;
+    redundant directions carry no force and contribute nothing.
     """
     prepare(top, w, t, q)
     take_multipliers(top, w, lam)

@@ -1,8 +1,9 @@
 """Coordinates of the joints of a spanning tree, and the states of all bodies that follow from them.
 
-Coordinates are stored as vectors of states are, with three numbers for each body. The first two are x and y if no joint
-of the tree places the body; the travel along the line and zero if a constraint to a line places it; and zeros if a pin
-or a moving center places it. The third is the angle of the body, or zero if a weld, a slide or a driver determines it.
+Coordinates are stored in vectors with three numbers for each body, as positions are. The first two are x and y if no
+joint of the tree places the body; the travel along the line and zero if a constraint to a line places it; and zeros if
+a pin or a moving center places it. The third is the angle of the body, or zero if a weld, a slide or a driver
+determines it.
 Angles are absolute. They differ from angles relative to the parent body in the tree by a linear transformation with
 constant coefficients, under which the steps of Runge-Kutta methods are invariant.
 
@@ -18,16 +19,16 @@ from mbdkit.engine.kernels.system import prepare_angles, prepare_motions
 from mbdkit.engine.native.functions import inlined, subkernel
 
 BODY, PLACE, PLACE_SIDE, TURN, TURN_SIDE, COLUMNS = range(6)
-"""Columns of a tree (B, 5), bodies in order from the roots: the body; the pair of constraint rows that places it, -1
-for none, and whether it is the second body of that pair; the pair that determines its angle, -1 for none, and whether
-it is the second body of that pair."""
+"""Columns of a tree (B, 5), whose rows are the bodies in order from the roots: the body; the pair of constraint rows
+that places it (-1: none), and whether it is the second body of that pair; the pair that determines its angle (-1:
+none), and whether it is the second body of that pair."""
 
 _LINE, _DRIVER, _CENTER = KINDS["point_on_line"], KINDS["driver_angle"], KINDS["moving_center"]
 
 
 @inlined
 def turned(c, s, x, y):
-    """Return a vector of a body's frame in the global frame."""
+    """Return the global components of a vector (x, y) given in a frame with the cosine `c` and the sine `s`."""
     return c * x - s * y, s * x + c * y
 
 

@@ -114,7 +114,7 @@ def _place_centres(links, inverses, bodies, series, k):
 
 @inlined
 def _point(series, k, px, py):
-    """Return coefficient `k` of a point of a body."""
+    """Return coefficient `k` of the position of a point, given as (px, py) in the frame of its body."""
     x, y = turned(series[COSINE, k], series[SINE, k], px, py)
     return series[X, k] + x, series[Y, k] + y
 
@@ -189,7 +189,7 @@ def _load(top, places, series, u, bodies, k):
 def _begin(links, series, bodies, k):
     """Compute the bias of each body alone, by coefficients of lower order than `k` and the applied forces.
 
-    The sums end with their newest coefficients, so that the processor can begin them before these are known.
+    The sums end with the coefficients computed last, so that the processor can begin them before these are known.
     """
     for n in range(len(links)):
         x, before = bodies[n], links[n, BEFORE]

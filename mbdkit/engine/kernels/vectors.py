@@ -28,7 +28,8 @@ def fill_rows(out, value):
 
 
 BEYOND = 1e75
-"""A coordinate or rate of this size counts as overflow, because energies computed from it may not be finite."""
+"""Coordinates and rates of this size or above count as overflow, because energies computed from them may not be finite.
+"""
 
 
 @subkernel
@@ -42,7 +43,7 @@ def stays_finite(x, increment):
 
 @subkernel
 def add_compensated(x, low, increment, wanted):
-    """Add `increment` to `x` in place by compensated (Kahan) summation, in lanes only where `wanted`.
+    """Add `increment` to `x` in place by compensated (Kahan) summation; in lanes, only where `wanted`.
 
     `low` carries the rounding error of `x`.
 

@@ -1,11 +1,11 @@
-"""Functions for code that serves numbers, lanes and dual numbers.
+"""Functions that differ between ordinary numbers, lanes and dual numbers.
 
-Kernels are compiled for the types of their arguments. With arrays of lanes, the same source advances several runs
-together (`mbdkit.engine.compiler.lane_types`); with arrays of dual numbers, it computes derivatives as well
-(`mbdkit.engine.compiler.dual_types`). Python cannot branch on a condition of lanes: code for lanes uses `where` and
-``&``.
+Kernels are compiled for the types of their arguments. With arrays of lanes, which hold one number for each of several
+runs, the same source advances these runs together (`mbdkit.engine.compiler.lane_types`). With arrays of dual numbers,
+it computes derivatives as well (`mbdkit.engine.compiler.dual_types`). Python cannot branch on a condition of lanes:
+code for lanes uses `where` and ``&``.
 
-In Python, these functions serve numbers.
+If Python interprets the kernels, these functions get ordinary numbers.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ def put_in(x, lane, number):
 
 
 def any_of(condition):
-    """Return whether the condition holds, in at least one lane."""
+    """Return whether the condition holds; for lanes, whether it holds in at least one of them."""
     return bool(condition)
 
 
 def is_refused(sound):
-    """Return whether a kernel must stop because a condition does not hold.
+    """Return whether a kernel must stop because the condition `sound` does not hold.
 
     This is always false for lanes: the values of the failed lane become NaN (`usable`), and its run is repeated alone.
     """
@@ -69,12 +69,12 @@ def is_refused(sound):
 
 
 def usable(x, sound):
-    """Return `x`; NaN in lanes in which a condition does not hold."""
+    """Return `x`, with NaN in lanes in which the condition `sound` does not hold."""
     return x
 
 
 def renewed(new, old, condition):
-    """Return `new`; `old` in lanes in which a condition does not hold. Numbers are always renewed."""
+    """Return `new`, except in lanes in which the condition does not hold: there, return `old`."""
     return new
 
 
@@ -84,22 +84,22 @@ def put_in_place(values, place, x):
 
 
 def sine_of_each(x):
-    """Return the sine by the C library."""
+    """Return the sine of `x`, or of each lane of `x`, computed by the C library."""
     return math.sin(x)
 
 
 def cosine_of_each(x):
-    """Return the cosine by the C library."""
+    """Return the cosine of `x`, or of each lane of `x`, computed by the C library."""
     return math.cos(x)
 
 
 def hypot_of_each(x, y):
-    """Return ``sqrt(x^2 + y^2)`` without overflow, by the C library."""
+    """Return ``sqrt(x^2 + y^2)``, in lanes for each of them, computed without overflow by the C library."""
     return math.hypot(x, y)
 
 
 def angle_of_each(y, x):
-    """Return the angle of the vector (x, y) from the first axis, by the C library."""
+    """Return the angle of the vector (x, y) from the first axis, in lanes for each of them, by the C library."""
     return math.atan2(y, x)
 
 
@@ -120,9 +120,14 @@ def chain(x, value, slope):
 
 @placeholder
 def larger_derivatives(x, y):
-    """Return the larger absolute value of each derivative of two dual numbers; the value is that of the first."""
+    """Return a dual number whose derivatives are the larger absolute values of those of `x` and `y`; its value is that
+    of `x`.
+    """
 
 
 @placeholder
 def largest_quotient(x, y):
-    """Return the largest quotient of derivatives that are not negative, 0 / 0 being 0; infinity if one is NaN."""
+    """Return the largest quotient of a derivative of `x` and the same derivative of `y`, none of which is negative.
+
+    0 / 0 counts as 0. The result is infinite if a quotient is NaN.
+    """

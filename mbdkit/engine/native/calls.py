@@ -1,12 +1,12 @@
-"""Calls by address in compiled code: of entries, and of force laws with a single C signature.
+"""Calls by address in compiled code: of entries (`mbdkit.engine.native.functions`), and of force laws.
 
 A law is a C function ``void law(int64 program, double length, double rate, double time, const double *parameters,
-double *out)``. It writes the force, its derivatives by length and by rate, and the potential into ``out[0..3]``;
-``parameters[0]`` is the number of parameters that follow, and ``program`` the address of what the law itself needs
-(`mbdkit.engine.kernels.law_programs`). Kernels read both addresses from an array, so that a new law does not require
-them to be compiled again.
+double *out)``. It writes the force, its derivatives with respect to length and rate, and the potential into
+``out[0..3]``; ``parameters[0]`` is the number of parameters that follow, and ``program`` the address of further data of
+the law (`mbdkit.engine.kernels.law_programs`). Kernels read the addresses of the law and of its program from an array,
+so that they need not be compiled again for a new law.
 
-For dual numbers, all numbers but the time are addresses of dual numbers.
+Laws for dual numbers have the same arguments, but all numbers except the time are addresses of dual numbers.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from mbdkit.engine.native.functions import placeholder
 from mbdkit.engine.native.kernel import entry_in_python
 
 HAS_POTENTIAL, PASSIVE = 1, 2
-"""Bits of the claims of a law. HAS_POTENTIAL: the force at zero rate is the derivative of the potential by length.
-PASSIVE: all power that is not stored as potential energy is dissipated."""
+"""Bits of the claims of a law. HAS_POTENTIAL: the force at zero rate is the derivative of the potential with respect to
+length. PASSIVE: all power that is not stored as potential energy is dissipated."""
 
 LAW = ctypes.CFUNCTYPE(
     None, ctypes.c_int64, ctypes.c_double, ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p
@@ -51,7 +51,7 @@ def integers_at(address, count):
 
 @placeholder
 def numbers_at(address, first, count, like):
-    """Return `count` numbers from the one with index `first` at an address on; dual numbers if `like` is one."""
+    """Return an array of `count` numbers that begins with number `first` at an address; duals if `like` is one."""
     return np.ctypeslib.as_array((ctypes.c_double * count).from_address(address + 8 * first))
 
 

@@ -1,4 +1,4 @@
-"""Levels of processors for which machine code is stored, and the level of this one.
+"""Levels of processors for which machine code is stored, and the level of this processor.
 
 A level fixes the instructions that compiled code may use, and the number of SIMD lanes: how many runs it advances
 together (`mbdkit.engine.compiler.lane_types`). No level contracts multiplications and additions, so that results do not
@@ -32,7 +32,7 @@ class Level:
     processor, features
         The processor, and its additional features in code for lanes, as LLVM names them.
     shared
-        Libraries that it does not have itself, and the name of the level whose library it uses.
+        Libraries of machine code that are not stored for this level, each with the level whose library is used instead.
     """
 
     name: str

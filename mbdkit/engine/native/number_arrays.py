@@ -1,4 +1,4 @@
-"""Arrays of lanes and of dual numbers, which kernels read as arrays of these numbers."""
+"""NumPy arrays that kernels read as arrays of lanes (one number for each of several runs) or of dual numbers."""
 
 from __future__ import annotations
 
