@@ -13,6 +13,7 @@ from mbdkit.analysis.cycles import Normalized, contacts, normalized
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
 from mbdkit.archive.history import UnknownNameError
 from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
+from mbdkit.archive.run_summary import exact_loads
 from mbdkit.base.errors import SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table
@@ -165,6 +166,8 @@ class Workload(HtmlView):
     cycles
         Forces of joints and values of actuators over 0 to 100 % of the cycles, by name; empty without cycles. Where a
         joint and an actuator have the same name, the entry is that of the actuator.
+    note
+        A clause on loads that the errors count as exact; empty if there are none.
     """
 
     start: float
@@ -172,6 +175,7 @@ class Workload(HtmlView):
     elements: tuple[ElementWorkload, ...]
     phases: tuple[Phase, ...] = ()
     cycles: Mapping[str, Normalized] = field(default_factory=dict)
+    note: str = ""
 
     def __getitem__(self, name: str) -> ElementWorkload:
         """Return the workload of a joint or actuator; if both have this name, that of the actuator."""
@@ -188,12 +192,14 @@ class Workload(HtmlView):
             "elements": [asdict(element) for element in self.elements],
             "phases": [asdict(phase) for phase in self.phases],
             "cycles": {name: _cycle_data(cycle) for name, cycle in self.cycles.items()},
+            **({"note": self.note} if self.note else {}),
         }
 
     def text(self) -> str:
         """Return the workload as tables of plain text."""
         whole = Phase("whole motion", self.start, self.end, self.elements)
-        return "\n\n".join(_phase_text(phase) for phase in (whole, *self.phases))
+        texts = [_phase_text(phase) for phase in (whole, *self.phases)]
+        return "\n\n".join([*texts, *([f"In the errors, {self.note}."] if self.note else [])])
 
 
 def workload(
@@ -246,7 +252,7 @@ def workload(
     starts, parts = _parts(run, cycles, load, threshold)
     phases = tuple(Phase(name, begin, until, between(begin, until)) for name, begin, until in parts)
     over = {one.name: normalized(time, one.value, starts) for one in every} if len(starts) > 1 else {}
-    return Workload(start, end, _with_errors(run, between(start, end)), phases, over)
+    return Workload(start, end, _with_errors(run, between(start, end)), phases, over, exact_loads(run))
 
 
 def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[ElementWorkload, ...]:

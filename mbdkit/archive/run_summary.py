@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.archive.headlines import ROUND_OFF, Headline, headlines, plus_minus
 from mbdkit.archive.peak_errors import errors_of_frames, peak_errors
 from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import counted, shown
+from mbdkit.base.text import counted, listed, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.contacts import STICK
 from mbdkit.mechanism.mechanism import gravity_text
@@ -86,6 +86,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("energy", _energy(run)),
         ("drivers", _drivers(run)),
         ("fit", _fit(run)),
+        ("gaps", _gaps(run)),
         ("raw data", _raw_misalignment(run)),
         ("actuators", _actuators(run)),
         ("residuals", _actuators(run, residual=True)),
@@ -227,7 +228,30 @@ def _error_bars(run: Run) -> str:
     assert errors is not None
     error = float(errors[joint])
     value = plus_minus(float(size[row, joint]), error)
-    return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s"
+    told = f"; {exact}" if (exact := exact_loads(run)) else ""
+    return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4g} s{told}"
+
+
+def exact_loads(run: Run) -> str:
+    """Return a clause on the measured loads that error bars of inverse dynamics count as exact; empty if there are none
+    or no error bars.
+    """
+    names = (
+        []
+        if run.accuracy is None
+        else [name for name, load in (run.spec.get("loads") or {}).items() if any(map(_is_exact, _measured(load)))]
+    )
+    return f"loads count as exact where columns have no `deviation`: {listed(names, 'and')}" if names else ""
+
+
+def _measured(load: Mapping[str, Any]) -> list[Any]:
+    """Return the columns of a load; numbers are no columns."""
+    every = [*(load.get("force") or ()), *(load.get("point") or ()), load.get("torque")]
+    return [one for one in every if one is not None and not isinstance(one, int | float)]
+
+
+def _is_exact(column: Any) -> bool:
+    return not (isinstance(column, Mapping) and column.get("deviation"))
 
 
 def asked_sentence(run: Run) -> str:
@@ -348,6 +372,18 @@ def _fit(run: Run) -> str:
     return f"residuals (rms) {text}{more}" if parts else ""
 
 
+def _gaps(run: Run) -> str:
+    """Return the gaps of the measured columns that were filled by interpolation; empty if there were none."""
+    texts = []
+    for name, one in run.motion.items():
+        missing = np.concatenate([[False], np.isnan(one.raw), [False]])
+        for first, end in np.flatnonzero(np.diff(missing)).reshape(-1, 2).tolist():
+            span = f"from t = {run.time[first]:.6g} to {run.time[end - 1]:.6g} s"
+            texts.append(f"{name}, {counted(end - first, 'sample')} {span}")
+    more = f"; {len(texts) - JOINTS_NAMED} more" if len(texts) > JOINTS_NAMED else ""
+    return f"filled by interpolation: {'; '.join(texts[:JOINTS_NAMED])}{more}" if texts else ""
+
+
 def _raw_misalignment(run: Run) -> str:
     """Return the largest misalignment of the measured data; empty if they determine none."""
     if not run.records("motion/raw_misalignment"):
@@ -394,7 +430,11 @@ def _muscles(run: Run) -> str:
 
 
 def _far_fibers(run: Run) -> str:
-    """Return the muscles whose fibres leave the range of lengths in which they can pull; empty if there are none."""
+    """Return the muscles whose fibres leave the range of lengths in which they can pull; empty if there are none, or if
+    the verdict names them.
+    """
+    if any("fibers: " in reason for reason in run.verdict_reasons):
+        return ""
     try:
         muscles = run.mechanism.muscles if run.muscles else {}
     except MbdkitError:  # a plugin of the model is not installed

@@ -1,4 +1,6 @@
-"""The verdict on a result of inverse dynamics, from the doubts about its data that the spec does not accept."""
+"""The verdict on a result of inverse dynamics, from the doubts about its data and model that the spec does not
+accept.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +13,7 @@ from mbdkit.inverse_dynamics.column_criteria import column_doubts
 from mbdkit.inverse_dynamics.compute import Inverse
 from mbdkit.inverse_dynamics.error_bars import ErrorBars
 from mbdkit.inverse_dynamics.load_criteria import load_doubts
+from mbdkit.inverse_dynamics.model_criteria import model_doubts
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 
 
@@ -24,9 +27,9 @@ class DataDoubts(NamedTuple):
 
 
 def doubts_about_data(result: Inverse, bars: ErrorBars | None) -> DataDoubts:
-    """Return the doubts about the data of a result."""
+    """Return the doubts about the data and the model of a result."""
     accepted = result.problem.spec.accept
-    found = [*column_doubts(result), *load_doubts(result, bars)]
+    found = [*column_doubts(result), *load_doubts(result, bars), *model_doubts(result)]
     texts = [(one.criterion in accepted, f"{one.criterion}: {one.sentence}") for one in found]
     return DataDoubts(*(tuple(text for is_accepted, text in texts if is_accepted == side) for side in (False, True)))
 

@@ -1,5 +1,5 @@
-"""Warnings about values of a spec that are valid but probably unintended, such as angles in degrees or an initial state
-in which joints are far from closed.
+"""Warnings about values of a spec that are valid but probably unintended, such as angles in degrees, inertias in
+kg mm^2 or an initial state in which joints are far from closed.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from mbdkit.base.plain_data import Path, path_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
+from mbdkit.mechanism.improbable_values import improbable_frictions, improbable_inertias
 from mbdkit.mechanism.joints import Driver, Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import evaluate, names_in, parameters_in_use
@@ -46,15 +47,17 @@ _ANGLE = re.compile(r"\[(m or )?rad\]")
 
 
 def spec_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings of the model, and those about unresolved beams, unused parameters, angles in degrees, long
+    """Return the warnings of the model, and those about unresolved beams, unused parameters, improbable values, long
     steps and excitations.
     """
-    return (*_known(spec), *_angles_in_degrees(spec), *_long_step(spec), *_excitations(spec))
+    return (*_known(spec), *_improbable(spec), *_long_step(spec), *_excitations(spec))
 
 
 def mechanism_warnings(spec: RunSpec) -> tuple[str, ...]:
-    """Return the warnings that also apply without a run: those of the model, and about angles and parameters."""
-    return (*spec.mechanism().warnings, *_unused_parameters(spec), *_angles_in_degrees(spec))
+    """Return the warnings that also apply without a run: those of the model, and those about unused parameters and
+    improbable values.
+    """
+    return (*spec.mechanism().warnings, *_unused_parameters(spec), *_improbable(spec))
 
 
 def start_warnings(spec: RunSpec, start: AssembledState) -> tuple[str, ...]:
@@ -155,6 +158,13 @@ def center_warnings(mechanism: Mechanism, reached: np.ndarray) -> tuple[str, ...
                     f"extrapolated there by its first or last polynomial"
                 )
     return tuple(warnings)
+
+
+def _improbable(spec: RunSpec) -> Iterator[str]:
+    """Yield warnings about values that probably have another unit."""
+    yield from _angles_in_degrees(spec)
+    yield from improbable_inertias(spec.mechanism())
+    yield from improbable_frictions(spec.mechanism())
 
 
 def _angles_in_degrees(spec: RunSpec) -> Iterator[str]:

@@ -187,8 +187,12 @@ Criterion = Literal[
     "load-sign",
     "load-offset",
     "residuals",
+    "inertia",
+    "fibers",
+    "reserves",
+    "max-force",
 ]
-"""Names of the criteria of the verdict on measured data."""
+"""Names of the criteria of the verdict on measured data and on the model."""
 
 Data = dict[str, list[float | None]]
 """Columns of a table by heading; None is a gap."""

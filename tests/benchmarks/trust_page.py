@@ -54,7 +54,9 @@ good; an example is a chaotic double pendulum after a few seconds.
 
 Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that fails before
 its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its values
-hold. Warnings that question the result make a run `doubtful`.
+hold. Warnings that question the result make a run `doubtful`. They name, for example, angles that look like degrees, a
+coefficient of friction above 5, and an inertia so large that the heaviest body would have it only at a distance of more
+than 10 sizes of the mechanism.
 
 The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
 position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion

@@ -113,6 +113,8 @@ def test_gaps_are_bridged_when_asked(tmp_path: Path) -> None:
     run = mbdkit.inverse(pendulum(str(tmp_path / "t.csv"), gaps={"longest": 0.05}))
     assert np.isnan(run.motion["hip.angle"].raw[3])
     assert run.motion["hip.angle"].fitted[3] == pytest.approx(0.3, abs=1e-12)
+    at = f"{run.time[3]:.6g}"
+    assert f"gaps          filled by interpolation: hip.angle, 1 sample from t = {at} to {at} s" in run.summary()
 
 
 def test_storage_files_are_in_degrees_where_their_header_says_so(tmp_path: Path) -> None:

@@ -154,6 +154,37 @@ def test_frames_that_muscles_cannot_produce_are_named_with_the_smallest_reserves
 
 
 @pytest.mark.parametrize(
+    ("changes", "criteria"),
+    [
+        # expected: by hand; the elbow needs 2.2 N m with an arm of 0.04 m, and fibres of 0.12 m fit the path
+        ({}, set()),
+        ({"max_force": 20.0}, {"reserves"}),
+        ({"max_force": 0.3}, {"reserves", "max-force"}),
+        ({"optimal_length": 0.05}, {"reserves", "fibers"}),  # 2.4 optimal lengths
+        ({"optimal_length": 0.08}, set()),
+    ],
+)
+def test_muscles_that_cannot_produce_the_motion_alone_make_the_verdict_doubtful(changes, criteria):
+    spec = forearm(recruitment={"reserves": 1.0})
+    spec["model"]["muscles"]["biceps"] |= changes
+    run = mbdkit.inverse(spec)
+    assert {reason.partition(":")[0] for reason in run.verdict_reasons} == criteria
+    assert run.verdict == ("doubtful" if criteria else "unknown")
+    if "max-force" in criteria:
+        accepted = mbdkit.inverse(spec | {"accept": sorted(criteria)})
+        assert accepted.verdict == "unknown"
+        assert all(reason.startswith("Accepted by the spec: ") for reason in accepted.verdict_reasons)
+
+
+def test_an_inertia_in_square_millimetres_makes_the_verdict_doubtful():
+    spec = forearm()
+    name = next(iter(spec["model"]["bodies"]))
+    spec["model"]["bodies"][name]["inertia"] = 3920.0
+    (reason,) = mbdkit.inverse(spec).verdict_reasons
+    assert reason.startswith(f"inertia: the inertia of 3920 kg m^2 at model.bodies.{name}.inertia")
+
+
+@pytest.mark.parametrize(
     ("recruitment", "key", "message"),
     [
         ({"exponent": 0}, "recruitment.exponent", "at least 1"),

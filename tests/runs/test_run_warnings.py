@@ -9,9 +9,11 @@ from typing import Any
 import pytest
 
 import mbdkit
+from mbdkit.mechanism.improbable_values import improbable_frictions, improbable_inertias
 from mbdkit.runs.preparation import build
 from mbdkit.runs.warnings import spec_warnings, start_warnings
 from mbdkit.spec import load_spec
+from mbdkit.spec.loading import example_names
 from mbdkit.spec.reading import parse_key, put
 
 SPEC: dict[str, Any] = {
@@ -63,6 +65,11 @@ DRIVER = {"type": "driver", "bodies": ["ground", "rod"], "coordinate": "angle"}
             "parameters.tilt",
         ),
         ({"parameters": {"tilt": 90}, "model__joints__D": {**DRIVER, "motion": "tilt"}}, "write degrees(tilt)"),
+        ({"model__bodies__rod__inertia": 3920}, "the inertia of 3920 kg m^2 at model.bodies.rod.inertia"),
+        (
+            {"model__joints__A__friction": {"coefficient": 30, "radius": 0.01}},
+            "the coefficient of friction of 30 at model.joints.A.friction is above 5; if it is in percent, write 0.3",
+        ),
         ({"time__step": 1.0}, "the step of 1 s at time.step is longer than the run of 0.1 s"),
         ({"parameters": {"crank": 1, "crnk": 2}, "model__bodies__rod__mass": "crank"}, "parameters.crnk is not used"),
     ],
@@ -78,6 +85,9 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
     [
         {},
         {"model__bodies__rod__angle": 6.0},
+        {"model__bodies__rod__inertia": 20.0},  # at 4.5 m, 9 times the size of 0.5 m
+        {"model__bodies__rod__inertia": 3920.0, "model__joints__A__points": [[0.5, 0], [0, 0]]},  # a rotor has no size
+        {"model__joints__A__friction": {"coefficient": 0.3, "radius": 0.01}},
         {"model__bodies__rod__angle": 7.853981633974483},
         {"model__bodies__rod__angle": "degrees(720)"},
         {"model__bodies__rod__angle": "4*pi"},
@@ -94,6 +104,11 @@ def test_a_value_that_is_probably_not_meant_is_told_with_its_key(values: dict[st
 )
 def test_a_value_that_may_be_meant_is_not_told(values: dict[str, Any]) -> None:
     assert warnings_of(**values) == ()
+
+
+def test_no_inertia_or_friction_of_the_packaged_examples_is_improbable() -> None:
+    mechanisms = [load_spec(name).mechanism() for name in example_names("run")]
+    assert [text for one in mechanisms for text in (*improbable_inertias(one), *improbable_frictions(one))] == []
 
 
 @pytest.mark.parametrize(

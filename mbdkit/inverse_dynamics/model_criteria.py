@@ -1,0 +1,105 @@
+"""Criteria of the verdict on the model of inverse dynamics: its inertias, and the muscles and reserves that share the
+moments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mbdkit.archive.run_summary import PULLING
+from mbdkit.inverse_dynamics.column_criteria import Doubt
+from mbdkit.inverse_dynamics.compute import Inverse
+from mbdkit.inverse_dynamics.recruited import Recruited
+from mbdkit.mechanism.improbable_values import improbable_inertias
+from mbdkit.spec.named_actuators import RESERVE
+
+RESERVE_SHARE = 0.1
+"""Peak of a reserve, as a share of the peak of the moment to which it contributes, from which it is doubtful.
+
+OpenSim's user guide recommends peaks of reserves below 10 % of the peak joint moment.
+"""
+
+WEAK = 0.01
+"""A muscle is too weak if it can exert at most this share of the peak of every moment on which it acts.
+
+The muscles of the packaged examples can exert 0.8 times the peak or more; a force in kN is too small by 1000.
+"""
+
+LEAST_ARM = 0.02
+"""Smallest moment arm that is assumed for this, as a share of the longest link, because muscles that act mainly out of
+the plane may have small moment arms.
+"""
+
+AT_REST = 1e-9
+"""Peaks of moments and forces [N m, N] below this value are rounding errors."""
+
+
+def model_doubts(result: Inverse) -> Iterator[Doubt]:
+    """Yield doubts about the masses, muscles and reserves of the model."""
+    for sentence in improbable_inertias(result.problem.names.mechanism):
+        yield Doubt("inertia", f"{sentence}.")
+    if result.recruited is not None:
+        yield from _fibers(result, result.recruited)
+        yield from _reserves(result, result.recruited)
+        yield from _weak_muscles(result, result.recruited)
+
+
+def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
+    """Yield a doubt for each muscle whose fibres leave the range of lengths in which they have an active force."""
+    low, high = PULLING
+    for index, (name, muscle) in enumerate(result.problem.names.mechanism.muscles.items()):
+        lengths = recruited.contraction.fiber_length[:, index] / muscle.optimal_length
+        outside = np.flatnonzero((lengths < low) | (lengths > high))
+        if outside.size:
+            yield Doubt(
+                "fibers",
+                f"the fibres of muscle '{name}' are {np.nanmin(lengths):.3g} to {np.nanmax(lengths):.3g} optimal "
+                f"lengths long, in {outside.size} rows outside of {low:g} to {high:g}, where they have almost no "
+                f"active force: check its path, optimal_length and tendon_length.",
+            )
+
+
+def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
+    """Yield a doubt for each reserve that carries a large share of its moment."""
+    problem = result.problem
+    names = [actuator.name for actuator in problem.actuators]
+    reserves = [actuator.name for actuator in problem.recorded_actuators[len(names) :]]
+    for reserve, values in zip(reserves, recruited.reserve.T, strict=True):
+        name = reserve.removeprefix(RESERVE)
+        actuator = names.index(name)
+        most, whole = (float(np.max(np.abs(x))) for x in (values, recruited.actuator[:, actuator]))
+        if most > AT_REST and most > RESERVE_SHARE * whole:
+            at = result.motion.time[int(np.argmax(np.abs(values)))]
+            unit = problem.actuators[actuator].unit
+            share = f", {most / whole:.2g} of the largest value of {name}" if whole > 0 else ""
+            yield Doubt(
+                "reserves",
+                f"the reserve of {name} supplies up to {most:.4g} {unit} at t = {at:.6g} s{share} (doubtful above "
+                f"{RESERVE_SHARE:g}), so that the muscles do not produce the motion alone: they are too weak or too "
+                f"few, or the optimal force of the reserve is so large that it costs less than they do.",
+            )
+
+
+def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Doubt]:
+    """Yield a doubt for each muscle that is negligible at every joint on which it acts."""
+    problem = result.problem
+    arms = np.max(np.abs(recruited.sharing.arms), axis=0)  # (U, M)
+    peaks = np.max(np.abs(result.dynamics.value), axis=0)
+    least = LEAST_ARM * problem.fitter.manifold.length
+    for index, (name, muscle) in enumerate(problem.names.mechanism.muscles.items()):
+        acting = np.flatnonzero((arms[:, index] > 0) & recruited.sharing.driven & (peaks > AT_REST))
+        if not acting.size:
+            continue
+        moments = muscle.max_force * np.maximum(arms[acting, index], least)
+        best = int(np.argmax(moments / peaks[acting]))
+        share = moments[best] / peaks[acting][best]
+        if share < WEAK:
+            actuator = problem.actuators[acting[best]]
+            yield Doubt(
+                "max-force",
+                f"muscle '{name}' with a max_force of {muscle.max_force:g} N can exert at most {share:.2g} of the "
+                f"largest value of {actuator.name}, {peaks[acting][best]:.4g} {actuator.unit} (doubtful below "
+                f"{WEAK:g}): is its force in another unit, such as kN?",
+            )
