@@ -168,17 +168,10 @@ class States:
     def of_contacts(self, name: str, *, of_ground: bool = False) -> np.ndarray:
         """Return a quantity (T, C) of the contacts, or (T, F) or (T, F, 2) of the bodies that may touch the ground.
 
-        Empty if there are no contacts.
-
-        Raises
-        ------
-        SpecError
-            If the states have derivatives with respect to parameters.
+        Empty if there are no contacts. The table of quantities refuses derivatives of the values.
         """
         if not self.mechanism.contacts:
             return NONE
-        if self.q.ndim > 2:
-            raise SpecError(f"derivatives of {name} of contacts with respect to parameters are not known")
         return (self._ground_reactions if of_ground else self._contacts)[name]
 
     def of_muscles(self, name: str) -> np.ndarray:
